@@ -1,0 +1,239 @@
+"""The schema of every config key: name, type, default, unit. Hydra composes, this page decides what is legal.
+
+The dataclasses below are the only place where a key may be declared; ``conf/`` chooses values.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from omegaconf import MISSING
+
+
+@dataclass
+class MaterialConfig:
+    """An elastic, frictional material (Hertz–Mindlin)."""
+
+    youngs_modulus: float = 1.0e7  # Pa
+    poisson_ratio: float = 0.29
+    density: float = 2500.0  # kg/m³
+    restitution: float = 0.5
+    friction: float = 0.3  # sliding, particle and wall
+    rolling_friction: float = 0.0  # elastic-plastic, type C; 0 switches it off
+
+
+@dataclass
+class ContainerConfig:
+    """The analytic walls: a horizontal drum about the y axis, centred on the origin, or none."""
+
+    kind: str = "drum"  # drum | none
+    diameter: float = 1.0  # m
+    length: float = 1.0  # m, along y
+    periodic_axis: bool = False  # true: no end caps, y wraps around
+
+
+@dataclass
+class FillingConfig:
+    """How many spheres, how large, and how they start."""
+
+    count: int = 3000
+    diameter: float = 0.05  # m
+    lattice_spacing: float = 1.12  # in diameters
+    jitter: float = 0.05  # in diameters, uniform in ±jitter
+    settled_speed: float = 1.0e-3  # m/s, mean speed below which a bed is at rest
+    longest_settling: float = 20.0  # s, an error beyond
+
+
+@dataclass
+class RotationConfig:
+    """Rotation about +y: piecewise linear between knots, constant after the last, at rest before the first."""
+
+    times: list[float] = field(default_factory=lambda: [1.5])  # s
+    speeds_rpm: list[float] = field(default_factory=lambda: [30.0])
+
+
+@dataclass
+class SceneConfig:
+    """A scene: container, filling, material, gravity, schedule."""
+
+    name: str = MISSING
+    container: ContainerConfig = field(default_factory=ContainerConfig)
+    filling: FillingConfig = field(default_factory=FillingConfig)
+    material: MaterialConfig = field(default_factory=MaterialConfig)
+    wall_material: MaterialConfig | None = None  # null: the particles' material
+    gravity: list[float] = field(default_factory=lambda: [0.0, 0.0, -9.81])  # m/s²
+    rotation: RotationConfig = field(default_factory=RotationConfig)
+    start_time: float = 1.5  # s, label of the settled state
+    end_time: float = 5.5  # s
+    frame_interval: float = 0.01  # s
+
+
+@dataclass
+class DemConfig:
+    """The solver."""
+
+    engine: str = "numba"  # numba | numpy
+    time_step: float | None = None  # s; null: automatic, a stated fraction of min(Rayleigh time, contact time)
+    skin: float | None = None  # m, Verlet skin; null: chosen by the engine
+    allow_unsafe_step: bool = False  # true turns the error of a too large step into a recorded warning
+
+
+@dataclass
+class DatasetConfig:
+    """Which cases are made, and which may be seen by training."""
+
+    root: str = "data"  # folder of the HDF5 cases, relative to where the command runs
+    training_speeds_rpm: list[float] = field(default_factory=lambda: [20.0, 25.0, 35.0, 40.0, 50.0, 60.0])
+    validation_speeds_rpm: list[float] = field(default_factory=list)  # held out of training, used to choose
+    holdout_speeds_rpm: list[float] = field(default_factory=lambda: [30.0])  # never read in training
+    packing_seed: int = 0  # the filling shared by all cases
+    unseen_packing_seed: int = 1  # the filling that only judging sees
+    replicas: int = 5  # nudged runs of the held-out case for the noise floor
+    workers: int = 2  # cases made at a time
+
+
+@dataclass
+class ContactModelConfig:
+    """The contact network (DESIGN: a learned solver of contacts)."""
+
+    name: str = "contact"
+    iterations: int = 8
+    hidden: int = 16
+    channels: int = 4
+    radius: float = 0.06  # m, reach of a pair
+    wall_reach: float = 0.01  # m, gap up to which a wall contact is listed
+    memory: bool = False  # carry a tangential spring vector of each contact from frame to frame
+    backend: str = "fused"  # fused (Numba, CPU) | torch
+
+
+@dataclass
+class CconvModelConfig:
+    """A continuous-convolution network: lattice (the paper's CCNN) or radial kernel basis."""
+
+    name: str = "ccnn"
+    kernel: str = "lattice"  # lattice | radial
+    kernel_size: int = 4  # lattice nodes along an edge of the cube
+    width: int = 64
+    layers: int = 3  # hidden layers of each branch
+    radius: float = 0.1125  # m, support radius R
+    constant_input: bool = True  # a constant 1 among the input features
+    residual: bool = True  # where widths agree
+    output_scale: float = 1.0e-3  # m per frame², one unit of the network's output
+    update: str = "mean"  # mean | trapezoid
+    backend: str = "fused"  # fused (Numba, CPU) | torch
+
+
+@dataclass
+class BoundaryConfig:
+    """How a convolutional model sees the walls."""
+
+    kind: str = "spheres"  # none | spheres | analytic
+    spacing: float = 0.5  # of wall spheres, in particle diameters
+    normal: bool = True  # wall normals among the features
+    velocity: bool = True  # wall velocities among the features
+
+
+@dataclass
+class LossConfig:
+    """Weights of the terms; a term of weight 0 is not computed."""
+
+    position_l2: float = 1.0
+    position_mse: float = 0.0
+    velocity: float = 0.0
+    spin: float = 0.0
+    overlap: float = 0.0
+    frame_weights: str = "uniform"  # uniform | discounted | inverse | rising
+    spin_frame_weights: str = "uniform"  # of the spin term alone
+    discount: float = 0.8  # γ of `discounted`
+
+
+@dataclass
+class RolloutConfig:
+    """How far training looks ahead."""
+
+    frames: int = 3  # F
+    final_frames: int | None = None  # F from `final_from` of the budget on; null: F
+    final_from: float = 0.6  # fraction of the steps
+    gradient_through_time: bool = True
+    noise: float = 0.0  # m, Gaussian, on the first frame's position
+    independent_noise: bool = False  # own noise on velocity × Δt and spin × r × Δt; false: the velocity implied
+    mirror: bool = False  # random reflection along the drum's axis
+
+
+@dataclass
+class OptimConfig:
+    """Adam and its learning rate."""
+
+    learning_rate: float = 1.0e-4
+    final_learning_rate: float = 2.0e-6
+    schedule: str = "steps"  # steps | cosine | constant
+    decay_steps: int = 8  # number of equal drops of `steps`
+    warmup_steps: int = 0
+    accumulate: int = 5  # windows whose gradients make one update
+    gradient_clip: float | None = None  # norm; null: off
+    weight_average: float = 0.0  # decay of the exponential weight average; 0: off
+
+
+@dataclass
+class TrainerConfig:
+    """Budgets, checkpoints, validation."""
+
+    steps: int = 1000  # optimiser updates
+    minutes: float | None = None  # cap that counts across resumes; null: none
+    checkpoint_every: float = 30.0  # s between checkpoints
+    checkpoint_steps: int | None = None  # or every so many updates
+    log_every: int = 20  # updates between logged losses
+    startup_fraction: float = 0.0  # share of windows drawn from the first second of rotation
+    startup_seconds: float = 1.0  # s
+
+
+@dataclass
+class JudgeConfig:
+    """What is rolled out and judged after training."""
+
+    speeds_rpm: list[float] = field(default_factory=lambda: [20.0, 25.0, 30.0, 35.0, 40.0])
+    unseen_packing: bool = True
+    short_horizon_starts: int = 20  # start frames of the 1, 3, 10 frame position errors
+    gif: bool = True
+
+
+@dataclass
+class TrackingConfig:
+    """Where runs are recorded."""
+
+    experiment: str = "gran-bench"
+    root: str = "results"  # folder of the database, the artifacts and the run folders
+    enabled: bool = True
+
+
+@dataclass
+class TrainConfig:
+    """Everything that `python -m gran_bench.train` reads."""
+
+    experiment: str = "default"  # name of the run's folder and of its MLflow run
+    seed: int = 0
+    device: str = "auto"  # auto | cpu | cuda
+    threads: int = 2  # CPU threads of the surrogate
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    dem: DemConfig = field(default_factory=DemConfig)
+    dataset: DatasetConfig = field(default_factory=DatasetConfig)
+    model: Any = MISSING  # ContactModelConfig or CconvModelConfig, by model.name
+    boundary: BoundaryConfig = field(default_factory=BoundaryConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+    rollout: RolloutConfig = field(default_factory=RolloutConfig)
+    optim: OptimConfig = field(default_factory=OptimConfig)
+    trainer: TrainerConfig = field(default_factory=TrainerConfig)
+    judge: JudgeConfig = field(default_factory=JudgeConfig)
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)
+
+
+@dataclass
+class GenerateConfig:
+    """Everything that `python -m gran_bench.generate` reads."""
+
+    seed: int = 0
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    dem: DemConfig = field(default_factory=DemConfig)
+    dataset: DatasetConfig = field(default_factory=DatasetConfig)
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)
