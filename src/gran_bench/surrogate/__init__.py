@@ -1,0 +1,1 @@
+"""Learned surrogates that step particles a frame at a time."""

@@ -1,0 +1,200 @@
+"""The continuous-convolution network: contact accelerations from a particle and a wall branch."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import torch
+from torch import Tensor, nn
+
+from gran_bench.config import BoundaryConfig, CconvModelConfig
+from gran_bench.neighbors import tree_neighbors
+from gran_bench.scene import Scene
+from gran_bench.surrogate.boundary import KINDS, WallPairs, see_contacts, see_spheres
+from gran_bench.surrogate.cconv import ContinuousConvolution, KernelBasis, Neighborhood, weigh_pairs
+from gran_bench.surrogate.kernels.lattice import LatticeBasis
+from gran_bench.surrogate.kernels.radial import RadialBasis
+from gran_bench.surrogate.step import NewtonSurrogate, minimum_image
+
+_SOLID_FRACTION = 0.58  # of a settled bed; only sets the scale of the first weights
+_OUTPUT_START = 0.1  # first output weights, of their usual size: an untrained network starts near pure gravity
+
+
+class MixingLayer(nn.Module):
+    """convolution(h) + W h + b, and h itself where widths agree; h is the ReLU of what came before.
+
+    Args:
+        width_in: C_in.
+        width_out: C_out.
+        basis: of the convolution's kernel.
+        residual: add the input where C_in = C_out.
+        backend: of the convolution.
+        neighbors: expected of a particle.
+    """
+
+    def __init__(
+        self, width_in: int, width_out: int, basis: KernelBasis, residual: bool, backend: str, neighbors: float
+    ) -> None:
+        super().__init__()
+        self.convolution = ContinuousConvolution(width_in, width_out, basis, backend, neighbors)
+        self.linear = nn.Linear(width_in, width_out)
+        self.residual = residual and width_in == width_out
+
+    def forward(self, features: Tensor, pairs: Neighborhood) -> Tensor:
+        """``(N, C_in)`` features before their ReLU → ``(N, C_out)``, before the next."""
+        active = torch.relu(features)
+        mixed = self.convolution(active, pairs) + self.linear(active)
+        return mixed + features if self.residual else mixed
+
+
+class ContinuousConvolutionNetwork(NewtonSurrogate):
+    """The CCNN of the founding paper, and its relatives by config; a = a_pp + a_pw, then Newton.
+
+    *Particle branch.* Layer 1 joins a convolution over the neighbours' (v*, 1) and a linear map of v*, ``width/2``
+    each; further hidden layers and the output are :class:`MixingLayer`.
+
+    *Wall branch.* Layer 1 joins a linear map of v*, a convolution of the wall's normals and one of its velocities,
+    ``width/2`` each; its later layers convolve over the particles. It exists for particles closer than R to a wall
+    and sees only them; the others have a_pw = 0. With ``boundary.kind = analytic`` the sources are the closest wall
+    points; the gap (in d) joins the normals and the slip velocity the wall's velocities. A boundary feature that is
+    switched off takes its convolution with it; without normals, a constant 1 stands for the wall's presence.
+
+    Velocities enter in m/s, normals as they are, and outputs count ``output_scale`` metres a frame squared:
+    a = output · output_scale / Δt². The map does not depend on where the scene lies, but it does on its axes.
+
+    Args:
+        config: widths, kernel, R, update.
+        boundary: how walls are seen.
+        scene: for the particles' diameter, and whether there are walls at all.
+
+    Raises:
+        ValueError: an unknown kernel, boundary kind, backend or update, or an impossible size.
+    """
+
+    def __init__(self, config: CconvModelConfig, boundary: BoundaryConfig, scene: Scene) -> None:
+        super().__init__(config.update)
+        _check(config, boundary, scene)
+        self.config, self.boundary = config, boundary
+        diameter = scene.filling.diameter
+        self.pair_basis = _basis(config, diameter, contact=diameter)
+        self.wall_basis = _basis(config, diameter, contact=0.5 * diameter)
+        half = config.width // 2
+        neighbors = 8.0 * _SOLID_FRACTION * (config.radius / diameter) ** 3
+
+        def convolution(width_in: int, basis: KernelBasis, count: float) -> ContinuousConvolution:
+            return ContinuousConvolution(width_in, half, basis, config.backend, count)
+
+        self.pair_input = convolution(4 if config.constant_input else 3, self.pair_basis, neighbors)
+        self.pair_linear = nn.Linear(3, half)
+        self.pair_bias = nn.Parameter(torch.zeros(half))
+        self.pair_layers = self._layers(2 * half, neighbors)
+
+        self.has_walls = boundary.kind != "none" and scene.needs.walls
+        if self.has_walls:
+            analytic = boundary.kind == "analytic"
+            cap = math.pi * (config.radius**2 - (0.5 * diameter) ** 2)  # what a touching particle sees of a wall
+            seen = 1.0 if analytic else cap / (boundary.spacing * diameter) ** 2
+            shape = (3 if boundary.normal else 1) + analytic
+            self.wall_linear = nn.Linear(3, half)
+            self.wall_normal = convolution(shape, self.wall_basis, seen)
+            self.wall_velocity = convolution(6 if analytic else 3, self.wall_basis, seen) if boundary.velocity else None
+            inputs = 3 if boundary.velocity else 2
+            self.wall_bias = nn.Parameter(torch.zeros((inputs - 1) * half))
+            self.wall_layers = self._layers(inputs * half, neighbors)
+
+    def _layers(self, width_in: int, neighbors: float) -> nn.ModuleList:
+        """Hidden layers after the first, and the output."""
+        config = self.config
+        widths = [width_in] + [config.width] * (config.layers - 1) + [3]
+        layers = nn.ModuleList(
+            MixingLayer(a, b, self.pair_basis, config.residual, config.backend, neighbors)
+            for a, b in itertools.pairwise(widths)
+        )
+        output = layers[-1]
+        with torch.no_grad():
+            output.convolution.weight.mul_(_OUTPUT_START)
+            output.linear.weight.mul_(_OUTPUT_START)
+            output.linear.bias.zero_()
+        return layers
+
+    def acceleration(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> Tensor:
+        if self.config.backend == "fused":
+            position = position.detach()
+        pairs = self._neighborhood(position, scene.period)
+        output = self._particle_branch(velocity, pairs)
+        if self.has_walls:
+            wall = self._see_walls(position, velocity, scene, time)
+            if len(wall.near):
+                output = output.index_add(0, wall.near, self._wall_branch(velocity[wall.near], pairs, wall))
+        return output * (self.config.output_scale / scene.frame_interval**2)
+
+    def _neighborhood(self, position: Tensor, period: float) -> Neighborhood:
+        """Particles within R of each other, weighed once for all layers of the frame."""
+        points = position.detach().double().cpu().numpy()
+        query, source = (
+            torch.from_numpy(i).to(position.device) for i in tree_neighbors(points, points, self.config.radius, period)
+        )
+        other = query != source
+        query, source = query[other], source[other]
+        relative = minimum_image(position[source] - position[query], period)
+        count = len(position)
+        return weigh_pairs(self.pair_basis, query, source, relative, count, count, symmetric=True)
+
+    def _particle_branch(self, velocity: Tensor, pairs: Neighborhood) -> Tensor:
+        inputs = velocity
+        if self.config.constant_input:
+            inputs = torch.cat((velocity, torch.ones_like(velocity[:, :1])), dim=1)
+        seen = self.pair_input(inputs, pairs) + self.pair_bias
+        features = torch.cat((seen, self.pair_linear(velocity)), dim=1)
+        for layer in self.pair_layers:
+            features = layer(features, pairs)
+        return features
+
+    def _see_walls(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> WallPairs:
+        if self.boundary.kind == "analytic":
+            return see_contacts(position, velocity, scene, time, self.config.radius)
+        spacing = self.boundary.spacing * scene.filling.diameter
+        return see_spheres(position, scene, time, self.config.radius, spacing)
+
+    def _wall_branch(self, velocity: Tensor, pairs: Neighborhood, wall: WallPairs) -> Tensor:
+        """Output of the wall branch, ``(P, 3)``, from the near particles' velocities ``(P, 3)``."""
+        seen = weigh_pairs(self.wall_basis, wall.query, wall.source, wall.relative, len(wall.near), wall.source_count)
+        shape = wall.normal if self.boundary.normal else torch.ones_like(wall.normal[:, :1])
+        if wall.gap is not None:
+            shape = torch.cat((shape, wall.gap[:, None]), dim=1)
+        convolved = [self.wall_normal(shape, seen)]
+        if self.wall_velocity is not None:
+            motion = wall.velocity if wall.slip is None else torch.cat((wall.velocity, wall.slip), dim=1)
+            convolved.append(self.wall_velocity(motion, seen))
+        features = torch.cat((self.wall_linear(velocity), torch.cat(convolved, dim=1) + self.wall_bias), dim=1)
+        among = pairs.restricted(wall.near)
+        for layer in self.wall_layers:
+            features = layer(features, among)
+        return features
+
+
+def _basis(config: CconvModelConfig, diameter: float, contact: float) -> KernelBasis:
+    if config.kernel == "lattice":
+        return LatticeBasis(config.radius, config.kernel_size)
+    return RadialBasis.around_contact(diameter, config.radius, contact)
+
+
+def _check(config: CconvModelConfig, boundary: BoundaryConfig, scene: Scene) -> None:
+    if config.kernel not in ("lattice", "radial"):
+        raise ValueError(f"model.kernel={config.kernel!r} is unknown; choose lattice or radial")
+    if boundary.kind not in KINDS:
+        raise ValueError(f"boundary.kind={boundary.kind!r} is unknown; choose {', '.join(KINDS)}")
+    if config.width < 2 or config.width % 2:
+        raise ValueError(f"model.width={config.width} is impossible; choose an even number of at least 2")
+    if config.layers < 1:
+        raise ValueError(f"model.layers={config.layers} is impossible; choose 1 or more")
+    if not config.radius > scene.filling.diameter:
+        raise ValueError(
+            f"model.radius={config.radius:g} m reaches no neighbour of {scene.filling.diameter:g} m spheres; "
+            f"choose more than {scene.filling.diameter:g}"
+        )
+    if not config.output_scale > 0:
+        raise ValueError(f"model.output_scale={config.output_scale:g} is impossible; choose a value > 0 m a frame²")
+    if boundary.kind == "spheres" and not boundary.spacing > 0:
+        raise ValueError(f"boundary.spacing={boundary.spacing:g} is impossible; choose a value > 0 diameters")

@@ -1,0 +1,1 @@
+"""Kernel bases of the continuous convolution, and its fast path."""

@@ -1,0 +1,76 @@
+"""The radial basis: hat functions of the distance times {1, x̂, ŷ, ẑ}."""
+
+from __future__ import annotations
+
+import itertools
+
+import torch
+from torch import Tensor
+
+# Dense where spheres touch, in particle diameters; the support radius closes the list.
+NODES = (0.8, 0.95, 1.02, 1.12, 1.4, 1.8)
+_HARMONICS = 4
+
+
+class RadialBasis:
+    """Piecewise linear in the distance, of order 0 and 1 in the direction.
+
+    A lattice of k³ nodes cannot tell a gap from an overlap at r = d; hat functions with nodes around d can. Below the
+    first node the first hat stays at 1. Function 4n + 0 is hat n, 4n + 1…3 are hat n times x̂, ŷ, ẑ.
+
+    Args:
+        nodes: increasing distances, m; the last is the support radius R. At least 2.
+
+    Attributes:
+        size: 4 × number of nodes.
+        offsets: the eight functions that a vector uses (two hats), relative to the first.
+        mirror: ``(size,)`` the function that −x uses where x uses this one: itself.
+        mirror_sign: ``(size,)`` its sign: −1 for the directions.
+
+    Raises:
+        ValueError: nodes that do not increase.
+    """
+
+    def __init__(self, nodes: tuple[float, ...]) -> None:
+        if len(nodes) < 2 or nodes[0] < 0 or any(b <= a for a, b in itertools.pairwise(nodes)):
+            raise ValueError(f"radial nodes {list(nodes)} m must be two or more, not negative, and increase")
+        self.nodes = tuple(nodes)
+        self.radius = self.nodes[-1]
+        self.size = _HARMONICS * len(nodes)
+        self.offsets = tuple(range(2 * _HARMONICS))
+        self.mirror = torch.arange(self.size)
+        self.mirror_sign = torch.tensor((1.0, -1.0, -1.0, -1.0)).repeat(len(nodes))
+
+    @classmethod
+    def around_contact(cls, diameter: float, radius: float, contact: float | None = None) -> RadialBasis:
+        """Nodes around the distance at which two bodies touch.
+
+        Args:
+            diameter: d, m.
+            radius: R, m.
+            contact: distance of touching bodies, m; d by default, d/2 for points of a wall's surface.
+        """
+        shift = diameter - (diameter if contact is None else contact)
+        inner = [n * diameter - shift for n in NODES]
+        # Nodes that crowd the support radius would make hats that no particle ever sees.
+        return cls((*(n for n in inner if n < 0.95 * radius), radius))
+
+    def evaluate(self, relative: Tensor) -> tuple[Tensor, Tensor]:
+        """The eight functions that each vector uses, and their values.
+
+        Args:
+            relative: ``(M, 3)`` source − query, m; at most R long.
+
+        Returns:
+            first function ``(M,)`` int64, values ``(M, 8)``.
+        """
+        squared = (relative * relative).sum(-1)
+        apart = squared > 0
+        distance = torch.sqrt(torch.where(apart, squared, torch.ones_like(squared))) * apart
+        direction = relative / torch.where(apart, distance, torch.ones_like(distance))[:, None]
+        nodes = relative.new_tensor(self.nodes)
+        below = torch.bucketize(distance.detach(), nodes, right=True).sub_(1).clamp_(0, len(self.nodes) - 2)
+        upper = ((distance - nodes[below]) / (nodes[below + 1] - nodes[below])).clamp(0.0, 1.0)
+        harmonics = torch.cat((torch.ones_like(distance)[:, None], direction), dim=-1)
+        value = torch.cat(((1.0 - upper)[:, None] * harmonics, upper[:, None] * harmonics), dim=-1)
+        return _HARMONICS * below, value

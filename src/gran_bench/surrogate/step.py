@@ -1,0 +1,148 @@
+"""One frame of a surrogate: the state it carries, and gravity → network → Newton."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from gran_bench.scene import Scene
+
+UPDATES = ("mean", "trapezoid")
+
+
+@dataclass
+class FrameState:
+    """What a surrogate carries from frame to frame.
+
+    Attributes:
+        position: ``(N, 3)`` m; y lies in [−L/2, L/2) where the scene is periodic.
+        velocity: ``(N, 3)`` m/s, of the model's ``velocity_kind``.
+        angular_velocity: ``(N, 3)`` rad/s, or None for a model that has no spin.
+        memory: whatever else a model keeps of the past (a contact memory, say), or None.
+    """
+
+    position: Tensor
+    velocity: Tensor
+    angular_velocity: Tensor | None = None
+    memory: object | None = None
+
+
+class Surrogate(nn.Module):
+    """A learned map from one frame to the next, at any number of particles.
+
+    Attributes:
+        velocity_kind: ``mean`` over the frame that ends at the state, or ``instantaneous``.
+        uses_spin: whether angular velocities are part of the state.
+    """
+
+    velocity_kind: str = "mean"
+    uses_spin: bool = False
+
+    def begin(
+        self,
+        scene: Scene,
+        position: Tensor,
+        velocity: Tensor,
+        angular_velocity: Tensor | None = None,
+        previous_position: Tensor | None = None,
+    ) -> FrameState:
+        """The state to start from.
+
+        A model of mean velocities starts from (xⁿ − xⁿ⁻¹)/Δt. The settled state has no xⁿ⁻¹: there, and for a model
+        of instantaneous velocities, the stored velocity is taken.
+
+        Args:
+            position: ``(N, 3)`` m.
+            velocity: ``(N, 3)`` m/s, as stored.
+            angular_velocity: ``(N, 3)`` rad/s; needed by a model that uses spin.
+            previous_position: ``(N, 3)`` m, a frame earlier.
+
+        Raises:
+            ValueError: a model of spin that is given none.
+        """
+        if self.uses_spin and angular_velocity is None:
+            raise ValueError(f"{type(self).__name__} carries spin; give angular_velocity (N, 3) in rad/s to begin()")
+        if self.velocity_kind == "mean" and previous_position is not None:
+            velocity = minimum_image(position - previous_position, scene.period) / scene.frame_interval
+        return FrameState(position, velocity, angular_velocity if self.uses_spin else None)
+
+    def forward(self, state: FrameState, scene: Scene, time: float) -> FrameState:
+        """The state one frame later, from ``time`` to ``time + scene.frame_interval`` (s); differentiable."""
+        raise NotImplementedError
+
+    @property
+    def parameter_count(self) -> int:
+        """Number of trained weights."""
+        return sum(p.numel() for p in self.parameters() if p.requires_grad)
+
+
+class NewtonSurrogate(Surrogate):
+    """A surrogate whose network gives the acceleration of contacts; gravity and Newton's law do the rest.
+
+    v* = vⁿ + g Δt;  a = network(x*, v*);  vⁿ⁺¹ = v* + a Δt.
+
+    * ``update = mean``: x* = xⁿ + Δt v*, xⁿ⁺¹ = xⁿ + Δt vⁿ⁺¹; velocities are means over a frame.
+    * ``update = trapezoid``: x* = xⁿ + Δt (vⁿ + v*)/2, xⁿ⁺¹ = xⁿ + Δt (vⁿ + vⁿ⁺¹)/2; velocities are instantaneous.
+
+    Args:
+        update: ``mean`` or ``trapezoid``.
+
+    Raises:
+        ValueError: another update.
+    """
+
+    def __init__(self, update: str = "mean") -> None:
+        super().__init__()
+        if update not in UPDATES:
+            raise ValueError(f"model.update={update!r} is unknown; choose {' or '.join(UPDATES)}")
+        self.update = update
+        self.velocity_kind = "mean" if update == "mean" else "instantaneous"
+
+    def acceleration(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> Tensor:
+        """Acceleration of contacts over the frame that starts at ``time``, ``(N, 3)`` m/s².
+
+        Args:
+            position: ``(N, 3)`` predicted x*, m.
+            velocity: ``(N, 3)`` predicted v*, m/s.
+            time: s, start of the frame.
+        """
+        raise NotImplementedError
+
+    def forward(self, state: FrameState, scene: Scene, time: float) -> FrameState:
+        interval = scene.frame_interval
+        before = state.velocity
+        predicted = before
+        if scene.needs.gravity:
+            predicted = before + before.new_tensor(scene.gravity) * interval
+        guess = state.position + interval * self._travel_velocity(before, predicted)
+        guess = wrap(guess, scene.period)
+        if torch.isfinite(guess).all() and torch.isfinite(predicted).all():
+            velocity = predicted + interval * self.acceleration(guess, predicted, scene, time)
+        else:
+            velocity = torch.full_like(predicted, torch.nan)  # neighbours of nowhere do not exist: the failure shows
+        position = state.position + interval * self._travel_velocity(before, velocity)
+        return FrameState(wrap(position, scene.period), velocity)
+
+    def _travel_velocity(self, before: Tensor, after: Tensor) -> Tensor:
+        """Velocity that carries a particle through the frame, ``(N, 3)`` m/s."""
+        return after if self.update == "mean" else 0.5 * (before + after)
+
+
+def wrap(position: Tensor, period: float) -> Tensor:
+    """Positions with y in [−L/2, L/2), as the DEM stores them; unchanged where ``period`` is 0.
+
+    Args:
+        position: ``(..., 3)`` m.
+        period: L, m, of the y axis; 0 where nothing wraps.
+    """
+    if period <= 0.0:
+        return position
+    turns = torch.floor(position.detach()[..., 1] / period + 0.5)
+    return position - turns[..., None] * position.new_tensor((0.0, period, 0.0))
+
+
+def minimum_image(vector: Tensor, period: float) -> Tensor:
+    """The shortest periodic image of a difference, ``(..., 3)`` m: :func:`wrap`, read as a difference."""
+    return wrap(vector, period)

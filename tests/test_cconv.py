@@ -1,0 +1,152 @@
+"""The continuous convolution: equal to the reference layer of the field, differentiable, and the same on every path."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gran_bench.neighbors import tree_neighbors
+from gran_bench.surrogate.cconv import ContinuousConvolution, convolve, weigh_pairs
+from gran_bench.surrogate.kernels.lattice import LatticeBasis, ball_to_cube
+from gran_bench.surrogate.kernels.radial import RadialBasis
+
+REFERENCE = Path(__file__).parent / "reference"
+DIAMETER, RADIUS = 0.05, 0.1125
+BASES = {
+    "lattice": LatticeBasis(RADIUS, 4),
+    "lattice of 3": LatticeBasis(RADIUS, 3),
+    "radial": RadialBasis.around_contact(DIAMETER, RADIUS),
+}
+
+
+def neighborhood(query, source, basis, exclude_self, dtype=torch.float32):
+    """Pairs of two point sets, weighed; the positions may carry gradients."""
+    q, s = tree_neighbors(query.detach().double().numpy(), source.detach().double().numpy(), basis.radius)
+    keep = (q != s) if exclude_self else np.ones(len(q), bool)
+    q, s = torch.from_numpy(q[keep]), torch.from_numpy(s[keep])
+    relative = source.to(dtype)[s] - query.to(dtype)[q]
+    return weigh_pairs(basis, q, s, relative, len(query), len(source), symmetric=exclude_self)
+
+
+def points(count, seed, width=0.3):
+    return torch.from_numpy(np.random.default_rng(seed).uniform(0.0, width, (count, 3)))
+
+
+def relative_rms(found, expected):
+    found = found.detach()
+    return float(((found - expected).pow(2).mean() / expected.pow(2).mean()).sqrt())
+
+
+@pytest.mark.parametrize("case", ["particles", "wall"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_lattice_layer_equals_open3d_in_output_and_both_gradients(case, dtype):
+    data = {k: torch.from_numpy(np.asarray(v)) for k, v in np.load(REFERENCE / f"open3d_cconv_{case}.npz").items()}
+    basis = LatticeBasis(float(data["radius"]), 4)
+    pairs = neighborhood(data["query_position"], data["source_position"], basis, bool(data["exclude_self"]), dtype)
+    features = data["features"].to(dtype).requires_grad_()
+    kernel = data["kernel_zyx_in_out"].to(dtype).flatten(0, 2).requires_grad_()
+    output = convolve(features, kernel, pairs)
+    output.backward(data["output_gradient"].to(dtype))
+    assert len(pairs.source) == int(data["neighbours"])
+    assert relative_rms(output, data["output"]) < 2e-6
+    assert relative_rms(features.grad, data["feature_gradient"]) < 2e-6
+    assert relative_rms(kernel.grad, data["kernel_gradient"].flatten(0, 2)) < 2e-6
+
+
+@pytest.mark.parametrize("name", BASES)
+def test_gradients_in_features_kernel_and_positions_are_exact(name):
+    basis = BASES[name]
+    position = points(7, seed=3, width=0.12).requires_grad_()
+    features = torch.randn(7, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    kernel = torch.randn(basis.size, 2, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+
+    def layer(position, features, kernel):
+        return convolve(features, kernel, neighborhood(position, position, basis, True, torch.float64))
+
+    assert torch.autograd.gradcheck(layer, (position, features, kernel.requires_grad_()))
+
+
+@pytest.mark.parametrize("name", BASES)
+def test_a_mirrored_vector_uses_the_mirrored_functions(name):
+    basis = BASES[name]
+    vectors = (points(200, seed=5, width=2.0) - 1.0) * (0.55 * RADIUS)
+
+    def functions(relative):
+        first, value = basis.evaluate(relative)
+        dense = torch.zeros(len(relative), basis.size, dtype=value.dtype)
+        return dense.scatter_add(1, first[:, None] + torch.tensor(basis.offsets), value)
+
+    mirrored = functions(-vectors)
+    assert torch.allclose(functions(vectors), mirrored[:, basis.mirror] * basis.mirror_sign, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["lattice", "lattice of 3"])
+def test_lattice_functions_sum_to_one_and_the_cubes_corner_is_a_node(name):
+    basis = BASES[name]
+    vectors = (points(300, seed=6, width=2.0) - 1.0) * (0.577 * RADIUS)
+    assert torch.allclose(basis.evaluate(vectors)[1].sum(1), torch.ones(300, dtype=torch.float64))
+    pole = torch.tensor([[0.0, 0.0, RADIUS], [0.0, 0.0, 0.0]], dtype=torch.float64)
+    assert ball_to_cube(pole / RADIUS).tolist() == [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]
+
+
+def test_the_ball_maps_onto_the_whole_cube_and_keeps_volumes():
+    """Evenly spread points of the ball fill 4³ equal boxes of the cube evenly."""
+    ball = 2.0 * torch.quasirandom.SobolEngine(3).draw(2**17, dtype=torch.float64) - 1.0
+    ball = ball[ball.norm(dim=1) <= 1.0]
+    cube = ball_to_cube(ball)
+    assert cube.abs().max() <= 1.0 + 1e-12
+    box = ((cube + 1.0) * 2.0).floor().clamp(0, 3).long() @ torch.tensor([1, 4, 16])
+    counts = torch.bincount(box, minlength=64).double()
+    assert (counts / counts.mean() - 1.0).abs().max() < 0.02
+
+
+def test_radial_hats_peak_at_their_nodes_and_stay_flat_inside_the_first():
+    basis = RadialBasis((0.02, 0.05, 0.1))
+    along_x = torch.tensor([[0.01, 0.0, 0.0], [0.05, 0.0, 0.0], [0.075, 0.0, 0.0]], dtype=torch.float64)
+    first, value = basis.evaluate(along_x)
+    assert first.tolist() == [0, 4, 4]
+    expected = [[1, 1, 0, 0, 0, 0, 0, 0], [1, 1, 0, 0, 0, 0, 0, 0], [0.5, 0.5, 0, 0, 0.5, 0.5, 0, 0]]
+    assert torch.allclose(value, torch.tensor(expected, dtype=torch.float64))
+
+
+def test_radial_nodes_surround_the_contact_of_particles_and_of_walls():
+    of_pairs = RadialBasis.around_contact(DIAMETER, RADIUS)
+    of_walls = RadialBasis.around_contact(DIAMETER, RADIUS, contact=0.5 * DIAMETER)
+    assert np.allclose(of_pairs.nodes, [0.04, 0.0475, 0.051, 0.056, 0.07, 0.09, RADIUS])
+    assert np.allclose(of_walls.nodes, [0.015, 0.0225, 0.026, 0.031, 0.045, 0.065, RADIUS])
+    assert of_pairs.size == 28
+
+
+def test_no_neighbour_is_capped():
+    """A thousand sources in one ball all count."""
+    source = points(1000, seed=1, width=0.06)
+    query = torch.full((1, 3), 0.03, dtype=torch.float64)
+    pairs = neighborhood(query, source, BASES["lattice"], False, torch.float64)
+    kernel = torch.ones(64, 1, 1, dtype=torch.float64)
+    total = convolve(torch.ones(1000, 1, dtype=torch.float64), kernel, pairs)
+    window = (1.0 - (source - query).pow(2).sum(1) / RADIUS**2) ** 3
+    assert torch.allclose(total, window.sum().reshape(1, 1))
+
+
+@pytest.mark.parametrize("name", BASES)
+def test_first_weights_turn_unit_features_into_unit_outputs(name):
+    torch.manual_seed(0)
+    position = points(2000, seed=2, width=0.5)
+    pairs = neighborhood(position, position, BASES[name], True)
+    neighbors = len(pairs.source) / 2000
+    layer = ContinuousConvolution(16, 200, BASES[name], "torch", neighbors)
+    inside = ((position > RADIUS) & (position < 0.5 - RADIUS)).all(dim=1)
+    output = layer(torch.ones(2000, 16), pairs)[inside]
+    assert 0.5 < float(output.detach().std()) < 2.0
+
+
+def test_particles_without_neighbours_give_zero():
+    position = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], dtype=torch.float64)
+    pairs = neighborhood(position, position, BASES["radial"], True)
+    assert torch.equal(convolve(torch.ones(2, 3), torch.ones(28, 3, 2), pairs), torch.zeros(2, 2))
+
+
+def test_an_unknown_backend_is_refused_by_name():
+    with pytest.raises(ValueError, match=r"model\.backend='cuda'"):
+        ContinuousConvolution(1, 1, BASES["lattice"], "cuda")
