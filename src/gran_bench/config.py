@@ -1,14 +1,14 @@
-"""The schema of every config key: name, type, default, unit. Hydra composes, this page decides what is legal.
+"""The schema of every config key: name, type, default, unit.
 
-The dataclasses below are the only place where a key may be declared; ``conf/`` chooses values.
+The dataclasses below are the only place where a key may be declared. ``conf/`` chooses values, Hydra composes them,
+``config_rules`` says which values are legal and ``config_check`` reads a composed config into these classes.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
-from omegaconf import MISSING
+MISSING = "???"  # Hydra's mark of a value that the user must choose
 
 
 @dataclass
@@ -104,6 +104,7 @@ class ContactModelConfig:
     radius: float = 0.06  # m, reach of a pair
     wall_reach: float = 0.01  # m, gap up to which a wall contact is listed
     memory: bool = False  # carry a tangential spring vector of each contact from frame to frame
+    velocity: str = "mean"  # mean | instantaneous: what the state's velocity is
     backend: str = "fused"  # fused (Numba, CPU) | torch
 
 
@@ -122,6 +123,14 @@ class CconvModelConfig:
     output_scale: float = 1.0e-3  # m per frame², one unit of the network's output
     update: str = "mean"  # mean | trapezoid
     backend: str = "fused"  # fused (Numba, CPU) | torch
+
+
+# The schema that a model's name selects.
+MODEL_SCHEMAS: dict[str, type] = {
+    "contact": ContactModelConfig,
+    "ccnn": CconvModelConfig,
+    "radial": CconvModelConfig,
+}
 
 
 @dataclass
@@ -204,6 +213,7 @@ class TrackingConfig:
 
     experiment: str = "gran-bench"
     root: str = "results"  # folder of the database, the artifacts and the run folders
+    folder: str | None = None  # of this run, below root; null: the recipe's name, then what was changed in it
     enabled: bool = True
 
 
@@ -218,7 +228,7 @@ class TrainConfig:
     scene: SceneConfig = field(default_factory=SceneConfig)
     dem: DemConfig = field(default_factory=DemConfig)
     dataset: DatasetConfig = field(default_factory=DatasetConfig)
-    model: Any = MISSING  # ContactModelConfig or CconvModelConfig, by model.name
+    model: ContactModelConfig | CconvModelConfig = field(default_factory=ContactModelConfig)  # by model.name
     boundary: BoundaryConfig = field(default_factory=BoundaryConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     rollout: RolloutConfig = field(default_factory=RolloutConfig)

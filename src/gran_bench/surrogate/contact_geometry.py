@@ -1,0 +1,160 @@
+"""Which contacts a frame has, and what two surfaces do there: gap, approach, slip. In millimetres and mm per frame.
+
+A contact joins particle i to a partner j, another particle or a wall; the normal n points from i to j.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from gran_bench.neighbors import cell_pairs
+from gran_bench.scene import Cylinder, Plane, Scene
+from gran_bench.state import FloatArray
+from gran_bench.surrogate.step import minimum_image
+
+MILLIMETRE = 1.0e-3  # m; the unit of length inside the contact network
+
+
+@dataclass(frozen=True)
+class ContactList:
+    """The contacts that a frame may have; found once a frame.
+
+    Attributes:
+        pairs: ``(M, 2)`` int64, i < j, sorted.
+        wall_particle: ``(W,)`` int64, sorted within each wall.
+        wall: ``(W,)`` int64, index into ``scene.walls``, sorted.
+    """
+
+    pairs: NDArray[np.int64]
+    wall_particle: NDArray[np.int64]
+    wall: NDArray[np.int64]
+
+    def keys(self, count: int) -> NDArray[np.int64]:
+        """One increasing number for each contact, pairs first, among ``count`` particles, ``(M + W,)``."""
+        pair_keys = self.pairs[:, 0] * count + self.pairs[:, 1]
+        return np.concatenate((pair_keys, count * count + self.wall * count + self.wall_particle))
+
+
+def find_contacts(scene: Scene, position: FloatArray, reach: float, wall_reach: float) -> ContactList:
+    """Pairs closer than ``reach`` and walls closer than ``wall_reach``, at the ballistic guess of a frame's end.
+
+    Args:
+        position: ``(N, 3)`` m, y in [−L/2, L/2) where the scene is periodic.
+        reach: distance of two centres, m.
+        wall_reach: gap between a surface and a wall, m.
+    """
+    particles, walls = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    for index, wall in enumerate(scene.walls):
+        near = np.flatnonzero(wall_distance(wall, position) - scene.filling.radius < wall_reach)
+        particles.append(near)
+        walls.append(np.full(len(near), index, np.int64))
+    pairs = cell_pairs(position, reach, scene.period)
+    return ContactList(pairs, np.concatenate(particles), np.concatenate(walls))
+
+
+def wall_distance(wall: Plane | Cylinder, position: FloatArray) -> FloatArray:
+    """Distance of each centre from a wall, positive inside the container, ``(N,)``, in the unit of ``position``, m."""
+    offset = position - np.asarray(wall.point, position.dtype)
+    if isinstance(wall, Plane):
+        return offset @ np.asarray(wall.normal, position.dtype)
+    axis = np.asarray(wall.axis, position.dtype)
+    return wall.radius - np.linalg.norm(offset - np.outer(offset @ axis, axis), axis=1)
+
+
+def wall_displacement_matrix(scene: Scene, wall: Plane | Cylinder, time: float) -> FloatArray:
+    """M with M c = how far the wall's material, now at c, moved in the frame that ends there, ``(3, 3)``.
+
+    M = I − Q(−θ), with Q the rotation about the scene's axis and θ = ∫ω dt over the frame: the wall's motion is exact.
+
+    Args:
+        time: s, start of the frame.
+    """
+    if not wall.turns or scene.rotation.is_still:
+        return np.zeros((3, 3))
+    theta = scene.rotation.angle(time, time + scene.frame_interval)
+    x, y, z = scene.rotation.axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return math.sin(theta) * cross - (1.0 - math.cos(theta)) * cross @ cross
+
+
+@dataclass
+class Surfaces:
+    """What two surfaces do at C contacts.
+
+    Attributes:
+        normal: ``(C, 3)`` unit vectors from i to its partner.
+        gap: ``(C,)`` mm, negative where they overlap.
+        approach: ``(C,)`` u_n, mm a frame, positive where they part.
+        slip: ``(C, 3)`` tangential displacement of the partner's surface against that of i, mm a frame.
+    """
+
+    normal: Tensor
+    gap: Tensor
+    approach: Tensor
+    slip: Tensor
+
+    @classmethod
+    def from_motion(cls, normal: Tensor, gap: Tensor, displacement: Tensor, spin: Tensor) -> Surfaces:
+        """u_n = u·n and slip = u − u_n n − q×n.
+
+        Args:
+            displacement: ``(C, 3)`` u = D_j − D_i, mm a frame.
+            spin: ``(C, 3)`` q = q_i + q_j with q = r ω Δt, mm a frame.
+        """
+        approach = (displacement * normal).sum(1)
+        slip = displacement - approach[:, None] * normal - torch.linalg.cross(spin, normal)
+        return cls(normal, gap, approach, slip)
+
+
+def pair_surfaces(
+    pairs: Tensor, end: Tensor, displacement: Tensor, spin: Tensor, diameter: float, period: float
+) -> Surfaces:
+    """Surfaces of pairs of particles at the end of the frame.
+
+    Args:
+        pairs: ``(M, 2)`` int64.
+        end: ``(N, 3)`` x + D, mm.
+        displacement: ``(N, 3)`` D, mm a frame.
+        spin: ``(N, 3)`` q, mm a frame.
+        diameter: mm.
+        period: mm, along y; 0 where nothing wraps.
+    """
+    first, second = pairs.unbind(1)
+    offset = minimum_image(end[second] - end[first], period)
+    distance = torch.linalg.vector_norm(offset, dim=1)
+    normal = offset / distance[:, None]
+    return Surfaces.from_motion(
+        normal, distance - diameter, displacement[second] - displacement[first], spin[first] + spin[second]
+    )
+
+
+def wall_surfaces(
+    wall: Plane | Cylinder, motion: FloatArray, end: Tensor, displacement: Tensor, spin: Tensor, radius: float
+) -> Surfaces:
+    """Surfaces of C particles near one wall at the end of the frame; the wall's point moves by M c and does not spin.
+
+    Args:
+        motion: ``(3, 3)`` M of :func:`wall_displacement_matrix`.
+        end: ``(C, 3)`` x + D, mm.
+        displacement: ``(C, 3)`` mm a frame.
+        spin: ``(C, 3)`` mm a frame.
+        radius: of the particles, mm.
+    """
+    offset = end - end.new_tensor(wall.point) / MILLIMETRE
+    if isinstance(wall, Plane):
+        normal = -end.new_tensor(wall.normal).expand_as(end)
+        distance = -(offset * normal).sum(1)
+    else:
+        axis = end.new_tensor(wall.axis)
+        radial = offset - (offset @ axis)[:, None] * axis
+        from_axis = torch.linalg.vector_norm(radial, dim=1)
+        normal = radial / from_axis[:, None]
+        distance = wall.radius / MILLIMETRE - from_axis
+    touched = end + distance[:, None] * normal
+    return Surfaces.from_motion(normal, distance - radius, touched @ end.new_tensor(motion).T - displacement, spin)
