@@ -27,12 +27,18 @@ class ContactHistory:
         second: ``(M,)`` int64, index of the other particle, or ``-1 - w`` for wall ``w`` of the scene.
         force: ``(M, 3)`` float64, elastic tangential force on ``first``, N.
         overlap: ``(M,)`` float64, overlap when the force was stored, m.
+        rolling_moment: ``(M, 3)`` float64, elastic rolling moment on ``first``, N m; zeros without a rolling model.
     """
 
     first: NDArray[np.int64]
     second: NDArray[np.int64]
     force: FloatArray
     overlap: FloatArray
+    rolling_moment: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        if self.rolling_moment is None:
+            object.__setattr__(self, "rolling_moment", np.zeros((len(self.first), 3)))
 
     @classmethod
     def empty(cls) -> ContactHistory:
@@ -134,14 +140,20 @@ class Trajectory:
         """Number of frames F."""
         return len(self.time)
 
-    def mean_velocity(self) -> FloatArray:
+    def mean_velocity(self, period: float = 0.0) -> FloatArray:
         """Velocity over the frame that ends at each state, (x_k − x_{k−1})/Δt, ``(F, N, 3)`` m/s.
 
         The first frame has no predecessor and keeps its stored velocity.
+
+        Args:
+            period: length of a periodic y axis, m; a step across its seam is taken to the nearest image.
         """
         velocity = np.array(self.velocity, copy=True)
         interval = np.diff(self.time)[:, None, None]
-        velocity[1:] = (np.diff(self.position.astype(np.float64), axis=0) / interval).astype(velocity.dtype)
+        step = np.diff(self.position.astype(np.float64), axis=0)
+        if period > 0:
+            step[..., 1] -= period * np.round(step[..., 1] / period)
+        velocity[1:] = (step / interval).astype(velocity.dtype)
         return velocity
 
 

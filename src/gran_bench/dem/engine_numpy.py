@@ -1,0 +1,212 @@
+"""The reference engine: the laws of the other files, vectorised, one step after the other, to be read and trusted.
+
+Pairs come from a KD-tree at every step; nothing is sorted, packed or remembered but the contacts themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gran_bench.dem.contact import ContactForce, contact_force, sphere_mass
+from gran_bench.dem.integrate import Divergence, Physics
+from gran_bench.dem.rolling import rolling_moment
+from gran_bench.dem.walls import surface_velocity, wall_contact
+from gran_bench.neighbors import nearest_image, tree_pairs
+from gran_bench.state import ContactHistory, FloatArray, ParticleState
+
+
+@dataclass
+class _Bodies:
+    """The particles while they move, ``(N, 3)`` and ``(N,)`` arrays, and what their contacts remember."""
+
+    position: FloatArray
+    velocity: FloatArray
+    spin: FloatArray
+    radius: FloatArray
+    mass: FloatArray
+    inertia: FloatArray
+    history: ContactHistory
+
+
+def advance(state: ParticleState, physics: Physics, time_step: float, wall_speed: FloatArray) -> ParticleState:
+    """The state after a stretch of steps, its contact history included.
+
+    Args:
+        state: where the stretch starts.
+        physics: laws, walls and gravity.
+        time_step: Δt, s.
+        wall_speed: ``(steps + 1,)`` angular speed of the walls, rad/s: at the start, then at the middle of each step.
+
+    Raises:
+        Divergence: a speed that crosses a quarter of a radius in a step, or is not finite.
+    """
+    if state.count == 0:
+        return state
+    position, velocity, spin = (
+        np.array(a, np.float64) for a in (state.position, state.velocity, state.angular_velocity)
+    )
+    radius = np.asarray(state.radius, np.float64)
+    mass = sphere_mass(physics.density, radius)
+    bodies = _Bodies(position, velocity, spin, radius, mass, 0.4 * mass * radius**2, state.history)
+    steps, fastest = len(wall_speed) - 1, 0.25 * radius.min() / time_step
+    force, torque = _loads(bodies, physics, 0.0, wall_speed[0])
+    for step in range(steps):
+        _kick(bodies, physics, force, torque, 0.5 * time_step)
+        _check_speeds(bodies, fastest, step)
+        bodies.position += time_step * bodies.velocity
+        force, torque = _loads(bodies, physics, time_step, wall_speed[step + 1])
+        _kick(bodies, physics, force, torque, 0.5 * time_step)
+    if steps:
+        _check_speeds(bodies, fastest, steps)
+    return ParticleState(
+        _wrapped(bodies.position, physics.period),
+        bodies.velocity,
+        bodies.spin,
+        state.radius,
+        state.time + steps * time_step,
+        bodies.history,
+    )
+
+
+def _kick(bodies: _Bodies, physics: Physics, force: FloatArray, torque: FloatArray, duration: float) -> None:
+    bodies.velocity += duration * (force / bodies.mass[:, None] + physics.gravity)
+    bodies.spin += duration * torque / bodies.inertia[:, None]
+
+
+def _check_speeds(bodies: _Bodies, fastest: float, steps: int) -> None:
+    wild = np.flatnonzero(~(np.linalg.norm(bodies.velocity, axis=1) <= fastest))
+    if len(wild):
+        raise Divergence(int(wild[0]), steps, bodies.position, bodies.velocity, bodies.spin)
+
+
+def _wrapped(position: FloatArray, period: float) -> FloatArray:
+    if period > 0:
+        position[:, 1] -= period * np.floor(position[:, 1] / period + 0.5)
+        position[position[:, 1] >= 0.5 * period, 1] -= period
+    return position
+
+
+def _loads(bodies: _Bodies, physics: Physics, time_step: float, wall_speed: float) -> tuple[FloatArray, FloatArray]:
+    """Force and torque on each particle, ``(N, 3)`` each; the history becomes that of this instant."""
+    force, torque = np.zeros_like(bodies.position), np.zeros_like(bodies.position)
+    parts = [_pair_loads(bodies, physics, time_step, force, torque)]
+    for index in range(len(physics.shapes)):
+        parts.append(_wall_loads(bodies, physics, index, time_step, wall_speed, force, torque))
+    names = ("first", "second", "force", "overlap", "rolling_moment")
+    bodies.history = ContactHistory(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    return force, torque
+
+
+def _pair_loads(
+    bodies: _Bodies, physics: Physics, time_step: float, force: FloatArray, torque: FloatArray
+) -> ContactHistory:
+    """Adds the loads of all touching pairs; returns what they remember."""
+    radius = bodies.radius
+    pairs = tree_pairs(bodies.position, 2.0 * radius.max(), physics.period)
+    offset = nearest_image(bodies.position[pairs[:, 1]] - bodies.position[pairs[:, 0]], physics.period)
+    distance = np.linalg.norm(offset, axis=1)
+    touching = distance < radius[pairs[:, 0]] + radius[pairs[:, 1]]
+    i, j = pairs[touching].T
+    offset, distance = offset[touching], distance[touching]
+    normal = offset / distance[:, None]
+    # Both lever arms end on the plane of the circle in which the spheres intersect.
+    arm = 0.5 * (distance + (radius[i] ** 2 - radius[j] ** 2) / distance)
+    old = _recall(bodies.history, i, j)
+    contact = contact_force(
+        physics.pair,
+        normal=normal,
+        overlap=radius[i] + radius[j] - distance,
+        effective_radius=radius[i] * radius[j] / (radius[i] + radius[j]),
+        effective_mass=bodies.mass[i] * bodies.mass[j] / (bodies.mass[i] + bodies.mass[j]),
+        velocity=bodies.velocity[i] - bodies.velocity[j],
+        surface_spin=arm[:, None] * bodies.spin[i] + (distance - arm)[:, None] * bodies.spin[j],
+        history=old.force,
+        overlap_before=old.overlap,
+        time_step=time_step,
+    )
+    np.add.at(force, i, contact.force)
+    np.add.at(force, j, -contact.force)
+    np.add.at(torque, i, arm[:, None] * contact.twist)
+    np.add.at(torque, j, (distance - arm)[:, None] * contact.twist)
+    moment = old.rolling_moment
+    if physics.rolling:
+        moment = _moment(physics, contact, moment, bodies.spin[i] - bodies.spin[j], False, time_step)
+        np.add.at(torque, i, moment)
+        np.add.at(torque, j, -moment)
+    return ContactHistory(i, j, contact.history, contact.overlap, moment)
+
+
+def _wall_loads(
+    bodies: _Bodies,
+    physics: Physics,
+    index: int,
+    time_step: float,
+    wall_speed: float,
+    force: FloatArray,
+    torque: FloatArray,
+) -> ContactHistory:
+    """Adds the loads of one wall; returns what its contacts remember."""
+    wall = physics.shapes[index]
+    distance, normal = wall_contact(wall, bodies.position)
+    i = np.flatnonzero(distance < bodies.radius)
+    distance, normal = distance[i], normal[i]
+    speed = wall_speed if wall.turns else 0.0
+    point = bodies.position[i] + distance[:, None] * normal
+    old = _recall(bodies.history, i, np.full(len(i), -1 - index))
+    contact = contact_force(
+        physics.wall,
+        normal=normal,
+        overlap=bodies.radius[i] - distance,
+        effective_radius=bodies.radius[i],
+        effective_mass=bodies.mass[i],
+        velocity=bodies.velocity[i] - surface_velocity(physics.axis, speed, point),
+        surface_spin=distance[:, None] * bodies.spin[i],
+        history=old.force,
+        overlap_before=old.overlap,
+        time_step=time_step,
+    )
+    force[i] += contact.force
+    torque[i] += distance[:, None] * contact.twist
+    moment = old.rolling_moment
+    if physics.rolling:
+        # What rolls on a turning wall rolls against the wall's own rotation.
+        moment = _moment(physics, contact, moment, bodies.spin[i] - speed * physics.axis, True, time_step)
+        torque[i] += moment
+    return ContactHistory(i, np.full(len(i), -1 - index), contact.history, contact.overlap, moment)
+
+
+def _moment(
+    physics: Physics, contact: ContactForce, moment: FloatArray, spin: FloatArray, on_wall: bool, time_step: float
+) -> FloatArray:
+    law = physics.wall if on_wall else physics.pair
+    return rolling_moment(
+        moment,
+        spin,
+        contact.normal,
+        contact.overlap,
+        contact.effective_radius,
+        law.effective_modulus,
+        law.rolling_friction,
+        time_step,
+    )
+
+
+def _recall(history: ContactHistory, first: np.ndarray, second: np.ndarray) -> ContactHistory:
+    """What is remembered of each contact (first, second); zeros, and an overlap of 0, where it is new."""
+    force, overlap, moment = np.zeros((len(first), 3)), np.zeros(len(first)), np.zeros((len(first), 3))
+    _, row, old_row = np.intersect1d(
+        _contact_key(first, second),
+        _contact_key(history.first, history.second),
+        assume_unique=True,
+        return_indices=True,
+    )
+    force[row], overlap[row] = history.force[old_row], history.overlap[old_row]
+    moment[row] = history.rolling_moment[old_row]
+    return ContactHistory(first, second, force, overlap, moment)
+
+
+def _contact_key(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """One number for each contact; walls (negative seconds) included."""
+    return first.astype(np.int64) * 2**32 + second.astype(np.int64)

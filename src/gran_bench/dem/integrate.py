@@ -1,0 +1,126 @@
+"""What an engine integrates, and how: velocity Verlet with the half-step velocities in the damping.
+
+    v_{n+1/2} = v_n + ½ a_n Δt,   x_{n+1} = x_n + v_{n+1/2} Δt,   v_{n+1} = v_{n+1/2} + ½ a_{n+1} Δt
+
+with a_{n+1} from x_{n+1}, v_{n+1/2} and the walls' speed at the middle of the step; spin likewise. A stretch of
+steps starts with the forces of its state alone: histories as they are, nothing added to them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gran_bench.dem.contact import ContactLaw
+from gran_bench.dem.walls import check_walls, wall_table
+from gran_bench.neighbors import check_period
+from gran_bench.scene import Scene, Wall
+from gran_bench.state import FloatArray
+
+# Verlet skin in diameters of the largest sphere: wide enough for ten steps and more between searches, narrow
+# enough that most listed pairs touch.
+SKIN_DIAMETERS = 0.2
+
+
+class Divergence(ArithmeticError):
+    """A particle that crosses a quarter of the smallest radius in one step, or whose speed is not finite.
+
+    Attributes:
+        particle: its index.
+        steps: completed steps of the stretch.
+        position, velocity, angular_velocity: ``(N, 3)`` as they were found; may hold non-finite values.
+    """
+
+    def __init__(
+        self, particle: int, steps: int, position: FloatArray, velocity: FloatArray, angular_velocity: FloatArray
+    ) -> None:
+        super().__init__(f"particle {particle} diverged")
+        self.particle, self.steps = particle, steps
+        self.position, self.velocity, self.angular_velocity = position, velocity, angular_velocity
+
+
+@dataclass(frozen=True)
+class Physics:
+    """A scene as the engines read it.
+
+    Attributes:
+        pair: law between particles.
+        wall: law between particle and wall.
+        shapes: the scene's walls.
+        walls: the same as a table, ``(W, 9)`` (see :func:`gran_bench.dem.walls.wall_table`).
+        axis: ``(3,)`` axis of rotation through the origin.
+        gravity: ``(3,)`` m/s².
+        density: of the particles, kg/m³.
+        period: length of the periodic y axis, m; 0 for none.
+        skin: m by which the neighbour list reaches beyond contact.
+        tangential: whether friction, and with it spin, is computed.
+        rolling: whether the rolling model is computed.
+    """
+
+    pair: ContactLaw
+    wall: ContactLaw
+    shapes: tuple[Wall, ...]
+    walls: FloatArray
+    axis: FloatArray
+    gravity: FloatArray
+    density: float
+    period: float
+    skin: float
+    tangential: bool
+    rolling: bool
+
+    @classmethod
+    def of(cls, scene: Scene, largest_radius: float, skin: float | None = None) -> Physics:
+        """What ``scene`` needs, and nothing else.
+
+        Args:
+            scene: materials, walls, motion, gravity.
+            largest_radius: of the particles, m.
+            skin: m; 0.2 diameters of the largest sphere where None.
+
+        Raises:
+            ValueError: a skin that is not positive, a period that is too short, or a wall that cannot turn.
+        """
+        skin = SKIN_DIAMETERS * 2.0 * largest_radius if skin is None else skin
+        if not (np.isfinite(skin) and skin > 0):
+            raise ValueError(f"dem.skin={skin:g} is impossible; choose a value > 0 m, or null")
+        check_period(scene.period, 2.0 * largest_radius + skin)
+        check_walls(scene.walls, scene.rotation)
+        needs = scene.needs
+        return cls(
+            pair=ContactLaw.between(scene.material, scene.material),
+            wall=ContactLaw.between(scene.material, scene.wall_material),
+            shapes=scene.walls,
+            walls=wall_table(scene.walls),
+            axis=np.array(scene.rotation.axis, np.float64),
+            gravity=np.array(scene.gravity, np.float64),
+            density=float(scene.material.density),
+            period=scene.period,
+            skin=float(skin),
+            tangential=needs.tangential,
+            rolling=needs.rolling,
+        )
+
+    @property
+    def pair_constants(self) -> FloatArray:
+        """(4/3 E*, 8 G*, α, μ, μ_r) of pairs, ``(5,)``."""
+        return law_constants(self.pair)
+
+    @property
+    def wall_constants(self) -> FloatArray:
+        """(4/3 E*, 8 G*, α, μ, μ_r) of walls, ``(5,)``."""
+        return law_constants(self.wall)
+
+
+def law_constants(law: ContactLaw) -> FloatArray:
+    """(4/3 E*, 8 G*, α, μ, μ_r), ``(5,)`` in SI."""
+    return np.array(
+        (
+            4.0 / 3.0 * law.effective_modulus,
+            8.0 * law.effective_shear_modulus,
+            law.damping,
+            law.friction,
+            law.rolling_friction,
+        )
+    )
