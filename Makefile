@@ -1,0 +1,41 @@
+# Each target builds .venv from requirements.lock when it is missing or old; `make train` alone is enough.
+# PYTHON=python3.12 chooses another interpreter (3.11 or newer).
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+PORT ?= 5000
+
+.PHONY: train data test lint ui bench clean
+
+train: $(READY)
+	$(BIN)/python -m gran_bench.train +experiment=holdout30rpm
+
+data: $(READY)
+	$(BIN)/python -m gran_bench.generate
+
+test: lint
+	$(BIN)/python -m pytest
+
+lint: $(READY)
+	$(BIN)/ruff check .
+
+ui: $(READY)
+	$(BIN)/python -m gran_bench.ui --port $(PORT)
+
+bench: $(READY)
+	$(BIN)/python -m gran_bench.benchmark
+
+clean:
+	rm -rf $(VENV) build dist .pytest_cache .ruff_cache
+
+# The mark is written last, so that an interrupted installation is taken up again.
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "Python 3.11 or newer is needed; choose one with make PYTHON=python3.12" >&2; exit 1; }
+	@test -x $(BIN)/python || { rm -rf $(VENV); $(PYTHON) -m venv $(VENV); }
+	@echo "Installing the packages of requirements.lock into $(VENV) (a minute or two)"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@

@@ -1,0 +1,1 @@
+"""The configurations that Hydra composes; one YAML file is one choice."""

@@ -1,0 +1,153 @@
+"""Read a composed config into the schema: no unknown key, no wrong type, no missing value, nothing converted silently.
+
+OmegaConf can merge a config into dataclasses too, but turns the text "3" into a number, cannot hold the union of
+model schemas and does not know the nearest right key; so the reading is done here, where every refusal is one line.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING as NO_DEFAULT
+from dataclasses import fields, is_dataclass
+from difflib import SequenceMatcher
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from gran_bench.config import MISSING, MODEL_SCHEMAS
+from gran_bench.config_consistency import check_consistency
+from gran_bench.config_rules import ConfigError, hold_values
+
+Config = TypeVar("Config")
+
+TYPE_WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "a word"}
+
+
+def read_config(schema: type[Config], values: Mapping[str, Any]) -> Config:
+    """The config that ``values`` describe, read strictly and held against every rule.
+
+    Args:
+        schema: a dataclass of ``gran_bench.config``.
+        values: nested plain values, as ``OmegaConf.to_container(config, resolve=True)`` gives them.
+
+    Raises:
+        ConfigError: an unknown key (with the nearest right one), a wrong type, a missing or an illegal value.
+    """
+    config = _read_section(schema, values, "", schema)
+    validate(config)
+    return config
+
+
+def validate(config: Any) -> None:
+    """Hold every value of a config against its rule, then the values against each other.
+
+    Raises:
+        ConfigError: names the dotted key, the value and what is legal.
+    """
+    hold_values(config)
+    check_consistency(config)
+
+
+def dotted_keys(schema: type, path: str = "") -> Iterator[str]:
+    """Every key of a schema in dotted form, sections included; a union gives the keys of all its members."""
+    for name, hint in get_type_hints(schema).items():
+        yield path + name
+        seen: set[str] = set()
+        for member in _dataclasses_of(hint):
+            new = [key for key in dotted_keys(member, f"{path}{name}.") if key not in seen]
+            seen.update(new)
+            yield from new
+
+
+def nearest_key(key: str, keys: list[str]) -> str | None:
+    """The dotted key that the writer of ``key`` most likely meant, or None where none is alike.
+
+    A right name in a wrong place (``restitution``) counts as well as a slip of a letter in the right one.
+    """
+    parent, _, name = key.rpartition(".")
+
+    def likeness(other: str) -> float:
+        other_parent, _, other_name = other.rpartition(".")
+        names = SequenceMatcher(None, name, other_name).ratio()
+        parents = SequenceMatcher(None, parent, other_parent).ratio()
+        return names + 0.2 * parents
+
+    best = max(keys, key=likeness, default=None)
+    return best if best is not None and likeness(best) >= 0.75 else None
+
+
+def unknown_key(key: str, value: Any, schema: type, present: list[str] | None = None) -> ConfigError:
+    """The error for a key that the schema, or the chosen model, does not have.
+
+    Args:
+        key: dotted.
+        value: what it was given.
+        schema: of the whole config.
+        present: the keys that are legal in its place where that is known; None: all of the schema.
+    """
+    everywhere = list(dotted_keys(schema))
+    keys = everywhere if present is None else present
+    shown = f"{key}={value}"
+    if key.startswith("model.") and key in everywhere:
+        owners = [name for name, model in MODEL_SCHEMAS.items() if key.partition(".")[2] in get_type_hints(model)]
+        return ConfigError(f"{shown}: the chosen model has no such key; it belongs to model={' or '.join(owners)}")
+    if key in everywhere:
+        return ConfigError(f"{shown}: {key.rpartition('.')[0]} is null here; write +{shown}")
+    guess = nearest_key(key, keys) or nearest_key(key, everywhere)
+    if guess is not None:
+        return ConfigError(f"{shown}: no such key; did you mean {guess}?")
+    top = ", ".join(name for name in get_type_hints(schema))
+    return ConfigError(f"{shown}: no such key; the sections and keys are {top}")
+
+
+def _read_section(schema: type, values: Any, path: str, root: type) -> Any:
+    if not isinstance(values, Mapping):
+        names = ", ".join(get_type_hints(schema))
+        raise ConfigError(f"{path[:-1]}={values} is no section; give it the keys {names}")
+    hints = get_type_hints(schema)
+    for name in values:
+        if name not in hints:
+            raise unknown_key(f"{path}{name}", values[name], root, [path + hint for hint in hints])
+    given = {name: _read(hints[name], values[name], path + name, root) for name in values}
+    for entry in fields(schema):
+        has_default = entry.default is not NO_DEFAULT or entry.default_factory is not NO_DEFAULT
+        if (entry.name not in given and not has_default) or given.get(entry.name, entry.default) == MISSING:
+            raise ConfigError(f"{path}{entry.name} is missing; give it a value")
+    return schema(**given)
+
+
+def _read(hint: Any, value: Any, key: str, root: type) -> Any:
+    members = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    if value is None and type(None) in members:
+        return None
+    sections = list(_dataclasses_of(hint))
+    if sections:
+        return _read_section(_section_of(sections, value, key), value, f"{key}.", root)
+    (kind,) = [member for member in members if member is not type(None)]
+    if get_origin(kind) is list:
+        if not isinstance(value, list | tuple):
+            raise ConfigError(f"{key}={value} is no list; write {key}=[{value}]")
+        return [_read(get_args(kind)[0], element, f"{key}[{i}]", root) for i, element in enumerate(value)]
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    # bool is an int to Python, but not to a person: only an exact type will do.
+    if type(value) is not kind:
+        shown = "null" if value is None else str(value).lower() if isinstance(value, bool) else value
+        raise ConfigError(f"{key}={shown} has the wrong type; give {TYPE_WORDS[kind]}")
+    return value
+
+
+def _section_of(sections: list[type], value: Any, key: str) -> type:
+    """The dataclass that ``value`` is of: the only one there is, or the model that its name selects."""
+    if len(sections) == 1:
+        return sections[0]
+    name = value.get("name") if isinstance(value, Mapping) else value
+    if name not in MODEL_SCHEMAS:
+        guess = nearest_key(str(name), list(MODEL_SCHEMAS))
+        meant = f"did you mean {guess}?" if guess else f"choose {' or '.join(MODEL_SCHEMAS)}"
+        raise ConfigError(f"{key}.name={name}: no such model; {meant}")
+    return MODEL_SCHEMAS[name]
+
+
+def _dataclasses_of(hint: Any) -> Iterator[type]:
+    members = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    yield from (member for member in members if is_dataclass(member))

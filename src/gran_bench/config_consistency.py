@@ -1,0 +1,135 @@
+"""Which config values fit together: times in order, frames that divide a span, splits that do not overlap."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+from gran_bench.config import CconvModelConfig, DatasetConfig, GenerateConfig, SceneConfig, TrainConfig
+from gran_bench.config_rules import ConfigError
+
+
+def check_consistency(config: object) -> None:
+    """Hold the values of a whole config against each other.
+
+    Args:
+        config: a ``TrainConfig`` or ``GenerateConfig`` whose values are legal each by itself.
+
+    Raises:
+        ConfigError: names a dotted key, its value, what it contradicts and the remedy.
+    """
+    if isinstance(config, TrainConfig | GenerateConfig):
+        _check_scene(config.scene)
+        _check_dataset(config.dataset)
+    if isinstance(config, TrainConfig):
+        _check_model(config)
+        _check_training(config)
+
+
+def _require(holds: bool, message: str) -> None:
+    if not holds:
+        raise ConfigError(message)
+
+
+def _check_scene(scene: SceneConfig) -> None:
+    times, speeds, filling = scene.rotation.times, scene.rotation.speeds_rpm, scene.filling
+    _require(len(scene.gravity) == 3, f"scene.gravity={scene.gravity} is no vector; give three components, m/s²")
+    _require(
+        len(times) == len(speeds) > 0,
+        f"scene.rotation.speeds_rpm={speeds} does not match scene.rotation.times={times}; give one speed for each time",
+    )
+    _require(times == sorted(times), f"scene.rotation.times={times} goes back in time; sort it")
+    span = scene.end_time - scene.start_time
+    _require(
+        span > 0, f"scene.end_time={scene.end_time:g} is not after scene.start_time={scene.start_time:g}; choose more"
+    )
+    frames = span / scene.frame_interval
+    _require(
+        abs(frames - round(frames)) < 1e-6 and round(frames) >= 1,
+        f"scene.frame_interval={scene.frame_interval:g} does not divide the {span:g} s from scene.start_time to "
+        "scene.end_time into whole frames; change one of the three",
+    )
+    largest = (filling.lattice_spacing - 1.0) / 2.0
+    _require(
+        filling.jitter <= largest + 1e-12,
+        f"scene.filling.jitter={filling.jitter:g} lets spheres overlap at a spacing of "
+        f"{filling.lattice_spacing:g} diameters; choose at most {largest:.3g}",
+    )
+    if scene.container.kind == "drum":
+        for name in ("diameter", "length"):
+            room = getattr(scene.container, name)
+            _require(
+                filling.diameter < room,
+                f"scene.filling.diameter={filling.diameter:g} does not fit into scene.container.{name}={room:g}; "
+                "choose smaller spheres",
+            )
+
+
+def _check_dataset(dataset: DatasetConfig) -> None:
+    seen: dict[float, str] = {}
+    for name in ("training_speeds_rpm", "validation_speeds_rpm", "holdout_speeds_rpm"):
+        for speed in getattr(dataset, name):
+            _require(
+                speed not in seen,
+                f"dataset.{name}={getattr(dataset, name)} has {speed:g} rpm, which dataset.{seen.get(speed)} has "
+                "already; a speed belongs to one split, once",
+            )
+            seen[speed] = name
+    _require(
+        dataset.unseen_packing_seed != dataset.packing_seed,
+        f"dataset.unseen_packing_seed={dataset.unseen_packing_seed} is the seed of dataset.packing_seed, "
+        "so the packing would not be unseen; choose another",
+    )
+
+
+def _check_model(config: TrainConfig) -> None:
+    model, diameter = config.model, config.scene.filling.diameter
+    _require(
+        model.radius > diameter,
+        f"model.radius={model.radius:g} reaches no neighbour; choose more than the particle diameter, {diameter:g} m",
+    )
+    if isinstance(model, CconvModelConfig):
+        wanted = "radial" if model.name == "radial" else "lattice"
+        other = next(name for name in ("ccnn", "radial") if name != model.name)
+        _require(
+            model.kernel == wanted,
+            f"model.kernel={model.kernel} is not the kernel of model={model.name}; choose model={other}",
+        )
+        _require(model.width % 2 == 0, f"model.width={model.width} cannot be split in two halves; choose an even width")
+        _require(
+            config.loss.spin == 0,
+            f"loss.spin={config.loss.spin:g} needs a model that predicts spin, and model={model.name} does not; "
+            "choose loss.spin=0 or model=contact",
+        )
+
+
+def _check_training(config: TrainConfig) -> None:
+    dataset, loss, rollout, optim = config.dataset, config.loss, config.rollout, config.optim
+    _require(
+        len(dataset.training_speeds_rpm) > 0,
+        "dataset.training_speeds_rpm=[] leaves nothing to train on; give at least one speed",
+    )
+    _require(
+        len(dataset.holdout_speeds_rpm) == 1,
+        f"dataset.holdout_speeds_rpm={dataset.holdout_speeds_rpm} is not one speed; training judges one held-out case",
+    )
+    made = {*dataset.training_speeds_rpm, *dataset.validation_speeds_rpm, *dataset.holdout_speeds_rpm}
+    for speed in config.judge.speeds_rpm:
+        _require(
+            speed in made,
+            f"judge.speeds_rpm={config.judge.speeds_rpm} has {speed:g} rpm, which no split of dataset has; "
+            f"choose from {sorted(made)}",
+        )
+    terms = [entry.name for entry in fields(loss) if entry.type == "float" and entry.name != "discount"]
+    _require(
+        any(getattr(loss, term) > 0 for term in terms),
+        f"loss.{terms[0]}=0 and every other term is 0 too; give one of {', '.join(terms)} a weight",
+    )
+    longest = max(rollout.frames, rollout.final_frames or 0)
+    available = round((config.scene.end_time - config.scene.start_time) / config.scene.frame_interval)
+    name = "frames" if longest == rollout.frames else "final_frames"
+    _require(longest <= available, f"rollout.{name}={longest} is longer than a case; choose at most {available} frames")
+    _require(
+        optim.final_learning_rate <= optim.learning_rate,
+        f"optim.final_learning_rate={optim.final_learning_rate:g} exceeds optim.learning_rate="
+        f"{optim.learning_rate:g}; choose at most that",
+    )
