@@ -16,7 +16,7 @@ from torch import Tensor
 from gran_bench.config import LossConfig
 from gran_bench.neighbors import tree_pairs
 from gran_bench.scene import Cylinder, Scene
-from gran_bench.surrogate.step import FrameState
+from gran_bench.surrogate.step import FrameState, minimum_image
 
 
 class LossError(ValueError):
@@ -62,16 +62,6 @@ def frame_weights(kind: str, frames: int, discount: float = 0.8) -> list[float]:
     return [shapes[kind](k) for k in range(1, frames + 1)]
 
 
-def difference(predicted: Tensor, target: Tensor, period: float) -> Tensor:
-    """Predicted minus true position ``(N, 3)`` m; along a periodic y axis the nearest image counts."""
-    error = predicted - target
-    if period > 0:
-        wraps = torch.zeros_like(error)
-        wraps[:, 1] = period * torch.round(error[:, 1].detach() / period)
-        error = error - wraps
-    return error
-
-
 def _mean_length(vectors: Tensor) -> Tensor:
     """Mean Euclidean length, with a finite gradient at zero length."""
     return torch.sqrt(vectors.square().sum(dim=1) + 1e-24).mean()
@@ -79,12 +69,12 @@ def _mean_length(vectors: Tensor) -> Tensor:
 
 def position_l2(predicted: FrameState, target: Target, scene: Scene) -> Tensor:
     """Mean ‖x̂ − x‖ / d (the paper's eq. 3)."""
-    return _mean_length(difference(predicted.position, target.position, scene.period)) / scene.filling.diameter
+    return _mean_length(minimum_image(predicted.position - target.position, scene.period)) / scene.filling.diameter
 
 
 def position_mse(predicted: FrameState, target: Target, scene: Scene) -> Tensor:
     """Mean ‖x̂ − x‖² / d²."""
-    error = difference(predicted.position, target.position, scene.period)
+    error = minimum_image(predicted.position - target.position, scene.period)
     return error.square().sum(dim=1).mean() / scene.filling.diameter**2
 
 
@@ -117,7 +107,7 @@ def total_overlap(position: Tensor, scene: Scene) -> Tensor:
     diameter, radius = scene.filling.diameter, scene.filling.radius
     found = tree_pairs(position.detach().cpu().double().numpy(), diameter, scene.period)
     pairs = torch.from_numpy(np.ascontiguousarray(found)).to(position.device)
-    apart = difference(position[pairs[:, 0]], position[pairs[:, 1]], scene.period)
+    apart = minimum_image(position[pairs[:, 0]] - position[pairs[:, 1]], scene.period)
     total = torch.relu(diameter - torch.sqrt(apart.square().sum(dim=1) + 1e-24)).sum()
     for wall in scene.walls:
         from_point = position - position.new_tensor(wall.point)

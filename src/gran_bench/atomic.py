@@ -1,0 +1,92 @@
+"""Files that are whole or not there at all, and locks that die with the process that holds them.
+
+A file is written under a temporary name in its own folder, flushed, fsynced and renamed. Power may fail or
+``kill -9`` may strike at any moment: the final name is absent, old and whole, or new and whole.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import glob
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+_TEMPORARY = ".tmp"
+
+
+@contextmanager
+def whole_file(path: Path | str) -> Iterator[Path]:
+    """Yield a temporary name to write to; it takes the final name when the block ends well.
+
+    An exception inside the block removes the temporary file and leaves an older file of the final name as it
+    was.
+
+    Args:
+        path: final name; its folder is made where it is missing.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{_TEMPORARY}")
+    try:
+        yield temporary
+        _sync(temporary)
+        temporary.replace(path)
+        # The rename itself lives in the folder, so the folder needs its own sync to survive a power cut.
+        _sync(path.parent)
+    finally:
+        with suppress(FileNotFoundError):
+            temporary.unlink()
+
+
+def write_atomically(path: Path | str, write: Callable[[BinaryIO], object]) -> None:
+    """Call ``write`` with a binary file that becomes ``path``, whole or not at all."""
+    with whole_file(path) as temporary, open(temporary, "wb") as file:
+        write(file)
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Write UTF-8 text to ``path``, whole or not at all."""
+    write_atomically(path, lambda file: file.write(text.encode()))
+
+
+def remove_leftovers(path: Path | str) -> None:
+    """Remove the temporary files that killed writers of ``path`` left behind.
+
+    Only for whoever holds the lock of ``path``: nobody else may be writing it.
+    """
+    path = Path(path)
+    for leftover in path.parent.glob(f".{glob.escape(path.name)}.*{_TEMPORARY}"):
+        leftover.unlink(missing_ok=True)
+
+
+@contextmanager
+def locked(path: Path | str, waiting: Callable[[], None] = lambda: None) -> Iterator[None]:
+    """Hold an exclusive lock on a lock file; the operating system frees it when the process ends in any way.
+
+    The lock file stays: removing it would let two processes lock two files of one name.
+
+    Args:
+        path: the lock file; made where it is missing.
+        waiting: called once if another process holds the lock.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(path, "ab") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            waiting()
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def _sync(path: Path) -> None:
+    """Force a file, or a folder's list of names, onto the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,246 @@
+"""Judge one model on one scene: rollouts of every speed, replicas of the DEM, figures, a summary.
+
+A hybrid has no place here: between the settled state and the last frame nothing but the model moves a sphere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from gran_bench.atomic import whole_file
+from gran_bench.config import DatasetConfig, DemConfig, JudgeConfig
+from gran_bench.dataset import Case, CaseSpec, dataset_digest, ensure_cases, half_step, read_case, replicas
+from gran_bench.metrics.judge import judge, nearest_case
+from gran_bench.metrics.judgement import Judgement
+from gran_bench.metrics.position_error import HORIZONS, short_horizon_errors, spread_starts
+from gran_bench.metrics.summary import TrajectorySummary, summarise
+from gran_bench.rollout import Rollout, rollout
+from gran_bench.scene import Scene
+from gran_bench.state import FloatArray, Trajectory
+from gran_bench.surrogate.step import Surrogate
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is rolled out and what it is held against.
+
+    Attributes:
+        scene: without a speed of its own.
+        dem: the solver's settings.
+        dataset: speeds, packings, replicas.
+        judge: speeds to roll out.
+    """
+
+    scene: Scene
+    dem: DemConfig
+    dataset: DatasetConfig
+    judge: JudgeConfig
+
+    @property
+    def holdout_rpm(self) -> float:
+        """The speed that decides, rpm."""
+        return float(self.dataset.holdout_speeds_rpm[0])
+
+    def case(self, rpm: float, unseen: bool = False) -> CaseSpec:
+        """The DEM's case at a speed, from the shared or the unseen packing."""
+        seed = self.dataset.unseen_packing_seed if unseen else self.dataset.packing_seed
+        return CaseSpec(self.scene.at_speed(rpm), self.dem, seed)
+
+    def replicas(self, unseen: bool) -> list[CaseSpec]:
+        """The nudged runs of the held-out case that give the noise floor."""
+        return replicas(self.case(self.holdout_rpm, unseen), self.dataset.replicas)
+
+    @property
+    def packings(self) -> list[bool]:
+        """Which packings are judged: the shared one, and the unseen one where it is asked for."""
+        return [False, True] if self.judge.unseen_packing else [False]
+
+    @property
+    def cases(self) -> list[CaseSpec]:
+        """Every run of the DEM that judging needs."""
+        held = [self.case(self.holdout_rpm, unseen) for unseen in (False, True)]
+        speeds = [self.case(rpm) for rpm in self.judge.speeds_rpm]
+        doubles = [spec for unseen in self.packings for spec in self.replicas(unseen)]
+        return [*speeds, *held, half_step(held[0]), *doubles]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What judging a model gave.
+
+    Attributes:
+        judgements: of the held-out speed, by packing (``shared``, ``unseen``).
+        rollouts: by name, such as ``30rpm`` and ``30rpm_unseen``.
+        cases: the DEM's runs of the same names.
+        replicas: the DEM's nudged runs of the held-out speed, by packing.
+        summary: everything as plain values for ``summary.json``.
+    """
+
+    judgements: dict[str, Judgement]
+    rollouts: dict[str, Rollout]
+    cases: dict[str, Case]
+    replicas: dict[str, list[TrajectorySummary]]
+    summary: dict[str, Any]
+
+
+def evaluate(model: Surrogate, plan: Plan, folder: Path, tell: Tell, progress: bool = True) -> Evaluation:
+    """Roll a model out, judge it, and sum it up.
+
+    Args:
+        model: with its final weights, on its device.
+        plan: what to do.
+        folder: keeps the finished rollouts, so that a killed evaluation goes on.
+        tell: gets one line for each stage.
+        progress: show bars.
+
+    Returns:
+        The evaluation; a rollout that failed is in it as a failed one.
+    """
+    tell("DEM runs to judge against: cases, replicas, another packing, half the time step")
+    ensure_cases(plan.cases, plan.dataset.root, plan.dataset.workers, progress)
+    jobs = {rollout_name(rpm): plan.case(rpm) for rpm in plan.judge.speeds_rpm}
+    for unseen in plan.packings:
+        jobs[rollout_name(plan.holdout_rpm, unseen)] = plan.case(plan.holdout_rpm, unseen)
+    cases = {name: read_case(spec.path(plan.dataset.root)) for name, spec in jobs.items()}
+    rollouts = {}
+    for name, case in cases.items():
+        tell(f"rollout of {case.trajectory.frame_count} frames, {name}")
+        rollouts[name] = _kept_rollout(model, case, folder / "rollouts" / f"{name}.npz", progress)
+    judgements, doubles = {}, {}
+    for unseen in plan.packings:
+        packing = "unseen" if unseen else "shared"
+        tell(f"judging {rollout_name(plan.holdout_rpm, unseen)} against {plan.dataset.replicas} replicas")
+        judgements[packing], doubles[packing] = _judge_holdout(model, plan, rollouts, unseen)
+    summary = {
+        "holdout_rpm": plan.holdout_rpm,
+        "judged": {packing: judgement.to_dict() for packing, judgement in judgements.items()},
+        "nearest_case": _nearest(plan, rollouts, cases),
+        "position_error": _short_horizon(model, cases[rollout_name(plan.holdout_rpm)], plan.judge),
+        "rollouts": {name: _rollout_facts(result, cases[name]) for name, result in rollouts.items()},
+        "data_digest": dataset_digest(list(cases.values())),
+    }
+    return Evaluation(judgements, rollouts, cases, doubles, summary)
+
+
+def rollout_name(rpm: float, unseen: bool = False) -> str:
+    """``30rpm``, or ``30rpm_unseen`` from the unseen packing."""
+    return f"{rpm:g}rpm_unseen" if unseen else f"{rpm:g}rpm"
+
+
+def _kept_rollout(model: Surrogate, case: Case, path: Path, progress: bool) -> Rollout:
+    """The rollout of a case, computed once and kept whole in a file."""
+    if not path.exists():
+        result = rollout(model, case.scene, case.settled, case.trajectory.frame_count, progress)
+        arrays = {"position": result.trajectory.position, "velocity": result.trajectory.velocity}
+        if result.trajectory.angular_velocity is not None:
+            arrays["angular_velocity"] = result.trajectory.angular_velocity
+        failed = -1 if result.failed_frame is None else result.failed_frame
+        with whole_file(path) as temporary, open(temporary, "wb") as file:
+            np.savez(file, seconds_per_frame=result.seconds_per_frame, failed_frame=failed, **arrays)
+    with np.load(path) as kept:
+        spin = kept["angular_velocity"] if model.uses_spin else None
+        trajectory = Trajectory(
+            case.settled.time + case.scene.frame_interval * np.arange(len(kept["position"])),
+            kept["position"],
+            kept["velocity"],
+            spin,
+            np.asarray(case.settled.radius),
+            velocity_kind=model.velocity_kind,
+        )
+        failed = int(kept["failed_frame"])
+        return Rollout(trajectory, None if failed < 0 else failed, kept["seconds_per_frame"])
+
+
+def _judge_holdout(
+    model: Surrogate, plan: Plan, rollouts: dict[str, Rollout], unseen: bool
+) -> tuple[Judgement, list[TrajectorySummary]]:
+    """The held-out speed from one packing, against its replicas; another packing and half the step beside them."""
+    scene, root, kind = plan.scene.at_speed(plan.holdout_rpm), plan.dataset.root, model.velocity_kind
+
+    def summary_of(spec: CaseSpec) -> TrajectorySummary:
+        return summarise(read_case(spec.path(root)).trajectory, scene, kind)
+
+    doubles = [summary_of(spec) for spec in plan.replicas(unseen)]
+    beside = {"other_packing": summary_of(plan.case(plan.holdout_rpm, not unseen))}
+    if not unseen:
+        beside["half_step"] = summary_of(half_step(plan.case(plan.holdout_rpm)))
+    candidate = rollouts[rollout_name(plan.holdout_rpm, unseen)].trajectory
+    return judge(candidate, doubles, scene, beside), doubles
+
+
+def _nearest(plan: Plan, rollouts: dict[str, Rollout], cases: dict[str, Case]) -> dict[str, Any]:
+    """For each judged speed: the DEM case with the nearest speeds, and the distances to all, m/s."""
+    truth = {rpm: cases[rollout_name(rpm)].trajectory for rpm in plan.judge.speeds_rpm}
+    table = {}
+    for rpm in plan.judge.speeds_rpm:
+        nearest, distances = nearest_case(rollouts[rollout_name(rpm)].trajectory, truth, plan.scene.period)
+        table[rollout_name(rpm)] = {
+            "own_rpm": rpm,
+            "nearest_rpm": nearest,
+            "is_own": nearest == rpm,
+            "w1_m_s": {rollout_name(other): distance.value for other, distance in distances.items()},
+        }
+    return table
+
+
+def _short_horizon(model: Surrogate, case: Case, config: JudgeConfig) -> dict[str, Any]:
+    """Mean position error 1, 3 and 10 frames from many start frames of the DEM's own case, m and d."""
+    starts = spread_starts(case.trajectory.frame_count, config.short_horizon_starts)
+    found = short_horizon_errors(
+        lambda start, frames: predict_from(model, case, start, frames),
+        case.trajectory,
+        starts,
+        period=case.scene.period,
+    )
+    diameter = case.scene.filling.diameter
+    return {
+        f"{horizon}_frames": {
+            "m": found[horizon].value,
+            "diameters": None if found[horizon].value is None else found[horizon].value / diameter,
+            "note": found[horizon].note,
+        }
+        for horizon in HORIZONS
+    }
+
+
+def predict_from(model: Surrogate, case: Case, start: int, frames: int) -> FloatArray:
+    """Positions ``(frames, N, 3)`` m that a model predicts after frame ``start`` of a case."""
+    like, motion, scene = next(model.parameters()), case.trajectory, case.scene
+
+    def tensor(array: FloatArray) -> torch.Tensor:
+        return torch.as_tensor(array, dtype=like.dtype, device=like.device)
+
+    previous = tensor(motion.position[start - 1]) if start else None
+    with torch.no_grad():
+        state = model.begin(
+            scene,
+            tensor(motion.position[start]),
+            tensor(motion.velocity[start]),
+            tensor(motion.angular_velocity[start]),
+            previous,
+        )
+        found = []
+        for k in range(frames):
+            state = model(state, scene, float(motion.time[start]) + k * scene.frame_interval)
+            found.append(state.position.cpu().numpy())
+    return np.stack(found)
+
+
+def _rollout_facts(result: Rollout, case: Case) -> dict[str, Any]:
+    """How fast a rollout was, beside the DEM's own time for the same frames, and where it failed."""
+    computed = result.seconds_per_frame[np.isfinite(result.seconds_per_frame)]
+    frames = case.trajectory.frame_count - 1
+    return {
+        "failed_frame": result.failed_frame,
+        "ms_per_frame_median": 1e3 * float(np.median(computed)) if len(computed) else None,
+        "ms_per_frame_90th": 1e3 * float(np.percentile(computed, 90)) if len(computed) else None,
+        "dem_ms_per_frame": 1e3 * float(case.attributes["wall_seconds"]) / frames,
+    }

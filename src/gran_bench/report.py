@@ -1,0 +1,127 @@
+"""What a finished run says: ``summary.json`` for machines, a table for people, eight headline figures for both."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from gran_bench.atomic import write_text
+
+SUMMARY = "summary.json"
+
+
+def write_summary(folder: Path, summary: dict[str, Any]) -> Path:
+    """Write ``summary.json``, whole or not at all; its presence says that the run is finished."""
+    path = folder / SUMMARY
+    write_text(path, json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    return path
+
+
+def read_summary(folder: Path) -> dict[str, Any] | None:
+    """The summary of a finished run, or None."""
+    path = folder / SUMMARY
+    return json.loads(path.read_text("utf-8")) if path.exists() else None
+
+
+def headline(summary: dict[str, Any]) -> dict[str, float]:
+    """The figures that a person looks at first, by the names that they have in MLflow.
+
+    A figure that is undefined is absent here; why, says the summary.
+    """
+    shared = summary["judged"]["shared"]
+    rollout = summary["rollouts"][f"{summary['holdout_rpm']:g}rpm"]
+    verdicts = [row["verdict"] for judged in summary["judged"].values() for row in judged["requirements"].values()]
+    strangers = sum(not row["is_own"] for row in summary["nearest_case"].values())
+    found = {
+        "angle error (deg)": shared["errors"]["surface_angle"]["value"],
+        "angle error (floors)": shared["errors"]["surface_angle"]["multiple_of_floor"],
+        "speed W1 (m per s)": shared["errors"]["speed_w1"]["value"],
+        "speed W1 (floors)": shared["errors"]["speed_w1"]["multiple_of_floor"],
+        "position error 10 frames (mm)": _scaled(summary["position_error"]["10_frames"]["m"], 1e3),
+        "rollout time (ms per frame)": rollout["ms_per_frame_median"],
+        "training time (min)": summary["training"]["seconds"] / 60.0,
+        "requirements failed": float(verdicts.count("fail") + strangers),
+    }
+    return {name: float(value) for name, value in found.items() if value is not None}
+
+
+def _scaled(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
+
+
+def flat_metrics(summary: dict[str, Any]) -> dict[str, float]:
+    """Every defined figure of a summary under ``packing/kind/name`` for the tracking store."""
+    metrics = {}
+    for packing, judged in summary["judged"].items():
+        for name, row in judged["errors"].items():
+            metrics[f"{packing}/error/{name}"] = row["value"]
+            metrics[f"{packing}/floors/{name}"] = row["multiple_of_floor"]
+        for name, row in judged["figures"].items():
+            metrics[f"{packing}/figure/{name}"] = row["value"]
+        for name, count in (judged["failures"] or {}).items():
+            metrics[f"{packing}/failures/{name}"] = count
+    for name, row in summary["nearest_case"].items():
+        metrics[f"nearest/{name}"] = row["nearest_rpm"]
+    for name, row in summary["position_error"].items():
+        metrics[f"position_error/{name}"] = row["m"]
+    for name, row in summary["rollouts"].items():
+        metrics[f"rollout/{name}/ms_per_frame"] = row["ms_per_frame_median"]
+        metrics[f"rollout/{name}/dem_ms_per_frame"] = row["dem_ms_per_frame"]
+    for name, seconds in summary["wall_seconds"].items():
+        metrics[f"wall_seconds/{name}"] = seconds
+    return {
+        name: float(value)
+        for name, value in metrics.items()
+        if isinstance(value, int | float) and not isinstance(value, bool)
+    }
+
+
+def summary_table(summary: dict[str, Any]) -> str:
+    """The end of the terminal output: requirements met and missed, headline figures, where things are."""
+    lines = [f"{summary['experiment']}: {summary['model']['name']}, {summary['training']['parameters']} parameters"]
+    lines.append(
+        f"trained {summary['training']['steps']} updates in {summary['training']['seconds'] / 60:.1f} min "
+        f"(stopped by {summary['training']['stopped_by']})"
+    )
+    for packing, judged in summary["judged"].items():
+        lines += ["", f"{summary['holdout_rpm']:g} rpm, held out, {packing} packing"]
+        lines.append(f"  {'':<56}{'found':>12}  verdict")
+        for row in judged["requirements"].values():
+            lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>12}  {row['verdict']}{_note(row)}")
+        lines.append(f"  {'distance from the DEM':<56}{'found':>12}  noise floor")
+        for name in ("surface_angle", "com_angle", "speed_w1"):
+            row = judged["errors"][name]
+            times = "" if row["multiple_of_floor"] is None else f" (× {row['multiple_of_floor']:.2f})"
+            floor = _figure(row["floor"], row["unit"])
+            lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>12}  {floor}{times}{_note(row)}")
+    lines += ["", "tells speeds apart (nearest DEM case by speed W1)"]
+    for name, row in summary["nearest_case"].items():
+        nearest = "undefined" if row["nearest_rpm"] is None else f"{row['nearest_rpm']:g} rpm"
+        lines.append(f"  {name:<56}{nearest:>12}  {'pass' if row['is_own'] else 'fail'}")
+    errors = summary["position_error"].values()
+    shown = ", ".join(_figure(row["m"], "m") for row in errors)
+    horizons = ", ".join(name.split("_")[0] for name in summary["position_error"])
+    lines += ["", f"position error after {horizons} frames: {shown}"]
+    rollout = summary["rollouts"][f"{summary['holdout_rpm']:g}rpm"]
+    lines.append(
+        f"time for a frame of {summary['frame_ms']:g} ms: surrogate {_figure(rollout['ms_per_frame_median'], 'ms')}, "
+        f"this DEM {_figure(rollout['dem_ms_per_frame'], 'ms')} (one core; other work on the machine counts)"
+    )
+    spent = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in summary["wall_seconds"].items())
+    lines.append(f"wall time: {spent}")
+    missed = headline(summary)["requirements failed"]
+    lines += ["", "all requirements met" if not missed else f"{missed:.0f} requirements NOT met; see the rows above"]
+    return "\n".join(lines)
+
+
+def _figure(value: float | None, unit: str) -> str:
+    if value is None:
+        return "undefined"
+    if unit == "m":
+        value, unit = 1e3 * value, "mm"
+    return f"{value:.3g} {unit}".rstrip()
+
+
+def _note(row: dict[str, Any]) -> str:
+    return f"  [{row['note']}]" if row.get("note") else ""

@@ -1,0 +1,97 @@
+"""Step a surrogate from a state, frame by frame: nothing clipped, dropped or projected on the way."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from gran_bench.scene import Scene
+from gran_bench.state import ParticleState, Trajectory
+from gran_bench.surrogate.step import FrameState, Surrogate
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """What a rollout gave.
+
+    Attributes:
+        trajectory: F frames; after the first non-finite frame all values are NaN, so that every figure made
+            from it shows the failure.
+        failed_frame: index of the first non-finite frame, or None.
+        seconds_per_frame: ``(F − 1,)`` wall time of each computed frame, s.
+    """
+
+    trajectory: Trajectory
+    failed_frame: int | None
+    seconds_per_frame: np.ndarray
+
+
+def initial_frame(model: Surrogate, scene: Scene, state: ParticleState) -> FrameState:
+    """The model's own form of a stored state, on the model's device, in its precision."""
+    parameter = next(model.parameters())
+
+    def tensor(array: np.ndarray) -> torch.Tensor:
+        return torch.as_tensor(np.asarray(array), dtype=parameter.dtype, device=parameter.device)
+
+    return model.begin(scene, tensor(state.position), tensor(state.velocity), tensor(state.angular_velocity))
+
+
+def step_frames(model: Surrogate, scene: Scene, state: ParticleState) -> Iterator[FrameState]:
+    """The state itself, then one frame after another without end, without gradients.
+
+    Args:
+        model: any surrogate.
+        scene: gives walls, motion, Δt.
+        state: start; its ``time`` is the clock of the walls' motion.
+    """
+    frame, clock, index = initial_frame(model, scene, state), state.time, 0
+    while True:
+        yield frame
+        with torch.no_grad():
+            frame = model(frame, scene, clock + index * scene.frame_interval)
+        index += 1
+
+
+def rollout(
+    model: Surrogate, scene: Scene, state: ParticleState, frames: int | None = None, progress: bool = False
+) -> Rollout:
+    """Roll a surrogate out from a state.
+
+    Args:
+        model: any surrogate.
+        scene: gives walls, motion, Δt.
+        state: the settled state, as the DEM left it.
+        frames: F, the first state included; None: as many as the scene has.
+        progress: show a bar.
+    """
+    frames = scene.frame_count if frames is None else frames
+    shape = (frames, state.count, 3)
+    position, velocity = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
+    spin = np.full(shape, np.nan, np.float32) if model.uses_spin else None
+    seconds = np.full(max(frames - 1, 0), np.nan)
+    failed_frame = None
+    steps = step_frames(model, scene, state)
+    model.eval()
+    for k in tqdm(range(frames), desc="rollout", unit="frame", disable=None if progress else True, leave=False):
+        began = time.perf_counter()
+        frame = next(steps)
+        if k:
+            seconds[k - 1] = time.perf_counter() - began
+        stored = [frame.position, frame.velocity]
+        if spin is not None:
+            stored.append(frame.angular_velocity)
+        if not all(bool(torch.isfinite(values).all()) for values in stored):
+            failed_frame = k
+            break
+        for array, values in zip((position, velocity, spin), stored, strict=False):
+            array[k] = values.cpu().numpy()
+    clock = state.time + scene.frame_interval * np.arange(frames)
+    trajectory = Trajectory(
+        clock, position, velocity, spin, np.asarray(state.radius), velocity_kind=model.velocity_kind
+    )
+    return Rollout(trajectory, failed_frame, seconds)

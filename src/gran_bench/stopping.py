@@ -1,0 +1,54 @@
+"""SIGTERM and Ctrl-C as one polite request: finish the update, save, say how to go on."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+
+class StopRequest:
+    """Whether someone asked this process to stop.
+
+    Outside ``deferred()`` a signal interrupts at once (``KeyboardInterrupt``); inside it only sets
+    ``requested``, so that the work in progress can reach a state worth saving. A second signal interrupts
+    even there.
+    """
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._deferring = False
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        again, self.requested = self.requested, True
+        if again or not self._deferring:
+            raise KeyboardInterrupt(signal.Signals(number).name)
+
+    @contextmanager
+    def deferred(self) -> Iterator[None]:
+        """A stretch of work that polls ``requested`` itself."""
+        self._deferring = True
+        try:
+            yield
+        finally:
+            self._deferring = False
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[StopRequest]:
+    """Handle SIGTERM and SIGINT for the span of the block; the old handlers come back after it.
+
+    Outside the main thread Python allows no handlers: there the request is never set.
+    """
+    request = StopRequest()
+    if threading.current_thread() is not threading.main_thread():
+        yield request
+        return
+    former = {number: signal.signal(number, request._on_signal) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield request
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)

@@ -1,0 +1,329 @@
+"""Train a surrogate: windows of the data in, weights out; any moment may be the last, and nothing is lost.
+
+One update averages the gradients of ``optim.accumulate`` windows. The windows of an update are independent, so
+they run in parallel threads, each with its own gradients, and are averaged in the order of the windows: the
+result doesn't depend on the number of threads. What window and what noise an update sees is a pure function
+of the seed and the update's number, so a resumed training is bit-identical to one that never stopped.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from gran_bench.atomic import write_atomically
+from gran_bench.config import OptimConfig, RolloutConfig, TrainConfig
+from gran_bench.dataset import Window, Windows
+from gran_bench.losses import Target, WindowLoss
+from gran_bench.surrogate.step import FrameState, Surrogate
+
+CHECKPOINT = "checkpoint.pt"
+DIVERGED = "diverged.pt"
+METRICS_EVERY_SECONDS = 5.0
+
+
+class TrainingDiverged(RuntimeError):
+    """The loss is not finite; the state that led there is saved beside the checkpoint."""
+
+
+class TrainingStopped(KeyboardInterrupt):
+    """Training was asked to stop and left a checkpoint that the same command resumes."""
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """What a training did.
+
+    Attributes:
+        steps: optimiser updates in all.
+        seconds: wall time in all, across resumes, s.
+        stopped_by: ``steps`` or ``time``.
+        loss: last logged loss (mean over windows of Σ over frames).
+        parameters: of the model, number of scalars.
+    """
+
+    steps: int
+    seconds: float
+    stopped_by: str
+    loss: float
+    parameters: int
+
+
+def learning_rate(config: OptimConfig, step: int, steps: int) -> float:
+    """Learning rate of update ``step`` (0 … steps − 1).
+
+    ``steps`` falls geometrically in ``decay_steps`` equal drops from the first to the final rate, ``cosine``
+    follows half a cosine between them, ``constant`` stays. A linear warm-up multiplies the first updates.
+    """
+    first, final = config.learning_rate, config.final_learning_rate
+    progress = step / max(steps, 1)
+    if config.schedule == "steps":
+        drops = min(int(progress * (config.decay_steps + 1)), config.decay_steps)
+        rate = first * (final / first) ** (drops / max(config.decay_steps, 1))
+    elif config.schedule == "cosine":
+        rate = final + 0.5 * (first - final) * (1.0 + math.cos(math.pi * progress))
+    else:
+        rate = first
+    return rate * min(1.0, (step + 1) / config.warmup_steps) if config.warmup_steps else rate
+
+
+def frames_ahead(config: RolloutConfig, step: int, steps: int) -> int:
+    """F at update ``step``: ``frames``, then ``final_frames`` from ``final_from`` of the budget on."""
+    if config.final_frames is not None and step >= config.final_from * steps:
+        return config.final_frames
+    return config.frames
+
+
+def _detached(state: FrameState) -> FrameState:
+    """The same state, cut off from the frames that made it."""
+
+    def cut(value: Any) -> Any:
+        return value.detach() if hasattr(value, "detach") else value
+
+    return FrameState(*(cut(getattr(state, f.name)) for f in fields(state)))
+
+
+class Trainer:
+    """Optimise a surrogate on windows of the training cases.
+
+    Args:
+        model: moved to its device already; trained in place.
+        windows: the training side of the data; it cannot reach the held-out cases.
+        config: budgets, loss, optimiser.
+        folder: holds the checkpoint; one that is there is resumed.
+        log: called with ``(metrics, step)`` every ``trainer.log_every`` updates.
+        should_stop: polled between updates; True saves a checkpoint and raises ``TrainingStopped``.
+    """
+
+    def __init__(
+        self,
+        model: Surrogate,
+        windows: Windows,
+        config: TrainConfig,
+        folder: Path,
+        log: Callable[[dict[str, float], int], None] = lambda metrics, step: None,
+        should_stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self.model, self.windows, self.config = model, windows, config
+        self.folder, self.log, self.should_stop = folder, log, should_stop
+        self.loss = WindowLoss(config.loss)
+        self.parameters = list(model.parameters())
+        self.optimizer = torch.optim.Adam(self.parameters, lr=config.optim.learning_rate)
+        self.average = [p.detach().clone() for p in self.parameters] if config.optim.weight_average else None
+        self.step, self.seconds = 0, 0.0
+        on_cpu = self.parameters[0].device.type == "cpu"
+        self.workers = min(config.threads, config.optim.accumulate) if on_cpu else 1
+        self.replicas = [model] + [self._sharing_copy() for _ in range(self.workers - 1)]
+
+    def _sharing_copy(self) -> Surrogate:
+        """A copy of the model that reads the same weights and collects gradients of its own."""
+        twin = copy.deepcopy(self.model)
+        for own, shared in zip(twin.parameters(), self.parameters, strict=True):
+            own.data = shared.data
+        return twin
+
+    # ---- checkpoints -------------------------------------------------------------------------------------
+
+    def save(self) -> None:
+        """Write the checkpoint, whole or not at all."""
+        state = {
+            "model": self.model.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "average": self.average,
+            "step": self.step,
+            "seconds": self.seconds,
+        }
+        write_atomically(self.folder / CHECKPOINT, lambda file: torch.save(state, file))
+
+    def resume(self) -> bool:
+        """Go on from the checkpoint in the folder; False if there is none."""
+        path = self.folder / CHECKPOINT
+        if not path.exists():
+            return False
+        state = torch.load(path, map_location=self.parameters[0].device, weights_only=True)
+        self.model.load_state_dict(state["model"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        if self.average is not None:
+            for kept, saved in zip(self.average, state["average"], strict=True):
+                kept.copy_(saved)
+        self.step, self.seconds = state["step"], state["seconds"]
+        return True
+
+    # ---- one update --------------------------------------------------------------------------------------
+
+    def _window_gradients(self, model: Surrogate, draw: int, frames: int) -> tuple[float, dict[str, float], list]:
+        """Loss, its terms and its gradients for one window; touches nothing that threads share."""
+        window = self.windows.draw(draw, frames)
+        state = self._start(model, window, draw)
+        scene, through_time = window.scene, self.config.rollout.gradient_through_time
+        total, terms = None, {}
+        gradients = [torch.zeros_like(p) for p in self.parameters] if not through_time else None
+        for k in range(1, frames + 1):
+            state = model(state, scene, window.time + (k - 1) * scene.frame_interval)
+            target = self._target(model, window, k)
+            shares = self.loss.terms(state, target, scene, k, frames)
+            share = sum(shares.values())
+            for name, value in shares.items():
+                terms[name] = terms.get(name, 0.0) + value.item()
+            if through_time:
+                total = share if total is None else total + share
+            else:
+                for g, new in zip(gradients, self._gradients(share, model), strict=True):
+                    g += new
+                state = _detached(state)
+        if through_time:
+            gradients = self._gradients(total, model)
+        return sum(terms.values()), terms, gradients
+
+    @staticmethod
+    def _gradients(loss: Tensor, model: Surrogate) -> list[Tensor]:
+        """∂loss/∂parameter, zeros where a parameter has no part in it."""
+        return list(torch.autograd.grad(loss, list(model.parameters()), allow_unused=True, materialize_grads=True))
+
+    def _start(self, model: Surrogate, window: Window, draw: int) -> FrameState:
+        """The window's first state with training noise, in the model's form."""
+        rollout, scene = self.config.rollout, window.scene
+        position, velocity = self._tensor(window.position[0]), self._tensor(window.velocity_at(0, model.velocity_kind))
+        spin = self._tensor(window.angular_velocity[0])
+        if rollout.noise > 0:
+            rng = np.random.default_rng((self.config.seed, 7919, draw))
+
+            def noise() -> Tensor:
+                return self._tensor(rng.standard_normal(window.position[0].shape)) * rollout.noise
+
+            moved = noise()
+            position = position + moved
+            if rollout.independent_noise:
+                velocity = velocity + noise() / scene.frame_interval
+                spin = spin + noise() / (scene.frame_interval * scene.filling.radius)
+            else:
+                velocity = velocity + moved / scene.frame_interval
+        return model.begin(scene, position, velocity, spin)
+
+    def _target(self, model: Surrogate, window: Window, k: int) -> Target:
+        """What the DEM says about frame ``k`` of the window."""
+        return Target(
+            self._tensor(window.position[k]),
+            self._tensor(window.velocity_at(k, model.velocity_kind)),
+            self._tensor(window.angular_velocity[k]),
+            float(window.overlap_per_particle[k]),
+        )
+
+    def _tensor(self, array: np.ndarray) -> Tensor:
+        like = self.parameters[0]
+        return torch.as_tensor(array).to(device=like.device, dtype=like.dtype)
+
+    def update(self, pool: ThreadPoolExecutor) -> dict[str, float]:
+        """One optimiser update; returns the mean loss over its windows, its terms, rate and gradient norm.
+
+        Raises:
+            TrainingDiverged: a loss or a gradient is not finite.
+        """
+        config, steps = self.config.optim, self.config.trainer.steps
+        frames = frames_ahead(self.config.rollout, self.step, steps)
+        first = self.step * config.accumulate
+        # Window w runs on copy w mod workers; the copies are used by one thread at a time.
+        lanes = [
+            pool.submit(self._lane, lane, range(first + lane, first + config.accumulate, self.workers), frames)
+            for lane in range(self.workers)
+        ]
+        results = sorted((result for lane in lanes for result in lane.result()), key=lambda result: result[0])
+        for i, parameter in enumerate(self.parameters):
+            parameter.grad = torch.stack([gradients[i] for _, _, _, gradients in results]).mean(dim=0)
+        metrics = {"loss": sum(r[1] for r in results) / len(results), "learning_rate": 0.0, "frames_ahead": frames}
+        for name in results[0][2]:
+            metrics[f"term/{name}"] = sum(r[2][name] for r in results) / len(results)
+        norm = torch.linalg.vector_norm(torch.stack([torch.linalg.vector_norm(p.grad) for p in self.parameters]))
+        metrics["gradient_norm"] = norm.item()
+        if not (math.isfinite(metrics["loss"]) and math.isfinite(metrics["gradient_norm"])):
+            self._save_divergence([r[0] for r in results])
+        if config.gradient_clip is not None and metrics["gradient_norm"] > config.gradient_clip:
+            for parameter in self.parameters:
+                parameter.grad.mul_(config.gradient_clip / norm)
+        metrics["learning_rate"] = learning_rate(config, self.step, steps)
+        for group in self.optimizer.param_groups:
+            group["lr"] = metrics["learning_rate"]
+        self.optimizer.step()
+        self.step += 1
+        if self.average is not None:
+            # A young average would remember the random start: its decay grows to the set one.
+            decay = min(config.weight_average, (1.0 + self.step) / (10.0 + self.step))
+            torch._foreach_lerp_(self.average, [p.detach() for p in self.parameters], 1.0 - decay)
+        return metrics
+
+    def _lane(self, lane: int, draws: range, frames: int) -> list[tuple[int, float, dict, list]]:
+        """The windows of one thread, one after another, on its own copy of the model."""
+        return [(draw, *self._window_gradients(self.replicas[lane], draw, frames)) for draw in draws]
+
+    def _save_divergence(self, draws: list[int]) -> None:
+        path = self.folder / DIVERGED
+        state = {"model": self.model.state_dict(), "step": self.step, "draws": draws, "seed": self.config.seed}
+        write_atomically(path, lambda file: torch.save(state, file))
+        raise TrainingDiverged(
+            f"the loss is not finite at update {self.step}; the weights and the windows that led there are in {path}. "
+            "Try a smaller optim.learning_rate, optim.gradient_clip=0.2 or fewer rollout.frames"
+        )
+
+    # ---- the whole training ------------------------------------------------------------------------------
+
+    def run(self, progress: bool = True) -> TrainingResult:
+        """Train until the budget of steps or minutes is spent; resumes where a checkpoint is.
+
+        Raises:
+            TrainingDiverged: a loss is not finite.
+            TrainingStopped: ``should_stop`` said so; the checkpoint is written.
+        """
+        self.resume()
+        budget = self.config.trainer
+        cap = math.inf if budget.minutes is None else 60.0 * budget.minutes
+        last_saved, loss = time.monotonic(), math.nan
+        before, began = self.seconds, time.monotonic()
+        threads = torch.get_num_threads()
+        # Threads run whole windows; a second layer of threads inside each operation would only fight them.
+        torch.set_num_threads(1 if self.workers > 1 else threads)
+        bar = tqdm(
+            total=budget.steps, initial=self.step, desc="training", unit="update", disable=None if progress else True
+        )
+        self.model.train()
+        try:
+            with ThreadPoolExecutor(self.workers, thread_name_prefix="windows") as pool:
+                while self.step < budget.steps and self.seconds < cap:
+                    metrics = self.update(pool)
+                    self.seconds = before + time.monotonic() - began
+                    loss = metrics["loss"]
+                    bar.update()
+                    bar.set_postfix(loss=f"{loss:.4f}", refresh=False)
+                    if self.step % budget.log_every == 0 or self.step == budget.steps:
+                        self.log(metrics | {"seconds": self.seconds}, self.step)
+                    due = budget.checkpoint_steps and self.step % budget.checkpoint_steps == 0
+                    stop = self.should_stop()
+                    if due or stop or time.monotonic() - last_saved >= budget.checkpoint_every:
+                        self.save()
+                        last_saved = time.monotonic()
+                    if stop:
+                        raise TrainingStopped(f"stopped at update {self.step}; the same command goes on from there")
+        finally:
+            torch.set_num_threads(threads)
+            bar.close()
+        self.save()
+        stopped_by = "steps" if self.step >= budget.steps else "time"
+        return TrainingResult(self.step, self.seconds, stopped_by, loss, sum(p.numel() for p in self.parameters))
+
+    def final_weights(self) -> dict[str, Tensor]:
+        """The weights to judge: the running average where there is one, else the last."""
+        state = {name: value.detach().clone() for name, value in self.model.state_dict().items()}
+        if self.average is not None:
+            for (name, _), value in zip(self.model.named_parameters(), self.average, strict=True):
+                state[name] = value.detach().clone()
+        return state

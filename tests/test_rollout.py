@@ -1,0 +1,62 @@
+"""Rolling out: every frame kept as the model made it, failures included."""
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from gran_bench.config import SceneConfig
+from gran_bench.rollout import rollout
+from gran_bench.scene import build_scene
+from gran_bench.state import ParticleState
+from gran_bench.surrogate.step import FrameState, Surrogate
+
+SCENE = build_scene(SceneConfig(name="drum"))
+
+
+class Drift(Surrogate):
+    """Moves everything along x by 1 mm a frame; breaks at a chosen frame."""
+
+    def __init__(self, breaks_at: int | None = None) -> None:
+        super().__init__()
+        self.scale = nn.Parameter(torch.ones(()))
+        self.breaks_at, self.times = breaks_at, []
+
+    def forward(self, state: FrameState, scene, time: float) -> FrameState:
+        self.times.append(time)
+        position = state.position + self.scale * torch.tensor([1e-3, 0.0, 0.0])
+        if len(self.times) == self.breaks_at:
+            position = position / 0.0 * 0.0
+        return FrameState(position, state.velocity)
+
+
+def settled(count: int = 5) -> ParticleState:
+    zeros = np.zeros((count, 3))
+    return ParticleState(zeros, zeros, zeros, np.full(count, 0.025), time=1.5)
+
+
+def test_the_first_frame_is_the_start_and_the_clock_runs_with_the_walls():
+    model = Drift()
+    result = rollout(model, SCENE, settled(), frames=4)
+    np.testing.assert_allclose(result.trajectory.position[:, 0, 0], [0.0, 1e-3, 2e-3, 3e-3], rtol=1e-6)
+    np.testing.assert_allclose(model.times, [1.5, 1.51, 1.52])
+    np.testing.assert_allclose(result.trajectory.time, [1.5, 1.51, 1.52, 1.53])
+    assert result.failed_frame is None
+    assert np.isfinite(result.seconds_per_frame).all()
+
+
+def test_a_sphere_that_leaves_the_drum_is_not_put_back():
+    result = rollout(Drift(), SCENE, settled(), frames=1001)
+    assert result.trajectory.position[-1, 0, 0] == pytest.approx(1.0, rel=1e-4)
+
+
+def test_after_a_frame_that_is_not_finite_everything_is_nan():
+    result = rollout(Drift(breaks_at=3), SCENE, settled(), frames=6)
+    assert result.failed_frame == 3
+    assert np.isfinite(result.trajectory.position[:3]).all()
+    assert np.isnan(result.trajectory.position[3:]).all()
+    assert np.isnan(result.trajectory.velocity[3:]).all()
+
+
+def test_a_scene_says_how_many_frames_a_rollout_has():
+    assert rollout(Drift(), SCENE, settled()).trajectory.frame_count == SCENE.frame_count == 401

@@ -1,0 +1,203 @@
+"""Training: bit-identical after any interruption, whatever the number of threads; budgets; divergence."""
+
+import itertools
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from gran_bench.config import (
+    ContactModelConfig,
+    LossConfig,
+    OptimConfig,
+    RolloutConfig,
+    SceneConfig,
+    TrainConfig,
+    TrainerConfig,
+)
+from gran_bench.scene import build_scene
+from gran_bench.surrogate.step import FrameState, Surrogate
+from gran_bench.trainer import (
+    CHECKPOINT,
+    DIVERGED,
+    Trainer,
+    TrainingDiverged,
+    TrainingStopped,
+    frames_ahead,
+    learning_rate,
+)
+
+SCENE = build_scene(SceneConfig(name="drum"))
+
+
+class Network(Surrogate):
+    """A small network of the velocity: enough to have several weights and a history through time."""
+
+    def __init__(self, seed: int = 0) -> None:
+        super().__init__()
+        torch.manual_seed(seed)
+        self.net = nn.Sequential(nn.Linear(3, 8), nn.Tanh(), nn.Linear(8, 3))
+
+    def forward(self, state: FrameState, scene, time: float) -> FrameState:
+        velocity = state.velocity + self.net(state.velocity)
+        return FrameState(state.position + scene.frame_interval * velocity, velocity)
+
+
+@dataclass(frozen=True)
+class FakeWindow:
+    scene: object
+    time: float
+    position: np.ndarray
+    velocity: np.ndarray
+    angular_velocity: np.ndarray
+    overlap_per_particle: np.ndarray
+
+    def velocity_at(self, k: int, kind: str) -> np.ndarray:
+        return self.velocity[k]
+
+
+class FakeWindows:
+    """Spheres that lose a third of their velocity each frame; every draw is a function of its number."""
+
+    def draw(self, draw: int, frames: int) -> FakeWindow:
+        rng = np.random.default_rng((5, draw))
+        start, speed = rng.normal(size=(2, 20, 3)).astype(np.float32)
+        k = np.arange(frames + 1, dtype=np.float32)[:, None, None]
+        velocity = speed * (2.0 / 3.0) ** k
+        position = start + SCENE.frame_interval * (np.cumsum(velocity, axis=0) - velocity[0])
+        return FakeWindow(SCENE, 1.5, position, velocity, velocity * 0, np.zeros(frames + 1))
+
+
+def config(**changes) -> TrainConfig:
+    settings = dict(
+        model=ContactModelConfig(),
+        seed=3,
+        threads=2,
+        scene=SceneConfig(name="drum"),
+        loss=LossConfig(velocity=1.0),
+        rollout=RolloutConfig(frames=2, noise=1e-3),
+        optim=OptimConfig(learning_rate=1e-2, accumulate=3, weight_average=0.9, gradient_clip=1.0),
+        trainer=TrainerConfig(steps=12, checkpoint_steps=4, log_every=1),
+    )
+    return TrainConfig(**(settings | changes))
+
+
+def train(folder, **changes) -> tuple[Trainer, list]:
+    folder.mkdir(exist_ok=True)
+    logged = []
+    trainer = Trainer(Network(), FakeWindows(), config(**changes), folder, lambda m, s: logged.append((s, m)))
+    trainer.run(progress=False)
+    return trainer, logged
+
+
+def same(a: dict, b: dict) -> bool:
+    return all(torch.equal(a[name], b[name]) for name in a)
+
+
+def test_training_lowers_the_loss(tmp_path):
+    _, logged = train(tmp_path, trainer=TrainerConfig(steps=150, log_every=1))
+    losses = [metrics["loss"] for _, metrics in logged]
+    assert np.mean(losses[-10:]) < 0.5 * np.mean(losses[:10])
+
+
+def test_an_interrupted_training_ends_with_the_same_bits(tmp_path):
+    whole, _ = train(tmp_path / "whole")
+    (tmp_path / "parts").mkdir()
+    polls = iter([False] * 6 + [True])
+    stopped = Trainer(Network(), FakeWindows(), config(), tmp_path / "parts", should_stop=lambda: next(polls))
+    with pytest.raises(TrainingStopped, match="update 7"):
+        stopped.run(progress=False)
+    resumed, logged = train(tmp_path / "parts")
+    assert logged[0][0] == 8
+    assert same(whole.final_weights(), resumed.final_weights())
+
+
+def test_a_kill_between_checkpoints_ends_with_the_same_bits(tmp_path):
+    whole, _ = train(tmp_path / "whole")
+    folder = tmp_path / "killed"
+    folder.mkdir()
+
+    class Killed(BaseException):
+        pass
+
+    def die(metrics, step):
+        if step == 10:  # the last checkpoint is of update 8
+            raise Killed
+
+    with pytest.raises(Killed):
+        Trainer(Network(), FakeWindows(), config(), folder, die).run(progress=False)
+    resumed, logged = train(folder)
+    assert logged[0][0] == 9
+    assert same(whole.final_weights(), resumed.final_weights())
+
+
+@pytest.mark.parametrize("through_time", [True, False])
+def test_the_number_of_threads_changes_no_bit(tmp_path, through_time):
+    rollout = RolloutConfig(frames=2, noise=1e-3, gradient_through_time=through_time)
+    one, _ = train(tmp_path / "one", threads=1, rollout=rollout)
+    two, _ = train(tmp_path / "two", threads=2, rollout=rollout)
+    assert same(one.final_weights(), two.final_weights())
+
+
+def test_gradient_through_time_matters(tmp_path):
+    on, _ = train(tmp_path / "on", rollout=RolloutConfig(frames=2))
+    off, _ = train(tmp_path / "off", rollout=RolloutConfig(frames=2, gradient_through_time=False))
+    assert not same(on.final_weights(), off.final_weights())
+
+
+def test_one_frame_ahead_has_no_time_to_go_through(tmp_path):
+    on, _ = train(tmp_path / "on", rollout=RolloutConfig(frames=1))
+    off, _ = train(tmp_path / "off", rollout=RolloutConfig(frames=1, gradient_through_time=False))
+    assert same(on.final_weights(), off.final_weights())
+
+
+def test_accumulated_windows_are_averaged_into_one_update(tmp_path):
+    trainer = Trainer(Network(), FakeWindows(), config(), tmp_path)
+    parts = [trainer._window_gradients(trainer.model, draw, 2)[2] for draw in range(3)]
+    expected = [torch.stack(g).mean(dim=0) for g in zip(*parts, strict=True)]
+    norm = torch.sqrt(sum(g.square().sum() for g in expected)).item()
+    with ThreadPoolExecutor(2) as pool:
+        metrics = trainer.update(pool)
+    assert metrics["gradient_norm"] == pytest.approx(norm, rel=1e-5)
+
+
+def test_the_time_cap_counts_across_resumes(tmp_path):
+    trainer, _ = train(tmp_path, trainer=TrainerConfig(steps=4, log_every=1))
+    assert trainer.seconds > 0
+    capped = Trainer(Network(), FakeWindows(), config(trainer=TrainerConfig(steps=10**6, minutes=0.0)), tmp_path)
+    result = capped.run(progress=False)
+    assert (result.stopped_by, result.steps) == ("time", 4)
+    assert result.seconds == pytest.approx(trainer.seconds)
+
+
+def test_a_loss_that_is_not_finite_stops_and_keeps_what_led_there(tmp_path):
+    broken = Network()
+    with torch.no_grad():
+        broken.net[0].weight.fill_(float("nan"))
+    with pytest.raises(TrainingDiverged, match=r"update 0.*diverged\.pt"):
+        Trainer(broken, FakeWindows(), config(), tmp_path).run(progress=False)
+    saved = torch.load(tmp_path / DIVERGED, weights_only=True)
+    assert saved["draws"] == [0, 1, 2]
+    assert not (tmp_path / CHECKPOINT).exists()
+
+
+def test_learning_rate_schedules():
+    steps = OptimConfig(learning_rate=1e-4, final_learning_rate=2e-6, schedule="steps", decay_steps=4)
+    rates = [learning_rate(steps, s, 100) for s in range(100)]
+    assert rates[0] == 1e-4
+    assert rates[-1] == pytest.approx(2e-6)
+    assert len(set(rates)) == 5
+    assert all(b <= a for a, b in itertools.pairwise(rates))
+    cosine = OptimConfig(learning_rate=1.0, final_learning_rate=0.0, schedule="cosine", warmup_steps=10)
+    assert learning_rate(cosine, 0, 100) == pytest.approx(0.1)
+    assert learning_rate(cosine, 50, 100) == pytest.approx(0.5)
+    assert learning_rate(OptimConfig(schedule="constant", learning_rate=3.0), 99, 100) == 3.0
+
+
+def test_the_horizon_grows_at_its_share_of_the_budget():
+    rollout = RolloutConfig(frames=3, final_frames=5, final_from=0.6)
+    assert [frames_ahead(rollout, s, 10) for s in (0, 5, 6, 9)] == [3, 3, 5, 5]
+    assert frames_ahead(RolloutConfig(frames=3), 9, 10) == 3
