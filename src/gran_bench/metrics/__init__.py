@@ -1,0 +1,22 @@
+"""Judging: metrics with validity flags, the noise floor of the physics, and the judge."""
+
+from gran_bench.metrics.judge import judge, nearest_case, replica_spread
+from gran_bench.metrics.judgement import Judgement
+from gran_bench.metrics.measured import Measured, Series, UndefinedMetricError
+from gran_bench.metrics.position_error import divergence_horizon, short_horizon_errors, spread_starts
+from gran_bench.metrics.summary import TrajectorySummary, summarise
+
+__all__ = [
+    "Judgement",
+    "Measured",
+    "Series",
+    "TrajectorySummary",
+    "UndefinedMetricError",
+    "divergence_horizon",
+    "judge",
+    "nearest_case",
+    "replica_spread",
+    "short_horizon_errors",
+    "spread_starts",
+    "summarise",
+]

@@ -1,0 +1,257 @@
+"""Angle of repose of a bed in a drum, by two published definitions, each with its validity.
+
+Both are measured in the plane across the axis, from the horizontal, positive where the bed has climbed with the
+rotation. Up is against gravity; the climbing direction e is axis × gravity, the way in which the bottom of the
+drum moves.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gran_bench.metrics.measured import Series
+from gran_bench.scene import Scene
+from gran_bench.state import FloatArray, Trajectory
+
+BIN = 0.25  # of a diameter, across the surface
+HALF_WINDOW = 0.6  # of the drum's radius: 0.3 m along the surface of the drum of 1 m
+SURFACE_FRACTION = 0.3  # solid fraction at the surface
+LARGEST_RESIDUAL = 0.5  # of a diameter, rms of the line's residuals
+LEAST_FILLED = 0.8  # of the columns
+TOLERANCE = 1e-4  # rad, of the iteration
+MOST_ITERATIONS = 40
+
+
+@dataclass(frozen=True)
+class SurfaceLine:
+    """The straight line w = offset + 0·s through a bed's surface, in the frame turned by ``angle``.
+
+    Attributes:
+        angle: rad, NaN where there is no line.
+        offset: height of the line over the axis, along the surface's normal, m.
+        residual: rms distance of the columns' surface points from the line, m.
+        filled: share of the columns that have a surface, −.
+        valid: residual ≤ 0.5 d and filled ≥ 80 %.
+    """
+
+    angle: float
+    offset: float
+    residual: float
+    filled: float
+    valid: bool
+
+
+NO_LINE = SurfaceLine(math.nan, math.nan, math.nan, 0.0, False)
+
+
+def why_no_angle(scene: Scene) -> str:
+    """Why no angle of repose exists in a scene, whatever a fit says; empty where one may exist."""
+    if scene.drum_radius is None or scene.length is None:
+        return "the scene has no drum"
+    if not scene.needs.gravity:
+        return "the scene has no gravity"
+    if not scene.has_angle_of_repose:
+        return f"at or above the critical speed of {scene.critical_speed_rpm:.3g} rpm"
+    return ""
+
+
+def cross_section_axes(scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """Unit vectors across the drum, ``(3,)`` each: the climbing direction (with the rotation) and up."""
+    down = np.asarray(scene.gravity, float) / scene.gravity_strength
+    climbing = np.cross(scene.rotation.axis, down)
+    turning = next((speed for speed in scene.rotation.speeds_rpm if speed), 1.0)
+    return math.copysign(1.0, turning) * climbing / np.linalg.norm(climbing), -down
+
+
+def center_of_mass_angles(position: FloatArray, radius: FloatArray, scene: Scene) -> FloatArray:
+    """Angle between gravity and the offset of the bed's centre from the axis, ``(F,)`` rad.
+
+    tan θ = (c·e)/(c·g/|g|), with c the centre of mass.
+
+    Args:
+        position: ``(F, N, 3)`` m; a frame that is not finite gives NaN.
+        radius: ``(N,)`` m; the spheres have one density.
+        scene: gives the axis, gravity and the sense of rotation.
+    """
+    climbing, up = cross_section_axes(scene)
+    mass = radius.astype(np.float64) ** 3
+    with np.errstate(invalid="ignore", over="ignore"):
+        center = np.einsum("fnk,n->fk", position, mass / mass.sum())
+        angle = np.arctan2(center @ climbing, -(center @ up))
+    # An infinite centre has an arctangent, but no angle.
+    return np.where(np.isfinite(center).all(axis=1), angle, np.nan)
+
+
+def surface_lines(
+    position: FloatArray, radius: FloatArray, scene: Scene, start_angles: FloatArray | None = None
+) -> list[SurfaceLine]:
+    """The surface of every frame, by `surface_line` from the centre-of-mass angle.
+
+    Args:
+        position: ``(F, N, 3)`` m.
+        radius: ``(N,)`` m.
+        scene: a drum.
+        start_angles: ``(F,)`` rad; the centre-of-mass angles where None.
+    """
+    climbing, up = cross_section_axes(scene)
+    if start_angles is None:
+        start_angles = center_of_mass_angles(position, radius, scene)
+    plane = np.stack((climbing, up), axis=1)
+    size = radius.astype(np.float64)
+    return [
+        surface_line(frame @ plane, size, scene.drum_radius, scene.length, scene.filling.diameter, angle)
+        if np.isfinite(frame).all()
+        else NO_LINE
+        for frame, angle in zip(position.astype(np.float64), start_angles, strict=True)
+    ]
+
+
+def surface_line(
+    across: FloatArray,
+    radius: FloatArray,
+    drum_radius: float,
+    length: float,
+    diameter: float,
+    start_angle: float,
+) -> SurfaceLine:
+    """The surface of one bed: a least-squares line through the topmost crossings of solid fraction 0.3.
+
+    In the frame turned by the current angle, columns of one diameter cover |s| ≤ 0.6 R along the surface, with
+    bins of d/4 across it. A sphere counts in the column of its centre; a bin's solid fraction is the exact volume
+    of the sphere slabs in it over its own volume. The line's angle is added until it changes by ≤ 1e-4 rad.
+
+    Args:
+        across: ``(N, 2)`` centres along the climbing direction and up, from the axis, finite, m.
+        radius: ``(N,)`` m.
+        drum_radius: R, m.
+        length: of the drum along its axis, m.
+        diameter: d, m, the unit of columns and bins.
+        start_angle: rad.
+    """
+    angle, line, seen = float(start_angle), NO_LINE, []
+    for _ in range(MOST_ITERATIONS):
+        line, tilt = _fit(across, radius, drum_radius, length, diameter, angle)
+        if not math.isfinite(tilt):
+            return line
+        angle = line.angle
+        if abs(tilt) <= TOLERANCE:
+            return line
+        if any(abs(angle - before) < 1e-12 for before in seen):
+            # Spheres that change columns can make the iteration circle through a few angles for ever: take the middle.
+            circle = seen[_index_of(seen, angle) :]
+            line, _ = _fit(across, radius, drum_radius, length, diameter, float(np.mean(circle)))
+            return line
+        seen.append(angle)
+    return SurfaceLine(line.angle, line.offset, line.residual, line.filled, False)
+
+
+def solid_fractions(
+    s: FloatArray, w: FloatArray, radius: FloatArray, drum_radius: float, length: float, diameter: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Solid fraction of the bins of d × d/4 over the drum's length, from the exact volumes of sphere slabs.
+
+    Args:
+        s: ``(N,)`` centres along the surface, m.
+        w: ``(N,)`` centres along its normal, from the axis, m.
+        radius: ``(N,)`` m.
+        drum_radius: R, m.
+        length: of the drum, m.
+        diameter: d, m.
+
+    Returns:
+        Middles of the C columns along the surface (m), middles of the B bins across it (m), and ``(C, B)`` −.
+    """
+    columns = max(2, int(2.0 * HALF_WINDOW * drum_radius / diameter + 1e-9))
+    half = 0.5 * columns * diameter
+    step = BIN * diameter
+    lowest = -math.ceil((drum_radius + 0.5 * diameter + radius.max(initial=0.0)) / step)
+    bins = -2 * lowest
+    column = np.floor((s + half) / diameter)
+    inside = (column >= 0) & (column < columns) & (np.abs(w) <= drum_radius)
+    column, bottom, size = column[inside].astype(np.int64), w[inside] - radius[inside], radius[inside]
+    first = np.floor(bottom / step)
+    slabs = math.ceil(2.0 * size.max(initial=0.0) / step) + 1
+    edges = (first + np.arange(1, slabs + 1)[:, None]) * step
+    below = _cap_volume(np.clip(edges - bottom, 0.0, 2.0 * size), size)
+    slab_volume = np.diff(below, axis=0, prepend=0.0)
+    index = column * bins + (first.astype(np.int64) - lowest) + np.arange(slabs)[:, None]
+    volume = np.bincount(index.ravel(), slab_volume.ravel(), minlength=columns * bins).reshape(columns, bins)
+    middles = (np.arange(columns) + 0.5) * diameter - half
+    return middles, (np.arange(bins) + lowest + 0.5) * step, volume / (diameter * step * length)
+
+
+def topmost_crossing(fraction: FloatArray, heights: FloatArray) -> FloatArray:
+    """Height at which each column falls below solid fraction 0.3 for the last time, ``(C,)`` m, interpolated.
+
+    Args:
+        fraction: ``(C, B)`` solid fractions, −.
+        heights: ``(B,)`` middles of the bins, m.
+
+    Returns:
+        NaN for a column that never reaches the fraction, or is still above it in its last bin.
+    """
+    dense: NDArray[np.bool_] = fraction >= SURFACE_FRACTION
+    last = fraction.shape[1] - 1
+    top = last - np.argmax(dense[:, ::-1], axis=1)
+    row = np.arange(len(fraction))
+    here, above = fraction[row, top], fraction[row, np.minimum(top + 1, last)]
+    drop = np.where(here > above, here - above, 1.0)
+    height = heights[top] + (heights[1] - heights[0]) * (here - SURFACE_FRACTION) / drop
+    return np.where(dense.any(axis=1) & (top < last), height, np.nan)
+
+
+def angle_series(trajectory: Trajectory, scene: Scene) -> tuple[Series, Series, list[SurfaceLine]]:
+    """Surface angle and centre-of-mass angle of every state in degrees, and the surface lines behind the first.
+
+    Where no angle exists the series are undefined; the lines are still fitted wherever there is a drum, because a
+    depth needs a surface.
+    """
+    reason = why_no_angle(scene)
+    frames = trajectory.frame_count
+    if scene.drum_radius is None or scene.length is None or not scene.needs.gravity:
+        nothing = Series(trajectory.time, np.full(frames, np.nan), "deg", reason)
+        return nothing, nothing, [NO_LINE] * frames
+    center = center_of_mass_angles(trajectory.position, trajectory.radius, scene)
+    lines = surface_lines(trajectory.position, trajectory.radius, scene, center)
+    surface = np.array([line.angle if line.valid else math.nan for line in lines])
+    return (
+        Series(trajectory.time, np.degrees(surface), "deg", reason, "no straight surface"),
+        Series(trajectory.time, np.degrees(center), "deg", reason, "not finite"),
+        lines,
+    )
+
+
+def _fit(
+    across: FloatArray, radius: FloatArray, drum_radius: float, length: float, diameter: float, angle: float
+) -> tuple[SurfaceLine, float]:
+    """One fit in the frame turned by ``angle``: the line, its angle included, and by how much it was turned, rad."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    s = across[:, 0] * cosine + across[:, 1] * sine
+    w = across[:, 1] * cosine - across[:, 0] * sine
+    middle, heights, fraction = solid_fractions(s, w, radius, drum_radius, length, diameter)
+    height = topmost_crossing(fraction, heights)
+    found = np.isfinite(height)
+    if found.sum() < 2:
+        return SurfaceLine(math.nan, math.nan, math.nan, float(found.mean()), False), math.nan
+    x, y = middle[found], height[found]
+    x_mean, y_mean = x.mean(), y.mean()
+    slope = float(((x - x_mean) * (y - y_mean)).sum() / ((x - x_mean) ** 2).sum())
+    offset = y_mean - slope * x_mean
+    residual = float(np.sqrt(np.mean((y - offset - slope * x) ** 2)))
+    filled = float(found.mean())
+    tilt = math.atan(slope)
+    valid = residual <= LARGEST_RESIDUAL * diameter and filled >= LEAST_FILLED
+    return SurfaceLine(angle + tilt, float(offset * math.cos(tilt)), residual, filled, valid), tilt
+
+
+def _cap_volume(height: FloatArray, radius: FloatArray) -> FloatArray:
+    """Volume of a sphere below a plane at ``height`` over its lowest point, π h² (3r − h)/3, m³."""
+    return math.pi / 3.0 * height**2 * (3.0 * radius - height)
+
+
+def _index_of(angles: list[float], angle: float) -> int:
+    return next(i for i, before in enumerate(angles) if abs(angle - before) < 1e-12)

@@ -1,0 +1,229 @@
+"""A judgement: every figure of one candidate beside the DEM's, as tables for people and for machines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import pandas as pd
+
+from gran_bench.metrics.acceptance import Requirement
+from gran_bench.metrics.measured import Measured
+from gran_bench.metrics.noise_floor import Interval
+from gran_bench.metrics.outside import FailureCount
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """A distance from the DEM.
+
+    Attributes:
+        key, label, unit: of the figure.
+        error: mean over the replicas of the distance to each.
+        floor: mean distance of two replicas.
+        others: the same distance of other runs of the DEM (another packing, half the time step), by name.
+    """
+
+    key: str
+    label: str
+    unit: str
+    error: Measured
+    floor: Measured
+    others: dict[str, Measured] = field(default_factory=dict)
+
+    @property
+    def multiple(self) -> float | None:
+        """The error in floors; None where either is undefined or the floor is 0."""
+        if not (self.error.defined and self.floor.defined) or self.floor.number == 0.0:
+            return None
+        return self.error.number / self.floor.number
+
+
+@dataclass(frozen=True)
+class FigureRow:
+    """A scalar beside the replicas' mean and 95 % prediction interval."""
+
+    key: str
+    label: str
+    unit: str
+    candidate: Measured
+    truth: Measured
+    interval: Interval | None
+
+    @property
+    def inside(self) -> bool | None:
+        """Whether the candidate could be a replica; None where a side is undefined."""
+        if not self.candidate.defined or self.interval is None:
+            return None
+        return self.candidate.number in self.interval
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Everything that was found of one candidate.
+
+    Attributes:
+        errors: distances from the DEM, in order.
+        figures: scalars beside the DEM's.
+        requirements: the acceptance rows.
+        failures: counts of what is not finite or outside; None for statistics without particles.
+        velocity_kind: definition of velocity on both sides.
+        replicas: how many runs of the DEM it was held against.
+    """
+
+    errors: list[ErrorRow]
+    figures: list[FigureRow]
+    requirements: list[Requirement]
+    failures: FailureCount | None
+    velocity_kind: str
+    replicas: int
+
+    @property
+    def accepted(self) -> bool:
+        """Whether no requirement failed."""
+        return all(row.verdict != "fail" for row in self.requirements)
+
+    def error(self, key: str) -> ErrorRow:
+        """The row of one distance.
+
+        Raises:
+            KeyError: no such row; names those there are.
+        """
+        for row in self.errors:
+            if row.key == key:
+                return row
+        raise KeyError(f"{key!r}; choose one of {', '.join(row.key for row in self.errors)}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; an undefined figure is null beside its reason, never NaN."""
+        return {
+            "velocity_kind": self.velocity_kind,
+            "replicas": self.replicas,
+            "accepted": self.accepted,
+            "requirements": {
+                row.key: {"label": row.label, **_plain(row.figure), "bound": row.bound, "verdict": row.verdict}
+                for row in self.requirements
+            },
+            "errors": {
+                row.key: {
+                    "label": row.label,
+                    **_plain(row.error),
+                    "floor": row.floor.value,
+                    "floor_note": row.floor.note,
+                    "multiple_of_floor": row.multiple,
+                    **{f"floor_{name}": other.value for name, other in row.others.items()},
+                }
+                for row in self.errors
+            },
+            "figures": {
+                row.key: {
+                    "label": row.label,
+                    **_plain(row.candidate),
+                    "dem": row.truth.value,
+                    "dem_note": row.truth.note,
+                    "dem_interval": [row.interval.low, row.interval.high] if row.interval else None,
+                    "inside_interval": row.inside,
+                }
+                for row in self.figures
+            },
+            "failures": asdict(self.failures) if self.failures else None,
+        }
+
+    def to_frame(self) -> pd.DataFrame:
+        """The distances as a table: name, value, unit, floor, multiple of floor, valid, reason."""
+        return pd.DataFrame(
+            [
+                {
+                    "name": row.key,
+                    "value": row.error.value,
+                    "unit": row.unit,
+                    "floor": row.floor.value,
+                    **{f"floor_{name}": other.value for name, other in row.others.items()},
+                    "multiple": row.multiple,
+                    "valid": row.error.defined,
+                    "reason": row.error.note,
+                }
+                for row in self.errors
+            ]
+        )
+
+    def figures_frame(self) -> pd.DataFrame:
+        """The scalars as a table: name, value, unit, the DEM's mean and interval, inside, valid, reason."""
+        return pd.DataFrame(
+            [
+                {
+                    "name": row.key,
+                    "value": row.candidate.value,
+                    "unit": row.unit,
+                    "dem": row.truth.value,
+                    "dem_low": row.interval.low if row.interval else None,
+                    "dem_high": row.interval.high if row.interval else None,
+                    "inside": row.inside,
+                    "valid": row.candidate.defined,
+                    "reason": row.candidate.note or row.truth.note,
+                }
+                for row in self.figures
+            ]
+        )
+
+    def __str__(self) -> str:
+        return "\n".join(self._lines())
+
+    def _lines(self) -> Iterator[str]:
+        yield f"{'distance from the DEM':<38}{'value':>10} {'floor':>10} {'floors':>7}"
+        for row in self.errors:
+            multiple = f"{row.multiple:.2f}" if row.multiple is not None else "-"
+            line = f"{row.label:<38}{_shown(row.error):>10} {_shown(row.floor):>10} {multiple:>7} {_unit(row.unit)}"
+            yield _with_note(line, row.error.note or row.floor.note)
+        yield ""
+        yield f"{'figure':<38}{'value':>10} {'DEM':>10}   95 % of replicas"
+        for row in self.figures:
+            span = "-"
+            if row.interval:
+                low, high = (_shown(Measured(x, row.unit)) for x in (row.interval.low, row.interval.high))
+                span = f"{low} … {high}"
+            verdict = {True: " inside", False: " outside", None: ""}[row.inside]
+            values = f"{_shown(row.candidate):>10} {_shown(row.truth):>10}   {span} {_unit(row.unit)}{verdict}"
+            yield _with_note(f"{row.label:<38}{values}", row.candidate.note or row.truth.note)
+        yield ""
+        yield from self._failure_lines()
+        passed = sum(row.verdict == "pass" for row in self.requirements)
+        yield f"requirements ({passed} of {len(self.requirements)} pass)"
+        for row in self.requirements:
+            value = f"{_shown(row.figure)} {_unit(row.figure.unit)}"
+            yield _with_note(f"  {row.verdict:<10}{row.label:<52}{value}", row.figure.note)
+
+    def _failure_lines(self) -> Iterator[str]:
+        if self.failures is None:
+            return
+        count = self.failures
+        since = f" (from {count.first_non_finite:g} s)" if count.first_non_finite is not None else ""
+        missing = max(0, count.expected_states - count.states)
+        yield f"failures: {count.non_finite_states} of {count.states} states not finite{since}, {missing} missing"
+        yield (
+            f"  centres outside: {count.share(count.outside):.3g} % of sphere states, "
+            f"{count.share(count.outside_tolerated):.3g} % by > 5 mm, {count.outside_radius} by > r "
+            f"({count.outside_spheres} spheres); farthest {1e3 * count.farthest:.3g} mm"
+        )
+        yield ""
+
+
+def _plain(figure: Measured) -> dict[str, Any]:
+    return {"value": figure.value, "unit": figure.unit, "valid": figure.defined, "note": figure.note}
+
+
+def _shown(figure: Measured) -> str:
+    """A figure for people: lengths in mm, the rest in their unit."""
+    if not figure.defined:
+        return "undefined"
+    value = 1e3 * figure.number if figure.unit == "m" else figure.number
+    return f"{value:.4g}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def _unit(unit: str) -> str:
+    return "mm" if unit == "m" else unit
+
+
+def _with_note(line: str, note: str) -> str:
+    return f"{line}  [{note}]" if note else line

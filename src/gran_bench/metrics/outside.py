@@ -1,0 +1,106 @@
+"""What a rollout got wrong outright: centres outside the container, and values that are not finite. All counted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gran_bench.metrics.overlap import wall_overlap
+from gran_bench.scene import Scene
+from gran_bench.state import FloatArray, Trajectory
+
+TOLERATED = 0.005  # m; the DEM's own soft walls let some 3 mm through
+
+
+@dataclass(frozen=True)
+class FailureCount:
+    """Failures of one trajectory; a sphere-state is one sphere in one stored state.
+
+    Attributes:
+        states: F stored states.
+        expected_states: that the scene asks for.
+        spheres: N.
+        non_finite_states: states with any value that is not finite.
+        non_finite_sphere_states: sphere-states with any value that is not finite.
+        first_non_finite: s, time of the first such state; None where there is none.
+        outside: sphere-states whose centre lies beyond R − r or L/2 − r.
+        outside_tolerated: of these, by more than 5 mm.
+        outside_radius: of these, by more than the sphere's radius.
+        outside_spheres: different spheres that were outside by more than their radius.
+        farthest: m, largest distance outside; 0 where none was.
+    """
+
+    states: int
+    expected_states: int
+    spheres: int
+    non_finite_states: int
+    non_finite_sphere_states: int
+    first_non_finite: float | None
+    outside: int
+    outside_tolerated: int
+    outside_radius: int
+    outside_spheres: int
+    farthest: float
+
+    @property
+    def diverged(self) -> bool:
+        """Whether a value is not finite, or a state is missing."""
+        return self.non_finite_states > 0 or self.states < self.expected_states
+
+    @property
+    def sphere_states(self) -> int:
+        """F N."""
+        return self.states * self.spheres
+
+    def share(self, count: int) -> float:
+        """``count`` of all sphere-states, in per cent."""
+        return 100.0 * count / max(self.sphere_states, 1)
+
+
+def distance_outside(position: FloatArray, radius: FloatArray, scene: Scene) -> FloatArray:
+    """How far each centre lies beyond its last place in the container, ``(..., N)`` m; ≤ 0 inside.
+
+    Args:
+        position: ``(..., N, 3)`` m.
+        radius: ``(N,)`` m.
+        scene: its walls; without walls nothing is outside.
+    """
+    outside = np.full(position.shape[:-1], -np.inf)
+    with np.errstate(invalid="ignore", over="ignore"):
+        for wall in scene.walls:
+            outside = np.maximum(outside, wall_overlap(position, radius, wall))
+    return outside
+
+
+def count_failures(trajectory: Trajectory, scene: Scene) -> FailureCount:
+    """Count what is not finite and what is outside, in every stored state of a trajectory.
+
+    A sphere whose position is not finite counts as not finite, not as outside.
+    """
+    parts = [trajectory.position, trajectory.velocity]
+    if trajectory.angular_velocity is not None:
+        parts.append(trajectory.angular_velocity)
+    finite = np.logical_and.reduce([np.isfinite(part).all(axis=-1) for part in parts])
+    broken = np.flatnonzero(~finite.all(axis=1))
+    radius = trajectory.radius.astype(np.float64)
+    counts, farthest, escaped = np.zeros(3, np.int64), 0.0, np.zeros(len(radius), bool)
+    for frame in trajectory.position:
+        outside = distance_outside(frame.astype(np.float64), radius, scene)
+        outside = np.where(np.isfinite(frame).all(axis=-1), outside, -np.inf)
+        counts += [(outside > 0).sum(), (outside > TOLERATED).sum(), (outside > radius).sum()]
+        escaped |= outside > radius
+        farthest = max(farthest, float(outside.max(initial=0.0)))
+    return FailureCount(
+        states=trajectory.frame_count,
+        expected_states=scene.frame_count,
+        spheres=len(radius),
+        non_finite_states=len(broken),
+        non_finite_sphere_states=int((~finite).sum()),
+        first_non_finite=float(trajectory.time[broken[0]]) if len(broken) else None,
+        outside=int(counts[0]),
+        outside_tolerated=int(counts[1]),
+        outside_radius=int(counts[2]),
+        outside_spheres=int(escaped.sum()),
+        farthest=farthest,
+    )

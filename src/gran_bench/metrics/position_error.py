@@ -1,0 +1,116 @@
+"""Distance between a model's spheres and the DEM's, over a short horizon and frame by frame.
+
+Two runs of the DEM itself separate within some 30 frames; beyond that horizon a position error says nothing about
+a model, and only statistics can be compared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from gran_bench.metrics.measured import Measured, Series
+from gran_bench.state import FloatArray, Trajectory
+
+HORIZONS = (1, 3, 10)  # frames
+DIVERGED = 0.1  # of a diameter: mean distance of two replicas beyond which they are no longer one trajectory
+
+Predict = Callable[[int, int], FloatArray]
+
+
+def separation(a: FloatArray, b: FloatArray, period: float = 0.0) -> FloatArray:
+    """Mean Euclidean distance of the spheres in each frame, ``(F,)`` m; NaN where a position is not finite.
+
+    Args:
+        a, b: ``(F, N, 3)`` m.
+        period: length of the periodic axis y, m; distances are to the nearest image.
+    """
+    offset = a.astype(np.float64) - b.astype(np.float64)
+    if period > 0:
+        with np.errstate(invalid="ignore"):
+            offset[..., 1] -= period * np.round(offset[..., 1] / period)
+    with np.errstate(invalid="ignore", over="ignore"):
+        distance = np.sqrt((offset**2).sum(axis=-1)).mean(axis=-1)
+    return np.where(np.isfinite(distance), distance, np.nan)
+
+
+def separation_series(
+    time_a: FloatArray, a: FloatArray, time_b: FloatArray, b: FloatArray, period: float = 0.0
+) -> Series:
+    """`separation` against time, m; a state that only one of the two has is invalid."""
+    shared = min(len(time_a), len(time_b))
+    time = time_a if len(time_a) >= len(time_b) else time_b
+    value = np.full(len(time), np.nan)
+    value[:shared] = separation(a[:shared], b[:shared], period)
+    return Series(time, value, "m", invalid_because="position is not finite, or missing,")
+
+
+def mean_spread(replicas: Sequence[FloatArray], period: float = 0.0) -> FloatArray:
+    """Mean over all pairs of replicas of their distance, ``(F,)`` m: how far the DEM separates from itself.
+
+    Args:
+        replicas: two or more of ``(F, N, 3)`` m.
+        period: m.
+    """
+    pairs = [(i, j) for i in range(len(replicas)) for j in range(i)]
+    if not pairs:
+        raise ValueError(f"{len(replicas)} replica has no spread; give two or more")
+    return np.mean([separation(replicas[i], replicas[j], period) for i, j in pairs], axis=0)
+
+
+def divergence_horizon(spread: FloatArray, diameter: float) -> int | None:
+    """First frame in which the replicas lie 0.1 d apart in the mean; None if they never do."""
+    beyond = np.flatnonzero(spread > DIVERGED * diameter)
+    return int(beyond[0]) if len(beyond) else None
+
+
+def short_horizon_errors(
+    predict: Predict, truth: Trajectory, starts: Sequence[int], horizons: Sequence[int] = HORIZONS, period: float = 0.0
+) -> dict[int, Measured]:
+    """Mean position error a few frames after a start on the DEM's own trajectory, by horizon in frames, m.
+
+    Args:
+        predict: ``predict(start, frames)`` gives the ``(frames, N, 3)`` positions (m) of the states that follow
+            frame ``start`` of ``truth``.
+        truth: the DEM's trajectory.
+        starts: frames to start from, each at least max(horizons) before the end.
+        horizons: frames ahead.
+        period: m.
+
+    Returns:
+        The mean over all starts; undefined, naming the first start, where any prediction is not finite.
+
+    Raises:
+        ValueError: a start from which the longest horizon lies beyond the trajectory.
+    """
+    longest = max(horizons)
+    late = [start for start in starts if not 0 <= start < truth.frame_count - longest]
+    if late or not len(starts):
+        raise ValueError(
+            f"starts={late[:5]} leave no {longest} frames in a trajectory of {truth.frame_count}; "
+            f"choose frames from 0 to {truth.frame_count - longest - 1}"
+        )
+    error = np.empty((len(starts), len(horizons)))
+    for row, start in enumerate(starts):
+        predicted = np.asarray(predict(int(start), longest))
+        distance = separation(predicted, truth.position[start + 1 : start + 1 + longest], period)
+        error[row] = [distance[horizon - 1] for horizon in horizons]
+    results = {}
+    for column, horizon in enumerate(horizons):
+        broken = np.flatnonzero(~np.isfinite(error[:, column]))
+        if len(broken):
+            reason = f"not finite from {len(broken)} of {len(starts)} starts, first from frame {starts[broken[0]]}"
+            results[horizon] = Measured.undefined("m", reason)
+        else:
+            results[horizon] = Measured(float(error[:, column].mean()), "m", f"{len(starts)} starts")
+    return results
+
+
+def spread_starts(frame_count: int, starts: int, longest: int = max(HORIZONS)) -> list[int]:
+    """``starts`` frames spread evenly over a trajectory, from the settled state to the last possible one."""
+    last = frame_count - longest - 1
+    if last < 0:
+        raise ValueError(f"{frame_count} frames are too few for a horizon of {longest}; store at least {longest + 1}")
+    return sorted({math.floor(x + 0.5) for x in np.linspace(0, last, min(starts, last + 1))})

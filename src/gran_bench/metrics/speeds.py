@@ -1,0 +1,141 @@
+"""Distributions of particle speed: histogram, Wasserstein-1 distance, components, profile under the surface.
+
+Both sides of a comparison use one definition of velocity: the mean over a frame where the model has no other.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gran_bench.metrics.angle_of_repose import HALF_WINDOW, SurfaceLine, cross_section_axes
+from gran_bench.metrics.measured import Series
+from gran_bench.scene import Scene
+from gran_bench.state import FloatArray, Trajectory
+
+VELOCITY_KINDS = ("instantaneous", "mean")
+
+
+def velocities(trajectory: Trajectory, velocity_kind: str, period: float = 0.0) -> FloatArray:
+    """Velocities by the wanted definition, ``(F, N, 3)`` m/s.
+
+    Args:
+        trajectory: whose stored velocities are of ``trajectory.velocity_kind``.
+        velocity_kind: ``instantaneous``, or ``mean`` over the frame that ends at a state.
+        period: length of the periodic axis y, m; 0 where nothing wraps.
+
+    Raises:
+        ValueError: instantaneous velocities of a trajectory that has only means, or an unknown kind.
+    """
+    if velocity_kind not in VELOCITY_KINDS:
+        raise ValueError(f"velocity_kind={velocity_kind!r}; choose one of {', '.join(VELOCITY_KINDS)}")
+    if velocity_kind == trajectory.velocity_kind:
+        return trajectory.velocity
+    if velocity_kind == "instantaneous":
+        raise ValueError(
+            "the trajectory stores mean velocities, which do not give instantaneous ones; compare by velocity_kind=mean"
+        )
+    return trajectory.mean_velocity(period)
+
+
+def speed_histogram(speed: FloatArray, edges: FloatArray) -> FloatArray:
+    """Share of particles in each class of speed, ``(K,)``; a speed beyond the last edge counts in no class.
+
+    Args:
+        speed: ``(N,)`` m/s, finite.
+        edges: ``(K + 1,)`` m/s.
+    """
+    return np.histogram(speed, edges)[0] / max(len(speed), 1)
+
+
+def wasserstein(sorted_a: FloatArray, sorted_b: FloatArray) -> float:
+    """Wasserstein-1 distance ∫|A⁻¹(q) − B⁻¹(q)| dq of two samples, in their unit; exact, also for unequal sizes.
+
+    Args:
+        sorted_a: ``(N,)`` increasing.
+        sorted_b: ``(M,)`` increasing.
+
+    Returns:
+        NaN where a sample is empty or has a value that is not finite.
+    """
+    if not (len(sorted_a) and len(sorted_b)):
+        return math.nan
+    if len(sorted_a) == len(sorted_b):
+        return float(np.abs(sorted_a - sorted_b).mean(dtype=np.float64))
+    levels_a = np.arange(1, len(sorted_a) + 1) / len(sorted_a)
+    levels_b = np.arange(1, len(sorted_b) + 1) / len(sorted_b)
+    levels = np.unique(np.concatenate((levels_a, levels_b)))
+    share = np.diff(levels, prepend=0.0)
+    middle = levels - 0.5 * share
+    at_a = sorted_a[np.minimum((middle * len(sorted_a)).astype(np.int64), len(sorted_a) - 1)]
+    at_b = sorted_b[np.minimum((middle * len(sorted_b)).astype(np.int64), len(sorted_b) - 1)]
+    return float((np.abs(at_a - at_b) * share).sum(dtype=np.float64))
+
+
+def sorted_frames(values: FloatArray) -> FloatArray:
+    """Each frame's values in increasing order, ``(F, N)`` float32; a frame that is not finite is NaN throughout.
+
+    Without the last rule, an infinite or missing speed would only shift the ranks and pass for a figure.
+    """
+    ordered = np.sort(values.astype(np.float32), axis=1)
+    ordered[~np.isfinite(values).all(axis=1)] = np.nan
+    return ordered
+
+
+def wasserstein_series(time_a: FloatArray, a: FloatArray, time_b: FloatArray, b: FloatArray) -> Series:
+    """Wasserstein-1 distance of each state that both have, NaN (invalid) in the states that only one has, m/s.
+
+    Args:
+        time_a, time_b: ``(F,)`` s.
+        a, b: ``(F, N)`` by `sorted_frames`, m/s.
+
+    Raises:
+        ValueError: the states lie at different times.
+    """
+    shared = min(len(time_a), len(time_b))
+    if not np.allclose(time_a[:shared], time_b[:shared], rtol=0.0, atol=1e-4):
+        raise ValueError("states lie at different times; compare trajectories of one scene and one frame interval")
+    time = time_a if len(time_a) >= len(time_b) else time_b
+    value = np.full(len(time), np.nan)
+    if a.shape[1] == b.shape[1]:
+        value[:shared] = np.abs(a[:shared] - b[:shared]).mean(axis=1, dtype=np.float64)
+    else:
+        value[:shared] = [wasserstein(x, y) for x, y in zip(a[:shared], b[:shared], strict=True)]
+    return Series(time, value, "m/s", invalid_because="velocity is not finite, or missing,")
+
+
+def depth_profile(
+    position: FloatArray, velocity: FloatArray, lines: list[SurfaceLine], scene: Scene
+) -> tuple[FloatArray, FloatArray]:
+    """Mean speed, and mean velocity along the surface, in layers of one diameter under it, ``(K,)`` m/s each.
+
+    Only spheres within 0.6 R of the middle of the surface count, so that a layer has one depth. The velocity along
+    the surface is positive uphill, so the flowing layer is negative. Layers run to the drum's wall; one that never
+    held a sphere is NaN, as all are where a state of the span has no valid surface.
+
+    Args:
+        position: ``(F, N, 3)`` m, states of one span of time.
+        velocity: ``(F, N, 3)`` m/s.
+        lines: the surfaces of the states.
+        scene: a drum.
+    """
+    diameter = scene.filling.diameter
+    layers = max(1, round(2.0 * scene.drum_radius / diameter))
+    climbing, up = cross_section_axes(scene)
+    count, speed, along = np.zeros(layers), np.zeros(layers), np.zeros(layers)
+    for x, v, line in zip(position, velocity, lines, strict=True):
+        if not line.valid:
+            continue
+        direction = climbing * math.cos(line.angle) + up * math.sin(line.angle)
+        normal = up * math.cos(line.angle) - climbing * math.sin(line.angle)
+        layer = np.floor((line.offset - x @ normal) / diameter)
+        # A sphere above the line, half a diameter at most in a dense bed, belongs to the first layer.
+        layer = np.where((layer < 0) & (layer >= -1), 0, layer)
+        used = (np.abs(x @ direction) <= HALF_WINDOW * scene.drum_radius) & (layer >= 0) & (layer < layers)
+        index = layer[used].astype(np.int64)
+        count += np.bincount(index, minlength=layers)
+        speed += np.bincount(index, np.linalg.norm(v[used], axis=1), minlength=layers)
+        along += np.bincount(index, v[used] @ direction, minlength=layers)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return speed / count, along / count

@@ -1,0 +1,169 @@
+"""The judge: a replica passes, a wrong flow fails, a diverged one is a failure and not a missing row."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from beds import RADIUS, drum, flowing, inclined_bed, resting
+
+from gran_bench.metrics import judge, nearest_case, summarise
+from gran_bench.metrics.summary import why_no_steady_part
+from gran_bench.scene import Rotation
+from gran_bench.state import Trajectory
+
+SCENE = replace(drum(end_time=3.7), frame_interval=0.04)
+
+
+def rotating_bed(swing: float, noise: float = 0.0, seed: int = 0, scene=SCENE) -> Trajectory:
+    """A bed that swings up to ``swing`` degrees at 1.9 s and rests at half of it, with velocities that fit."""
+    bed = inclined_bed(0.0)
+    time = scene.start_time + scene.frame_interval * np.arange(scene.frame_count)
+    # A slow wobble of its own for each seed, as replicas have after they have separated.
+    phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 2)
+    jitter = noise * (np.sin(3.0 * time + phases[0]) + np.sin(5.0 * time + phases[1]))
+    rise = np.clip((time - 1.5) / 0.4, 0.0, 1.0) - 0.5 * np.clip((time - 1.9) / 0.4, 0.0, 1.0)
+    angle = np.radians(swing * rise + jitter)[:, None]
+    x = bed[:, 0] * np.cos(angle) + bed[:, 2] * np.sin(angle)
+    z = bed[:, 2] * np.cos(angle) - bed[:, 0] * np.sin(angle)
+    position = np.stack((x, np.broadcast_to(bed[:, 1], x.shape), z), axis=-1)
+    velocity = np.gradient(position, time, axis=0)
+    spin = np.zeros_like(position)
+    spin[..., 1] = np.gradient(angle, time, axis=0)
+    single = [a.astype(np.float32) for a in (position, velocity, spin)]
+    return Trajectory(time, *single, np.full(len(bed), RADIUS))
+
+
+@pytest.fixture(scope="module")
+def replicas():
+    return [summarise(rotating_bed(60.0, 0.3, seed), SCENE) for seed in range(5)]
+
+
+def verdicts(judgement):
+    return {row.key: row.verdict for row in judgement.requirements}
+
+
+def test_another_replica_scores_about_one_floor_and_passes(replicas):
+    judgement = judge(rotating_bed(60.0, 0.3, 99), replicas, SCENE)
+    assert judgement.accepted
+    assert set(verdicts(judgement).values()) == {"pass"}
+    for key in ("surface_angle_series", "com_angle_series", "speed_w1"):
+        assert 0.5 < judgement.error(key).multiple < 2.0
+    figures = {row.key: row for row in judgement.figures}
+    assert figures["com_angle_steady"].inside
+    assert figures["com_angle_peak"].truth.number == pytest.approx(60.0, abs=1.0)
+    assert figures["com_angle_peak_time"].truth.number == pytest.approx(1.9, abs=0.02)
+
+
+def test_a_bed_that_lies_five_degrees_too_steep_is_told_so(replicas):
+    judgement = judge(rotating_bed(70.0, 0.3, 99), replicas, SCENE)
+    assert judgement.error("com_angle_steady").error.number == pytest.approx(5.0, abs=0.6)
+    assert judgement.error("surface_angle_series").multiple > 3.0
+    found = verdicts(judgement)
+    assert found["com_angle_steady"] == found["surface_angle_steady"] == "fail"
+    assert not judgement.accepted
+    assert not {row.key: row for row in judgement.figures}["com_angle_steady"].inside
+
+
+def test_a_diverged_rollout_fails_every_requirement_and_keeps_its_rows(replicas):
+    broken = rotating_bed(60.0, 0.3, 99)
+    for name in ("position", "velocity", "angular_velocity"):
+        getattr(broken, name)[25:] = np.nan
+    judgement = judge(broken, replicas, SCENE)
+    found = verdicts(judgement)
+    assert found["all_finite"] == found["com_angle_steady"] == found["speed_w1"] == "fail"
+    assert "pass" not in {found[key] for key in found if key.endswith("steady")}
+    assert judgement.failures.non_finite_states == 31
+    assert not judgement.error("speed_w1").error.defined
+    assert "31 of 56 states" in judgement.error("speed_w1").error.note
+    assert len(judgement.errors) == len(judge(rotating_bed(60.0), replicas, SCENE).errors)
+
+
+def test_above_the_critical_speed_angle_rows_are_undefined_and_the_others_stand():
+    scene = SCENE.at_speed(50.0)
+    runs = [rotating_bed(60.0, 0.3, seed, scene) for seed in range(3)]
+    judgement = judge(runs[0], runs[1:], scene)
+    found = verdicts(judgement)
+    assert {found[key] for key in found if "angle" in key} == {"undefined"}
+    assert found["speed_w1"] == "pass"
+    assert judgement.accepted
+
+
+def test_steady_figures_need_a_constant_speed():
+    ramp = replace(SCENE, rotation=Rotation((1.5, 3.5, 4.0), (30.0, 30.0, 40.0)))
+    assert "not constant" in why_no_steady_part(ramp, rotating_bed(60.0).time)
+    runs = [rotating_bed(60.0, 0.3, seed, ramp) for seed in range(3)]
+    judgement = judge(runs[0], runs[1:], ramp)
+    for key in ("surface_angle_steady", "com_angle_steady", "speed_w1_steady", "layer_speed"):
+        assert "not constant" in judgement.error(key).error.note
+    assert judgement.error("com_angle_peak").error.defined
+    early = replace(SCENE, rotation=Rotation((1.5, 2.0, 2.0), (30.0, 30.0, 40.0)))
+    assert not why_no_steady_part(early, rotating_bed(60.0).time)
+    assert "ends at 2 s" in why_no_steady_part(drum(end_time=2.0), np.array([1.5, 2.0]))
+
+
+def test_both_sides_use_the_candidates_definition_of_velocity(replicas):
+    truth = rotating_bed(60.0, 0.3, 1)
+    mean = Trajectory(truth.time, truth.position, truth.mean_velocity(), None, truth.radius, velocity_kind="mean")
+    judgement = judge(mean, [truth, rotating_bed(60.0, 0.3, 2)], SCENE)
+    assert judgement.velocity_kind == "mean"
+    one = judge(mean, [truth], SCENE)
+    assert one.error("speed_w1").error.number == pytest.approx(0.0, abs=1e-6)
+    assert "no spin" in judgement.error("rotational_energy").error.note
+    with pytest.raises(ValueError, match="two definitions"):
+        judge(mean, replicas, SCENE)
+
+
+def test_one_replica_has_no_floor_and_none_no_judgement():
+    run = rotating_bed(60.0)
+    judgement = judge(run, [run], SCENE)
+    assert judgement.error("speed_w1").multiple is None
+    assert "no noise floor" in judgement.error("speed_w1").floor.note
+    with pytest.raises(ValueError, match="at least one run"):
+        judge(run, [], SCENE)
+
+
+def test_other_runs_of_the_dem_stand_beside_the_floor(replicas):
+    judgement = judge(rotating_bed(60.0), replicas, SCENE, others={"packing": rotating_bed(64.0)})
+    row = judgement.error("com_angle_steady")
+    assert row.others["packing"].number == pytest.approx(2.0, abs=0.6)
+    assert judgement.to_frame()["floor_packing"].notna().any()
+
+
+def test_tables_are_for_people_for_pandas_and_for_json(replicas):
+    judgement = judge(rotating_bed(60.0, 0.3, 99), replicas, SCENE)
+    frame = judgement.to_frame()
+    assert list(frame.columns) == ["name", "value", "unit", "floor", "multiple", "valid", "reason"]
+    assert len(judgement.figures_frame()) == len(judgement.figures)
+    plain = json.loads(json.dumps(judgement.to_dict(), allow_nan=False))
+    assert plain["errors"]["speed_w1"]["unit"] == "m/s"
+    assert plain["failures"]["non_finite_states"] == 0
+    text = str(judgement)
+    for expected in ("angle of repose over the series", "requirements (7 of 7 pass)", "0 of 56 states not finite"):
+        assert expected in text
+    with pytest.raises(KeyError, match="speed_w1"):
+        judgement.error("speed")
+
+
+def test_a_rollout_is_nearest_to_the_case_with_its_speeds():
+    scene = drum(end_time=1.8)
+    cases = {rpm: flowing(scene, seed=1) for rpm in (20.0, 30.0, 40.0)}
+    for rpm, case in cases.items():
+        case.velocity[:] *= rpm / 30.0
+    candidate = flowing(scene, seed=2)
+    candidate.velocity[:] *= 0.98
+    nearest, distances = nearest_case(candidate, cases)
+    assert nearest == 30.0
+    assert distances[30.0].number < distances[20.0].number
+    candidate.velocity[2:] = np.nan
+    assert nearest_case(candidate, cases)[0] is None
+
+
+def test_scenes_without_a_drum_are_judged_by_what_they_have():
+    scene = replace(drum(end_time=1.6), walls=(), drum_radius=None, length=None)
+    runs = [resting(scene, inclined_bed(0.0)[::9], speed=speed) for speed in (1.0, 1.1, 1.2)]
+    judgement = judge(runs[0], runs[1:], scene)
+    assert judgement.error("speed_w1").error.number == pytest.approx(0.15, abs=1e-6)
+    assert "no drum" in judgement.error("com_angle_series").error.note
