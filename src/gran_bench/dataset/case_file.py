@@ -1,0 +1,277 @@
+"""One case, one HDF5 file: layout, writing, reading, integrity.
+
+::
+
+    time              (F,)       float64  s
+    position          (F, N, 3)  float32  m        chunked by frame, fletcher32
+    velocity          (F, N, 3)  float32  m/s      chunked by frame, fletcher32
+    angular_velocity  (F, N, 3)  float32  rad/s    chunked by frame, fletcher32
+    diagnostics/*     (F,)       float64  overlaps and energies, computed in the engine in float64
+    settled/          the state at the first frame in float64: position, velocity, angular_velocity (N, 3),
+                      radius (N,); attribute time
+    settled/history/  first, second (M,) int64, force (M, 3) N, overlap (M,) m
+
+A file of a settled bed has the group ``settled`` alone. Attributes of the file: scene, material, engine, step,
+seeds, code version, cost; ``scene`` and ``key`` hold YAML. Two of them guard the rest:
+
+- ``digest``, SHA-256 of ``key`` and of all arrays: the same whenever and wherever the same numbers were made.
+- ``seal``, SHA-256 of all other attributes, the cost and the machine included.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import yaml
+
+from gran_bench.atomic import whole_file
+from gran_bench.dataset.case_spec import FORMAT_VERSION, DatasetError
+from gran_bench.dataset.scene_document import from_document
+from gran_bench.scene import Scene, SceneError
+from gran_bench.state import ContactHistory, ParticleState, StateError, Trajectory
+
+_BY_FRAME = ("position", "velocity", "angular_velocity")
+_STATE = ("position", "velocity", "angular_velocity", "radius")
+_HISTORY = ("first", "second", "force", "overlap")
+_SIGNS_OF_DAMAGE = (
+    AttributeError,
+    IndexError,
+    KeyError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    yaml.YAMLError,
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A case as it was read.
+
+    Attributes:
+        scene: as it was simulated.
+        trajectory: float32, F frames; the first is the settled state.
+        settled: the state at the first frame, float64, with its contact history.
+        attributes: scalars and text by name: engine, time step, seeds, code version, cost.
+        digest: of the contents.
+        path: the file.
+    """
+
+    scene: Scene
+    trajectory: Trajectory
+    settled: ParticleState
+    attributes: dict[str, Any]
+    digest: str
+    path: Path
+
+
+def write_case(
+    path: Path, key: dict[str, Any], scene: Scene, trajectory: Trajectory, settled: ParticleState, facts: dict[str, Any]
+) -> str:
+    """Write a case, whole or not at all.
+
+    Args:
+        path: final name.
+        key: what determines the case.
+        scene: as simulated.
+        trajectory: F frames with spin.
+        settled: state at the first frame, float64.
+        facts: attributes beside those of scene and material.
+
+    Returns:
+        The digest.
+    """
+    arrays = {name: np.asarray(getattr(trajectory, name), np.float32) for name in _BY_FRAME}
+    arrays["time"] = np.asarray(trajectory.time, np.float64)
+    for name, values in trajectory.diagnostics.items():
+        arrays[f"diagnostics/{name}"] = np.asarray(values, np.float64)
+    return _write(path, key, arrays | _state_arrays(settled), settled.time, _scene_attributes(key, scene) | facts)
+
+
+def write_settled(path: Path, key: dict[str, Any], state: ParticleState, facts: dict[str, Any]) -> str:
+    """Write a settled bed, whole or not at all; returns the digest."""
+    return _write(path, key, _state_arrays(state), state.time, facts)
+
+
+def read_case(path: Path | str, frames: slice | None = None) -> Case:
+    """Read a case and check it.
+
+    Args:
+        path: of the file.
+        frames: which frames; None for all, which also recomputes the digest. Part of the frames is checked
+            frame by frame, by HDF5's fletcher32.
+
+    Raises:
+        DatasetError: the file is missing, cut short, damaged or of another format.
+    """
+    path = Path(path)
+    with _opened(path) as file:
+        chosen = slice(None) if frames is None else frames
+        arrays = {name: file[name][chosen] for name in (*_BY_FRAME, "time")}
+        for name, values in file["diagnostics"].items():
+            arrays[f"diagnostics/{name}"] = values[chosen]
+        attributes = _checked_attributes(file)
+        state_arrays, state_time = _read_state_arrays(file)
+        if frames is None:
+            _check_digest(attributes, arrays | state_arrays, state_time)
+        scene = from_document(yaml.safe_load(attributes["scene"]))
+        settled = _state(state_arrays, state_time)
+        diagnostics = {n.split("/")[1]: v for n, v in arrays.items() if n.startswith("diagnostics/")}
+        trajectory = Trajectory(
+            time=arrays["time"],
+            **{name: arrays[name] for name in _BY_FRAME},
+            radius=settled.radius.astype(np.float32),
+            diagnostics=diagnostics,
+        )
+        return Case(scene, trajectory, settled, attributes, attributes["digest"], path)
+
+
+def read_settled(path: Path | str) -> tuple[ParticleState, dict[str, Any]]:
+    """Read a settled bed and its attributes, and check its digest.
+
+    Raises:
+        DatasetError: the file is missing, cut short, damaged or of another format.
+    """
+    with _opened(Path(path)) as file:
+        attributes = _checked_attributes(file)
+        arrays, time = _read_state_arrays(file)
+        _check_digest(attributes, arrays, time)
+        return _state(arrays, time), attributes
+
+
+def read_attributes(path: Path | str) -> dict[str, Any]:
+    """Attributes of a file, checked against their seal; the quick look that finds a file cut short.
+
+    Raises:
+        DatasetError: as :func:`read_case`, but flipped bits in the arrays stay unseen.
+    """
+    with _opened(Path(path)) as file:
+        return _checked_attributes(file)
+
+
+# ---- writing -------------------------------------------------------------------------------------------------
+
+
+def _write(path: Path, key: dict, arrays: dict[str, np.ndarray], state_time: float, attributes: dict) -> str:
+    key_text, state_time = yaml.safe_dump(key, sort_keys=True), float(state_time)
+    digest = _digest(key_text, arrays, state_time)
+    attributes = attributes | {"format_version": FORMAT_VERSION, "key": key_text, "digest": digest}
+    # v110 puts checksums on HDF5's own structures too; any HDF5 since 1.10 (2016) reads it.
+    with whole_file(path) as temporary, h5py.File(temporary, "w", libver=("v110", "v110")) as file:
+        for name, values in arrays.items():
+            options: dict[str, Any] = {}
+            if values.size:  # HDF5 knows no chunk of size zero
+                chunk = (1, *values.shape[1:]) if name in _BY_FRAME else values.shape
+                options = {"chunks": chunk, "fletcher32": True}
+            file.create_dataset(name, data=values, **options)
+        file.require_group("diagnostics")
+        file["settled"].attrs["time"] = state_time
+        for name, value in attributes.items():
+            file.attrs[name] = value
+        file.attrs["seal"] = _seal(dict(file.attrs))
+    return digest
+
+
+def _state_arrays(state: ParticleState) -> dict[str, np.ndarray]:
+    arrays = {f"settled/{name}": np.asarray(getattr(state, name), np.float64) for name in _STATE}
+    for name in _HISTORY:
+        kind = np.int64 if name in ("first", "second") else np.float64
+        arrays[f"settled/history/{name}"] = np.asarray(getattr(state.history, name), kind)
+    return arrays
+
+
+def _scene_attributes(key: dict[str, Any], scene: Scene) -> dict[str, Any]:
+    attributes: dict[str, Any] = {
+        "scene": yaml.safe_dump(key["scene"], sort_keys=False),
+        "scene_name": scene.name,
+        "frame_interval": scene.frame_interval,
+    }
+    for owner in ("material", "wall_material"):
+        attributes |= {f"{owner}.{name}": value for name, value in key["scene"][owner].items()}
+    return attributes
+
+
+# ---- reading -------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
+    """The file, open for reading; whatever is wrong with it becomes one clear error."""
+    if not path.exists():
+        raise DatasetError(f"{path} does not exist; make it with python -m gran_bench.generate")
+    try:
+        # Finished files never change, so they need no lock, and a read-only disk can hold them.
+        with h5py.File(path, "r", locking=False) as file:
+            yield file
+    except PermissionError as error:
+        raise DatasetError(f"{path} may not be read ({error.strerror}); change its permissions") from error
+    except DatasetError:
+        raise
+    except _SIGNS_OF_DAMAGE as error:
+        if isinstance(error, StateError | SceneError):
+            reason = "impossible contents"
+        else:
+            reason = str(error).strip("'\"").splitlines()[0] if str(error) else type(error).__name__
+        raise DatasetError(
+            f"{path} is cut short or damaged ({reason}); delete it and run the same command again, which makes it anew"
+        ) from error
+
+
+def _checked_attributes(file: h5py.File) -> dict[str, Any]:
+    attributes = {name: _native(value) for name, value in file.attrs.items()}
+    if attributes.get("format_version") not in (None, FORMAT_VERSION):
+        raise DatasetError(
+            f"{file.filename} has format {attributes['format_version']}; this version reads {FORMAT_VERSION}. "
+            "Delete it and run the same command again"
+        )
+    if attributes.pop("seal") != _seal(dict(file.attrs)):
+        raise ValueError("its attributes do not match their seal")
+    return attributes
+
+
+def _read_state_arrays(file: h5py.File) -> tuple[dict[str, np.ndarray], float]:
+    names = [f"settled/{name}" for name in _STATE] + [f"settled/history/{name}" for name in _HISTORY]
+    return {name: file[name][...] for name in names}, float(file["settled"].attrs["time"])
+
+
+def _state(arrays: dict[str, np.ndarray], time: float) -> ParticleState:
+    history = ContactHistory(*(arrays[f"settled/history/{name}"] for name in _HISTORY))
+    return ParticleState(**{name: arrays[f"settled/{name}"] for name in _STATE}, time=time, history=history)
+
+
+# ---- integrity -----------------------------------------------------------------------------------------------
+
+
+def _check_digest(attributes: dict[str, Any], arrays: dict[str, np.ndarray], state_time: float) -> None:
+    if _digest(attributes["key"], arrays, state_time) != attributes["digest"]:
+        raise ValueError("its contents do not match their digest")
+
+
+def _digest(key: str, arrays: dict[str, np.ndarray], state_time: float) -> str:
+    """SHA-256 over key, state time, and name, type, shape and bytes of every array."""
+    digest = hashlib.sha256(f"{key}\n{state_time!r}\n".encode())
+    for name in sorted(arrays):
+        values = np.ascontiguousarray(arrays[name])
+        values = values.astype(values.dtype.newbyteorder("<"), copy=False)
+        digest.update(f"{name} {values.dtype.str} {values.shape}\n".encode())
+        digest.update(values.data if values.size else b"")
+    return digest.hexdigest()
+
+
+def _seal(attributes: dict[str, Any]) -> str:
+    """SHA-256 over every attribute but the seal."""
+    text = "\n".join(f"{name}={_native(value)!r}" for name, value in sorted(attributes.items()) if name != "seal")
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _native(value: Any) -> Any:
+    """NumPy scalars and arrays as Python values."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

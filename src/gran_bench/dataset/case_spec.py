@@ -1,0 +1,202 @@
+"""What determines a case, and the file name that follows from it."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import json
+import re
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from gran_bench.config import DatasetConfig, DemConfig
+from gran_bench.dataset.scene_document import to_document
+from gran_bench.dem.simulate import choose_time_step
+from gran_bench.scene import Scene
+
+FORMAT_VERSION = 1  # of the files; a change makes every case anew
+NUDGE = 1.0e-9  # m, of a replica's settled state
+
+# Code outside dem/ that decides where particles go.
+_FURTHER_SOURCES = ("neighbors.py", "scene.py")
+
+
+class DatasetError(RuntimeError):
+    """Data that cannot be made, read or used; the message names the file or the key, and the remedy."""
+
+
+@dataclass(frozen=True)
+class CaseSpec:
+    """A case to be made: everything that its numbers depend on.
+
+    Attributes:
+        scene: with the rotation of this case.
+        dem: the solver's settings.
+        packing_seed: of the filling.
+        nudge: length of a random displacement of every particle of the settled state, m; 0 for none.
+        nudge_seed: of the directions of the nudge.
+        settling_dem: the solver's settings for the settled bed, where they differ from ``dem``.
+    """
+
+    scene: Scene
+    dem: DemConfig = field(default_factory=DemConfig)
+    packing_seed: int = 0
+    nudge: float = 0.0
+    nudge_seed: int = 0
+    settling_dem: DemConfig | None = None
+
+    @property
+    def settling_scene(self) -> Scene:
+        """The scene in which the bed settles: at rest, and the same whatever follows."""
+        scene = self.scene.at_rest()
+        return replace(scene, end_time=scene.start_time + scene.frame_interval)
+
+    @property
+    def bed_dem(self) -> DemConfig:
+        """The solver's settings that the settled bed was made with."""
+        return self.settling_dem or self.dem
+
+    @property
+    def settling_key(self) -> dict[str, Any]:
+        """What determines the settled bed; cases that differ in what follows share it."""
+        scene = to_document(self.settling_scene)
+        scene.pop("name")
+        return {
+            "kind": "settled",
+            "format": FORMAT_VERSION,
+            "scene": scene,
+            "dem": _dem_key(self.settling_scene, self.bed_dem),
+            "packing_seed": int(self.packing_seed),
+            "code": dem_source_hash(),
+        }
+
+    @property
+    def key(self) -> dict[str, Any]:
+        """What determines the case, as plain data; its hash names the file."""
+        return {
+            "kind": "case",
+            "format": FORMAT_VERSION,
+            "scene": to_document(self.scene),
+            "dem": _dem_key(self.scene, self.dem),
+            "settled": self.settling_key,
+            "nudge": float(self.nudge),
+            "nudge_seed": int(self.nudge_seed) if self.nudge else 0,
+            "code": dem_source_hash(),
+        }
+
+    @property
+    def label(self) -> str:
+        """The case in a few words, for people: scene, speed, packing, replica."""
+        words = [self.scene.name, rotation_label(self.scene), f"seed{self.packing_seed}"]
+        if self.nudge:
+            words.append(f"replica{self.nudge_seed}")
+        if self.settling_dem is not None:
+            words.append(f"dt{choose_time_step(self.scene, self.dem.time_step, self.dem.allow_unsafe_step)[0]:.3g}")
+        return "_".join(re.sub(r"[^\w.+-]", "-", word) for word in words)
+
+    def path(self, root: Path | str) -> Path:
+        """File of the case under ``root``."""
+        return Path(root) / f"{self.label}_{key_hash(self.key)}.h5"
+
+    def settled_path(self, root: Path | str) -> Path:
+        """File of the settled bed that the case starts from."""
+        return Path(root) / "settled" / f"seed{self.packing_seed}_{key_hash(self.settling_key)}.h5"
+
+
+def rotation_label(scene: Scene) -> str:
+    """``30rpm`` for a constant speed, ``still``, or ``schedule``."""
+    rotation = scene.rotation
+    if rotation.is_still:
+        return "still"
+    return f"{rotation.speeds_rpm[0]:g}rpm" if len(set(rotation.speeds_rpm)) == 1 else "schedule"
+
+
+def replicas(spec: CaseSpec, count: int) -> list[CaseSpec]:
+    """The same case from ``count`` settled states, each nudged by 1e-9 m in directions of its own."""
+    return [replace(spec, nudge=NUDGE, nudge_seed=k) for k in range(1, count + 1)]
+
+
+def half_step(spec: CaseSpec) -> CaseSpec:
+    """The same case from the same settled bed with half the time step."""
+    time_step, _ = choose_time_step(spec.scene, spec.dem.time_step, spec.dem.allow_unsafe_step)
+    return replace(spec, dem=replace(spec.dem, time_step=0.5 * time_step), settling_dem=spec.bed_dem)
+
+
+@dataclass(frozen=True)
+class Split:
+    """Which cases train, which help to choose, and which are judged after everything is chosen."""
+
+    training: list[CaseSpec]
+    validation: list[CaseSpec]
+    holdout: list[CaseSpec]
+
+    @property
+    def all(self) -> list[CaseSpec]:
+        """Every case, by speed."""
+        cases = [*self.training, *self.validation, *self.holdout]
+        return sorted(cases, key=lambda spec: spec.scene.rotation.speeds_rpm)
+
+
+def split_cases(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> Split:
+    """The cases of a data set, one for each speed, all from one packing.
+
+    Raises:
+        DatasetError: a speed is in two splits or twice in one, or nothing is left to train on.
+    """
+    sides = {
+        "training": dataset.training_speeds_rpm,
+        "validation": dataset.validation_speeds_rpm,
+        "holdout": dataset.holdout_speeds_rpm,
+    }
+    seen: dict[float, str] = {}
+    for side, speeds in sides.items():
+        for speed in map(float, speeds):
+            if speed in seen:
+                raise DatasetError(
+                    f"dataset.{side}_speeds_rpm has {speed:g} rpm, which is also in dataset.{seen[speed]}_speeds_rpm; "
+                    "a speed may be in one place only, or training would see what it is judged on"
+                )
+            seen[speed] = side
+    if not sides["training"]:
+        raise DatasetError("dataset.training_speeds_rpm is empty; give at least one speed to train on")
+    return Split(
+        **{
+            side: [CaseSpec(scene.at_speed(speed), dem, dataset.packing_seed) for speed in speeds]
+            for side, speeds in sides.items()
+        }
+    )
+
+
+def key_hash(key: dict[str, Any]) -> str:
+    """16 hex digits of the SHA-256 of plain data, the same in every process and on every machine."""
+    text = json.dumps(key, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _dem_key(scene: Scene, dem: DemConfig) -> dict[str, Any]:
+    """The solver's settings that change numbers; the skin does, through the order of summation."""
+    time_step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
+    skin = None if dem.skin is None else float(dem.skin)
+    return {"engine": dem.engine, "time_step": float(time_step), "skin": skin}
+
+
+@functools.cache
+def dem_source_hash() -> str:
+    """Hash of the code that moves particles; comments, docstrings and layout don't count."""
+    package = Path(__file__).parent.parent
+    sources = sorted((package / "dem").glob("**/*.py")) + [package / name for name in _FURTHER_SOURCES]
+    digest = hashlib.sha256()
+    for path in sources:
+        digest.update(f"{path.relative_to(package).as_posix()}\n{_bare_code(path.read_text('utf-8'))}\n".encode())
+    return digest.hexdigest()[:16]
+
+
+def _bare_code(source: str) -> str:
+    """Python source without comments, docstrings and layout."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
+            node.body[0] = ast.Pass()
+    return ast.unparse(tree)

@@ -1,0 +1,190 @@
+"""Windows of the training cases: a start frame and the frames ahead of it, drawn so that a run can resume."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gran_bench.dataset.case_file import Case, read_attributes
+from gran_bench.dataset.case_spec import DatasetError
+from gran_bench.scene import Scene
+from gran_bench.state import FloatArray
+
+
+@dataclass(frozen=True)
+class Window:
+    """A start frame (index 0) and A frames ahead of one case; views into the case, not copies.
+
+    Attributes:
+        scene: of the case.
+        case: index of the case.
+        start: index of the start frame in the case.
+        time: of the start frame, s.
+        position: ``(A + 1, N, 3)`` float32, m.
+        velocity: ``(A + 1, N, 3)`` float32, instantaneous, m/s.
+        angular_velocity: ``(A + 1, N, 3)`` float32, rad/s.
+        previous_position: ``(N, 3)`` float32, one frame before the start, m; None at the settled state.
+        overlap_per_particle: ``(A + 1,)`` the DEM's sum of pair and wall overlaps over N, m.
+    """
+
+    scene: Scene
+    case: int
+    start: int
+    time: float
+    position: FloatArray
+    velocity: FloatArray
+    angular_velocity: FloatArray
+    previous_position: FloatArray | None
+    overlap_per_particle: FloatArray
+
+    def velocity_at(self, frame: int, kind: str) -> FloatArray:
+        """Velocity at a frame of the window, ``(N, 3)`` float32, m/s.
+
+        Args:
+            frame: 0 … A.
+            kind: ``instantaneous``, or ``mean`` over the frame that ends there, (x_k − x_{k−1})/Δt. The settled
+                state has no frame before it and keeps its instantaneous velocity.
+        """
+        if kind == "instantaneous":
+            return self.velocity[frame]
+        before = self.position[frame - 1] if frame else self.previous_position
+        if before is None:
+            return self.velocity[frame]
+        moved = self.position[frame].astype(np.float64) - before
+        if self.scene.period:
+            moved[:, 1] -= self.scene.period * np.round(moved[:, 1] / self.scene.period)
+        return (moved / self.scene.frame_interval).astype(np.float32)
+
+    def start_velocity(self, kind: str) -> FloatArray:
+        """Velocity at the start frame, as :meth:`velocity_at`."""
+        return self.velocity_at(0, kind)
+
+
+class Windows:
+    """The training side of a data set: it holds its own cases and knows of no others.
+
+    Args:
+        cases: the training cases, held in memory.
+        seed: of the draws.
+        startup_fraction: share of windows that start in the first ``startup_seconds`` of a case.
+        startup_seconds: s.
+
+    Raises:
+        DatasetError: no cases, cases of different particle numbers or frame intervals, an impossible share.
+    """
+
+    def __init__(
+        self, cases: Sequence[Case], seed: int = 0, startup_fraction: float = 0.0, startup_seconds: float = 1.0
+    ) -> None:
+        if not cases:
+            raise DatasetError("there is no case to train on; give dataset.training_speeds_rpm")
+        if not 0.0 <= startup_fraction <= 1.0:
+            raise DatasetError(f"trainer.startup_fraction={startup_fraction:g} is impossible; choose 0 to 1")
+        intervals = {case.scene.frame_interval for case in cases}
+        if len(intervals) > 1:
+            raise DatasetError(f"cases have frame intervals of {sorted(intervals)} s; train on one interval")
+        self.cases, self.seed = list(cases), seed
+        self.startup_fraction, self.startup_seconds = startup_fraction, startup_seconds
+        self._overlap = [_overlap_per_particle(case) for case in cases]
+
+    def draw(self, number: int, frames_ahead: int) -> Window:
+        """Window ``number`` of an endless, seeded sequence; a pure function of the seed and the arguments.
+
+        Args:
+            number: 0, 1, 2, …; a resumed run goes on with the next number.
+            frames_ahead: A.
+
+        Raises:
+            DatasetError: no case has A + 1 frames.
+        """
+        rng = np.random.default_rng((self.seed, number))
+        index = int(rng.integers(len(self.cases)))
+        scene, frames = self.cases[index].scene, self.cases[index].trajectory.frame_count
+        starts = frames - frames_ahead
+        if starts < 1:
+            raise DatasetError(
+                f"rollout.frames={frames_ahead} is more than {self.cases[index].path.name} has ({frames - 1} ahead of "
+                "its first); choose fewer frames or a later scene.end_time"
+            )
+        if rng.random() < self.startup_fraction:
+            starts = min(starts, max(1, round(self.startup_seconds / scene.frame_interval)))
+        return self.window(index, int(rng.integers(starts)), frames_ahead)
+
+    def window(self, case: int, start: int, frames_ahead: int) -> Window:
+        """The window of a case that starts at a frame."""
+        trajectory, span = self.cases[case].trajectory, slice(start, start + frames_ahead + 1)
+        return Window(
+            scene=self.cases[case].scene,
+            case=case,
+            start=start,
+            time=float(trajectory.time[start]),
+            position=trajectory.position[span],
+            velocity=trajectory.velocity[span],
+            angular_velocity=trajectory.angular_velocity[span],
+            previous_position=trajectory.position[start - 1] if start else None,
+            overlap_per_particle=self._overlap[case][span],
+        )
+
+    @property
+    def digest(self) -> str:
+        """Digest of the training cases."""
+        return dataset_digest(self.cases)
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Root mean squares over all frames and particles of the training cases, in SI.
+
+    Attributes:
+        speed: √⟨‖v‖²⟩, m/s.
+        spin: √⟨‖ω‖²⟩, rad/s.
+        displacement: √⟨‖x_{k+1} − x_k‖²⟩, m a frame.
+        velocity_change: √⟨‖v_{k+1} − v_k‖²⟩, m/s a frame.
+        overlap_per_particle: mean over frames of the sum of overlaps over N, m.
+    """
+
+    speed: float
+    spin: float
+    displacement: float
+    velocity_change: float
+    overlap_per_particle: float
+
+
+def statistics(windows: Windows) -> Statistics:
+    """Statistics of the training cases, and of nothing else: a :class:`Windows` has no other."""
+    period = windows.cases[0].scene.period
+    sums = {name: [] for name in Statistics.__dataclass_fields__}
+    for case, overlap in zip(windows.cases, windows._overlap, strict=True):
+        motion = case.trajectory
+        moved = np.diff(motion.position, axis=0)
+        if period:
+            moved[..., 1] -= period * np.round(moved[..., 1] / period)
+        for name, vectors in (
+            ("speed", motion.velocity),
+            ("spin", motion.angular_velocity),
+            ("displacement", moved),
+            ("velocity_change", np.diff(motion.velocity, axis=0)),
+        ):
+            sums[name].append(np.einsum("fni,fni->", vectors, vectors, dtype=np.float64) / vectors[..., 0].size)
+        sums["overlap_per_particle"].append(overlap.mean() ** 2)
+    return Statistics(**{name: float(np.sqrt(np.mean(values))) for name, values in sums.items()})
+
+
+def dataset_digest(cases: Iterable[Case | Path | str]) -> str:
+    """16 hex digits over the digests of cases, whatever their order."""
+    digests = sorted(c.digest if isinstance(c, Case) else read_attributes(c)["digest"] for c in cases)
+    return hashlib.sha256("\n".join(digests).encode()).hexdigest()[:16]
+
+
+def _overlap_per_particle(case: Case) -> FloatArray:
+    """Sum of pair and wall overlaps over N, ``(F,)`` m, from the engine's float64 figures."""
+    figures = case.trajectory.diagnostics
+    total = np.zeros(case.trajectory.frame_count)
+    for contacts, mean in (("contact_count", "overlap_mean"), ("wall_contact_count", "wall_overlap_mean")):
+        # No contact has no mean overlap, which an engine may store as NaN.
+        total += np.where(figures[contacts] > 0, figures[contacts] * figures[mean], 0.0)
+    return total / max(case.settled.count, 1)
