@@ -9,7 +9,7 @@
     diagnostics/*     (F,)       float64  overlaps and energies, computed in the engine in float64
     settled/          the state at the first frame in float64: position, velocity, angular_velocity (N, 3),
                       radius (N,); attribute time
-    settled/history/  first, second (M,) int64, force (M, 3) N, overlap (M,) m
+    settled/history/  first, second (M,) int64, force (M, 3) N, overlap (M,) m, rolling_moment (M, 3) N m
 
 A file of a settled bed has the group ``settled`` alone. Attributes of the file: scene, material, engine, step,
 seeds, code version, cost; ``scene`` and ``key`` hold YAML. Two of them guard the rest:
@@ -39,7 +39,7 @@ from gran_bench.state import ContactHistory, ParticleState, StateError, Trajecto
 
 _BY_FRAME = ("position", "velocity", "angular_velocity")
 _STATE = ("position", "velocity", "angular_velocity", "radius")
-_HISTORY = ("first", "second", "force", "overlap")
+_HISTORY = ("first", "second", "force", "overlap", "rolling_moment")
 _SIGNS_OF_DAMAGE = (
     AttributeError,
     IndexError,

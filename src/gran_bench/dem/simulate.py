@@ -73,7 +73,7 @@ def simulate(
     end_time: float,
     *,
     dem: DemConfig | None = None,
-    progress: bool = False,
+    progress: bool | Callable[[float], None] = False,
 ) -> SimulationResult:
     """Runs ``state`` in ``scene`` until ``end_time``, with a frame every ``scene.frame_interval``.
 
@@ -85,7 +85,8 @@ def simulate(
         state: start, with its contact history.
         end_time: s in the scene's clock; a whole number of frames after the start.
         dem: engine, time step and skin.
-        progress: whether to show a bar (simulated time, steps a second, time left); silent without a terminal.
+        progress: whether to show a bar (simulated time, steps a second, time left); silent without a terminal. A
+            function is called with the simulated time in s at each frame instead.
 
     Raises:
         StateError: a state that cannot start.
@@ -104,12 +105,14 @@ def simulate(
     record.add(_first_contacts(advance, state, physics, scene, time_step), state.time)
     times = _frame_times(scene, state.time, frames)
     started = clock.perf_counter()
-    with _bar(progress, frames * substeps, "DEM") as bar:
+    listen = progress if callable(progress) else _nobody
+    with _bar(progress is True, frames * substeps, "DEM") as bar:
         for time in times:
             state = _advance_checked(advance, state, physics, scene, time_step, substeps, time, record)
             record.add(state, time)
             bar.update(substeps)
             bar.set_postfix_str(f"t = {time:.2f} s", refresh=False)
+            listen(time)
     return SimulationResult(
         trajectory=record.trajectory(),
         final=replace(state, history=_sorted_history(state.history)),
@@ -120,7 +123,9 @@ def simulate(
     )
 
 
-def settle(scene: Scene, seed: int, *, dem: DemConfig | None = None, progress: bool = False) -> ParticleState:
+def settle(
+    scene: Scene, seed: int, *, dem: DemConfig | None = None, progress: bool | Callable[[float], None] = False
+) -> ParticleState:
     """Fills the container, lets the spheres fall and come to rest between walls that stand still.
 
     At rest means a mean speed below ``filling.settled_speed``. The bed settles at least until ``start_time``, if
@@ -130,7 +135,7 @@ def settle(scene: Scene, seed: int, *, dem: DemConfig | None = None, progress: b
         scene: to fill.
         seed: of the filling.
         dem: engine, time step and skin.
-        progress: whether to show a bar.
+        progress: whether to show a bar, or a function that is called with the simulated time in s.
 
     Raises:
         SceneError: a filling that does not fit.
@@ -145,7 +150,8 @@ def settle(scene: Scene, seed: int, *, dem: DemConfig | None = None, progress: b
     physics, advance = Physics.of(still, filling.radius, dem.skin), _engine(dem)
     _first_contacts(advance, state, physics, still, time_step)
     speed, looks = np.inf, 0
-    with _bar(progress, None, "settling") as bar:
+    listen = progress if callable(progress) else _nobody
+    with _bar(progress is True, None, "settling") as bar:
         while state.count and (speed >= filling.settled_speed or state.time < scene.start_time - 1e-9):
             if state.time > filling.longest_settling:
                 raise SimulationError(
@@ -161,6 +167,7 @@ def settle(scene: Scene, seed: int, *, dem: DemConfig | None = None, progress: b
             speed = float(np.linalg.norm(state.velocity, axis=1).mean())
             bar.update(substeps)
             bar.set_postfix_str(f"t = {state.time:.2f} s, mean speed {speed:.2g} m/s", refresh=False)
+            listen(state.time)
     return replace(state, time=scene.start_time, history=_sorted_history(state.history))
 
 
@@ -351,6 +358,10 @@ def _sorted_history(history: ContactHistory) -> ContactHistory:
         history.overlap[order],
         history.rolling_moment[order],
     )
+
+
+def _nobody(time: float) -> None:
+    """Listens to the progress of a run that nobody follows."""
 
 
 def _bar(progress: bool, total: int | None, label: str) -> tqdm:
