@@ -8,6 +8,7 @@ import torch
 
 from gran_bench.neighbors import tree_neighbors
 from gran_bench.surrogate.cconv import ContinuousConvolution, convolve, weigh_pairs
+from gran_bench.surrogate.kernels.fused import convolve_fused
 from gran_bench.surrogate.kernels.lattice import LatticeBasis, ball_to_cube
 from gran_bench.surrogate.kernels.radial import RadialBasis
 
@@ -150,3 +151,84 @@ def test_particles_without_neighbours_give_zero():
 def test_an_unknown_backend_is_refused_by_name():
     with pytest.raises(ValueError, match=r"model\.backend='cuda'"):
         ContinuousConvolution(1, 1, BASES["lattice"], "cuda")
+
+
+@pytest.fixture(params=[1, 2])
+def threads(request):
+    """Runs a test with so many of torch's threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(request.param)
+    yield request.param
+    torch.set_num_threads(before)
+
+
+def outputs_and_gradients(convolution, pairs, basis, dtype, features_trained=True, channels=(5, 7)):
+    """Output, feature gradient and kernel gradient of one pass over fixed random features."""
+    generator = torch.Generator().manual_seed(11)
+    features = torch.randn(pairs.source_count, channels[0], generator=generator, dtype=dtype)
+    kernel = torch.randn(basis.size, *channels, generator=generator, dtype=dtype).requires_grad_()
+    output = convolution(features.requires_grad_(features_trained), kernel, pairs)
+    output.backward(torch.randn(output.shape, generator=generator, dtype=dtype))
+    gradients = (features.grad, kernel.grad) if features_trained else (kernel.grad,)
+    return output.detach(), *gradients
+
+
+@pytest.mark.parametrize("name", BASES)
+@pytest.mark.parametrize("symmetric", [True, False], ids=["symmetric", "two sets"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("features_trained", [True, False])
+def test_the_fused_path_equals_the_reference(name, symmetric, dtype, features_trained, threads):
+    query = points(400, seed=1)
+    source = query if symmetric else points(300, seed=2)
+    pairs = neighborhood(query, source, BASES[name], symmetric, dtype)
+    arguments = (pairs, BASES[name], dtype, features_trained)
+    for fused, reference in zip(
+        outputs_and_gradients(convolve_fused, *arguments), outputs_and_gradients(convolve, *arguments), strict=True
+    ):
+        assert relative_rms(fused, reference) < (2e-6 if dtype == torch.float32 else 1e-13)
+
+
+@pytest.mark.parametrize("case", ["particles", "wall"])
+def test_the_fused_path_equals_open3d(case):
+    data = {k: torch.from_numpy(np.asarray(v)) for k, v in np.load(REFERENCE / f"open3d_cconv_{case}.npz").items()}
+    basis = LatticeBasis(float(data["radius"]), 4)
+    pairs = neighborhood(data["query_position"], data["source_position"], basis, bool(data["exclude_self"]))
+    features, kernel = data["features"].requires_grad_(), data["kernel_zyx_in_out"].flatten(0, 2).requires_grad_()
+    output = convolve_fused(features, kernel, pairs)
+    output.backward(data["output_gradient"])
+    assert relative_rms(output, data["output"]) < 2e-6
+    assert relative_rms(features.grad, data["feature_gradient"]) < 2e-6
+    assert relative_rms(kernel.grad, data["kernel_gradient"].flatten(0, 2)) < 2e-6
+
+
+def test_the_fused_path_repeats_bit_for_bit(threads):
+    position = points(700, seed=4)
+    pairs = neighborhood(position, position, BASES["lattice"], True)
+    first, again = (
+        outputs_and_gradients(convolve_fused, pairs, BASES["lattice"], torch.float32, channels=(16, 24))
+        for _ in range(2)
+    )
+    assert all(torch.equal(a, b) for a, b in zip(first, again, strict=True))
+
+
+def test_the_fused_path_copes_with_no_pairs_and_with_no_particles():
+    basis = BASES["lattice"]
+    for count in (0, 3):
+        far = torch.arange(3.0 * count, dtype=torch.float64).view(count, 3)
+        output, of_features, of_kernel = outputs_and_gradients(
+            convolve_fused, neighborhood(far, far, basis, True), basis, torch.float32
+        )
+        assert output.shape == (count, 7)
+        assert not output.any()
+        assert not of_features.any()
+        assert not of_kernel.any()
+
+
+def test_pairs_among_some_particles_are_those_of_a_search_among_them():
+    position, basis = points(300, seed=7), BASES["lattice"]
+    kept = torch.arange(0, 300, 2)
+    among = neighborhood(position, position, basis, True).restricted(kept)
+    searched = neighborhood(position[kept], position[kept], basis, True)
+    assert torch.equal(among.row_start, searched.row_start)
+    assert torch.equal(among.source, searched.source)
+    assert torch.equal(among.coefficient, searched.coefficient)

@@ -18,6 +18,8 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
+from gran_bench.surrogate.kernels.fused import convolve_fused
+
 BACKENDS = ("fused", "torch")
 
 
@@ -220,4 +222,5 @@ class ContinuousConvolution(nn.Module):
 
     def forward(self, features: Tensor, neighborhood: Neighborhood) -> Tensor:
         """``(S, C_in)`` features of the sources → ``(Q, C_out)`` at the queries."""
-        return convolve(features, self.weight, neighborhood)
+        fused = self.backend == "fused" and features.device.type == "cpu"
+        return (convolve_fused if fused else convolve)(features, self.weight, neighborhood)
