@@ -1,0 +1,218 @@
+"""An entry composes, checks, runs; what goes wrong takes one line and the right exit code, and leaves no folder."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gran_bench.config import TrainConfig
+from gran_bench.config_rules import ConfigError
+from gran_bench.entry import FAILED, REFUSED, complain, distinct_overrides, run, run_folder
+from gran_bench.scene import SceneError
+from gran_bench.state import StateError
+
+PROBE = """
+import os, signal
+from gran_bench.config import TrainConfig
+from gran_bench.entry import run
+from gran_bench.state import StateError
+
+def task(config):
+    if config.seed == 7:
+        raise StateError("sphere 7 is nowhere; put it somewhere")
+    if config.seed == 13:
+        raise KeyError("a bug")
+    if config.seed == 15:
+        raise KeyboardInterrupt("SIGTERM")
+    print(f"ran {config.tracking.folder} {config.model.name}")
+
+if __name__ == "__main__":
+    run(task, "train", TrainConfig)
+"""
+
+
+@pytest.fixture
+def probe(tmp_path):
+    """Runs a small entry in an empty folder: ``probe("seed=1") -> (exit code, stdout, stderr, files left)``."""
+    script = tmp_path / "entry" / "probe.py"
+    script.parent.mkdir()
+    script.write_text(PROBE, "utf-8")
+    folder = tmp_path / "empty"
+    folder.mkdir()
+
+    def command(*arguments: str) -> tuple[int, str, str, list[str]]:
+        done = subprocess.run(
+            [sys.executable, script, *arguments], cwd=folder, capture_output=True, text=True, timeout=120, check=False
+        )
+        left = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+        return done.returncode, done.stdout, done.stderr, left
+
+    return command
+
+
+@pytest.fixture
+def refuse(monkeypatch, capsys, tmp_path):
+    """Runs an entry in this process with a command line that it refuses: the one line that it says."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(os.environ, "HYDRA_FULL_ERROR", "1")
+
+    def command(*arguments: str, config_name: str = "train") -> str:
+        monkeypatch.setattr(sys, "argv", ["probe", *arguments])
+        with pytest.raises(SystemExit) as ending:
+            run(lambda config: pytest.fail("the task ran"), config_name, TrainConfig)
+        assert ending.value.code == REFUSED
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert said.err.count("\n") == 1, said.err
+        assert list(tmp_path.iterdir()) == []
+        return said.err
+
+    return command
+
+
+# ---- before any work -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("+sede=1", ["sede=1", "did you mean seed?"]),
+        ("model.widht=3", ["model.widht=3", "did you mean model.width?"]),
+        ("model.width=3", ["model.width=3", "model=ccnn or radial"]),
+        ("scene.material.restitution=1.2", ["scene.material.restitution=1.2", "(0, 1]"]),
+        ("scene.wall_material.friction=1", ["scene.wall_material is null", "+scene.wall_material.friction=1"]),
+        ("model=cnn", ["model=cnn", "did you mean ccnn?", "radial"]),
+        ("optim=adam", ["optim=adam", "choose ccnn or contact or paper or radial"]),
+        ("+experiment=holdout3", ["experiment=holdout3", "did you mean holdout30rpm?", "smoke"]),
+        ("experiment=smoke", ["experiment", "+experiment=smoke"]),
+        ("modle=ccnn", ["modle=ccnn", "did you mean model?"]),
+        ("seed=1,2", ["seed=1,2", "-m"]),
+        ("+seed=1", ["seed", "there already"]),
+        ("seed", ["seed", "KEY=VALUE"]),
+        ("seed=${nothing}", ["seed", "nothing"]),
+        ("--config-name=trian", ["trian"]),
+        ("-m seed=1,2 scene.material.restitution=0.5,1.2", ["scene.material.restitution=1.2"]),
+        ("-m model=ccnn,radail", ["model=radail", "did you mean radial?"]),
+        ("--cfg job model=cnn", ["model=cnn", "did you mean ccnn?"]),
+    ],
+)
+def test_a_command_that_cannot_be_ends_in_one_line_with_code_2_and_leaves_nothing(refuse, arguments, words):
+    message = refuse(*arguments.split())
+    assert message.startswith("error: ")
+    assert [word for word in words if word not in message] == [], message
+
+
+def test_a_config_folder_of_ones_own_is_searched_and_held_to_the_same_rules(refuse, tmp_path_factory):
+    mine = tmp_path_factory.mktemp("conf")
+    (mine / "scene").mkdir()
+    (mine / "scene" / "mine.yaml").write_text("defaults: [drum, _self_]\nname: mine\nfriction: 0.1\n")
+    assert "scene.friction=0.1" in refuse(f"--config-dir={mine}", "scene=mine")
+    assert "did you mean mine?" in refuse(f"--config-dir={mine}", "scene=mines")
+
+
+# ---- jobs ------------------------------------------------------------------------------------------------
+
+
+def test_a_job_runs_with_the_checked_config_and_hydra_leaves_no_folder_of_its_own(probe):
+    assert probe("+experiment=smoke", "model=ccnn") == (0, "ran smoke,model=ccnn ccnn\n", "", [])
+
+
+def test_a_failure_that_the_house_foresees_is_one_line_and_a_bug_shows_its_traceback(probe):
+    assert probe("seed=7") == (FAILED, "", "error: sphere 7 is nowhere; put it somewhere\n", [])
+    code, _, said, left = probe("seed=13")
+    assert (code, left) == (FAILED, [])
+    assert "Traceback" in said
+    assert "KeyError: 'a bug'" in said
+
+
+def test_a_stop_says_how_to_go_on(probe):
+    assert probe("seed=15")[::2] == (128 + 15, "stopped by SIGTERM; the same command goes on from here\n")
+
+
+@pytest.mark.parametrize("launcher", ["basic", "local"])
+def test_in_a_multirun_a_failed_job_is_seen_and_stops_no_other(probe, launcher):
+    code, out, said, left = probe("-m", "+experiment=smoke", "seed=1,7,2", f"hydra/launcher={launcher}")
+    assert code == FAILED
+    assert "ran smoke,seed=1 contact" in out
+    assert "ran smoke,seed=2 contact" in out
+    assert "seed=7): sphere 7 is nowhere" in said
+    assert said.rstrip().endswith("at least one job of the multirun failed; its message is above")
+    assert left == ["results/multirun/multirun.yaml"]
+
+
+def test_the_commands_explain_themselves(probe):
+    code, out, said, left = probe("--help")
+    assert (code, said, left) == (0, "", [])
+    for word in ("+experiment=holdout30rpm", "model: ccnn, contact, radial", "scene: drum, drum_mu05", "Exit code"):
+        assert word in out
+    code, out, said, left = probe("--cfg", "job", "+experiment=paper")
+    assert (code, said, left) == (0, "", [])
+    assert "learning_rate: 0.0001" in out
+
+
+# ---- parts -----------------------------------------------------------------------------------------------
+
+
+def test_every_value_of_every_sweep_is_seen_once():
+    lines = list(distinct_overrides(["seed=1,2", "model=ccnn,radial", "threads=1"], multirun=True))
+    assert lines == [
+        ["seed=1", "model=ccnn", "threads=1"],
+        ["seed=2", "model=ccnn", "threads=1"],
+        ["seed=1", "model=radial", "threads=1"],
+    ]
+    assert list(distinct_overrides(["seed=1,2"], multirun=False)) == [["seed=1,2"]]
+    # What a sweeper will draw from an interval is not known before it draws.
+    assert list(distinct_overrides(["optim.learning_rate=interval(1e-4,1e-2)", "seed=3"], multirun=True)) == [
+        ["seed=3"]
+    ]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "folder"),
+    [
+        ([], "smoke"),
+        (["+experiment=smoke"], "smoke"),
+        (["seed=1", "model=ccnn"], "smoke,model=ccnn,seed=1"),
+        (["model=ccnn", "seed=1"], "smoke,model=ccnn,seed=1"),
+        (["tracking.root=/else", "dataset.root=x", "hydra/launcher=local", "trainer.minutes=3"], "smoke"),
+        (["++experimental=1"], "smoke,experimental=1"),
+        (
+            ["dataset=small", "+scene.wall_material.friction=0.1"],
+            "smoke,dataset=small,scene.wall_material.friction=0.1",
+        ),
+        (["scene.name='../..'"], "smoke,scene.name=_.._.._"),
+    ],
+)
+def test_a_run_folder_is_named_after_what_was_changed(overrides, folder):
+    assert run_folder("smoke", overrides) == folder
+
+
+def test_long_commands_keep_a_folder_of_their_own():
+    speeds = ",".join(str(speed) for speed in range(100))
+    first, second = (run_folder("x", [f"dataset.training_speeds_rpm=[{speeds}]", f"seed={i}"]) for i in range(2))
+    assert first != second
+    assert max(len(first), len(second)) <= 150
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [(ConfigError("a"), REFUSED), (SceneError("a"), REFUSED), (StateError("a"), FAILED), (KeyError("a"), FAILED)],
+)
+def test_the_exit_code_tells_a_refused_config_from_a_failed_run(error, code):
+    assert complain(error, TrainConfig) == code
+
+
+@pytest.mark.parametrize("entry", ["train", "generate"])
+def test_the_entries_refuse_before_they_load_anything_heavy(entry, tmp_path: Path):
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", f"gran_bench.{entry}", "+sede=1"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("import time:")]
+    assert (done.returncode, lines) == (REFUSED, ["error: sede=1: no such key; did you mean seed?"])
+    assert not {"torch", "numba", "mlflow"} & {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
+    assert list(tmp_path.iterdir()) == []
