@@ -219,6 +219,9 @@ def predict_from(model: Surrogate, case: Case, start: int, frames: int) -> Float
         return torch.as_tensor(array, dtype=like.dtype, device=like.device)
 
     previous = tensor(motion.position[start - 1]) if start else None
+    # What a model remembers follows from the DEM's frames before the start, never from frames after it.
+    past = slice(0, start + 1)
+    memories = model.memories(scene, motion.time[past], motion.position[past], motion.angular_velocity[past])
     with torch.no_grad():
         state = model.begin(
             scene,
@@ -226,6 +229,7 @@ def predict_from(model: Surrogate, case: Case, start: int, frames: int) -> Float
             tensor(motion.velocity[start]),
             tensor(motion.angular_velocity[start]),
             previous,
+            None if memories is None else memories[-1],
         )
         found = []
         for k in range(frames):

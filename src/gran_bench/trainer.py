@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 import math
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -124,6 +125,8 @@ class Trainer:
         self.step, self.seconds = 0, 0.0
         on_cpu = self.parameters[0].device.type == "cpu"
         self.workers = min(config.threads, config.optim.accumulate) if on_cpu else 1
+        self._memories: dict[int, list[Any]] = {}
+        self._following = threading.Lock()
         self.replicas = [model] + [self._sharing_copy() for _ in range(self.workers - 1)]
 
     def _sharing_copy(self) -> Surrogate:
@@ -165,7 +168,12 @@ class Trainer:
     def _window_gradients(self, model: Surrogate, draw: int, frames: int) -> tuple[float, dict[str, float], list]:
         """Loss, its terms and its gradients for one window; touches nothing that threads share."""
         window = self.windows.draw(draw, frames)
-        state = self._start(model, window, draw)
+        rng = np.random.default_rng((self.config.seed, 7919, draw))
+        memory = self._memory(window)
+        if self.config.rollout.mirror and rng.random() < 0.5:
+            count = len(window.position[0])
+            window, memory = window.mirrored(), None if memory is None else memory.mirrored(window.scene, count)
+        state = self._start(model, window, memory, rng)
         scene, through_time = window.scene, self.config.rollout.gradient_through_time
         total, terms = None, {}
         gradients = [torch.zeros_like(p) for p in self.parameters] if not through_time else None
@@ -191,13 +199,24 @@ class Trainer:
         """∂loss/∂parameter, zeros where a parameter has no part in it."""
         return list(torch.autograd.grad(loss, list(model.parameters()), allow_unused=True, materialize_grads=True))
 
-    def _start(self, model: Surrogate, window: Window, draw: int) -> FrameState:
+    def _memory(self, window: Window) -> Any:
+        """What a model with a memory remembers at the window's start; each case is followed once."""
+        if not self.model.has_memory:
+            return None
+        with self._following:
+            if window.case not in self._memories:
+                motion = self.windows.cases[window.case].trajectory
+                self._memories[window.case] = self.model.memories(
+                    window.scene, motion.time, motion.position, motion.angular_velocity
+                )
+        return self._memories[window.case][window.start]
+
+    def _start(self, model: Surrogate, window: Window, memory: Any, rng: np.random.Generator) -> FrameState:
         """The window's first state with training noise, in the model's form."""
         rollout, scene = self.config.rollout, window.scene
         position, velocity = self._tensor(window.position[0]), self._tensor(window.velocity_at(0, model.velocity_kind))
         spin = self._tensor(window.angular_velocity[0])
         if rollout.noise > 0:
-            rng = np.random.default_rng((self.config.seed, 7919, draw))
 
             def noise() -> Tensor:
                 return self._tensor(rng.standard_normal(window.position[0].shape)) * rollout.noise
@@ -209,7 +228,7 @@ class Trainer:
                 spin = spin + noise() / (scene.frame_interval * scene.filling.radius)
             else:
                 velocity = velocity + moved / scene.frame_interval
-        return model.begin(scene, position, velocity, spin)
+        return model.begin(scene, position, velocity, spin, memory=memory)
 
     def _target(self, model: Surrogate, window: Window, k: int) -> Target:
         """What the DEM says about frame ``k`` of the window."""

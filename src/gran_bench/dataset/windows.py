@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +62,17 @@ class Window:
     def start_velocity(self, kind: str) -> FloatArray:
         """Velocity at the start frame, as :meth:`velocity_at`."""
         return self.velocity_at(0, kind)
+
+    def mirrored(self) -> Window:
+        """The window reflected along the drum's axis, y → −y; spin, an axial vector, keeps its y component."""
+        polar = np.array([1.0, -1.0, 1.0], np.float32)
+        return replace(
+            self,
+            position=self.position * polar,
+            velocity=self.velocity * polar,
+            angular_velocity=self.angular_velocity * -polar,
+            previous_position=None if self.previous_position is None else self.previous_position * polar,
+        )
 
 
 class Windows:

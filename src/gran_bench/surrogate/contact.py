@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from gran_bench.config import ContactModelConfig
 from gran_bench.scene import Scene
+from gran_bench.state import FloatArray
 from gran_bench.surrogate.contact_geometry import (
     MILLIMETRE,
     ContactList,
@@ -19,7 +20,7 @@ from gran_bench.surrogate.contact_geometry import (
     wall_displacement_matrix,
     wall_surfaces,
 )
-from gran_bench.surrogate.contact_memory import ContactMemory, springs_of, update_memory
+from gran_bench.surrogate.contact_memory import ContactMemory, follow_memory, springs_of, update_memory
 from gran_bench.surrogate.step import FrameState, Surrogate, wrap
 
 RAMP_NODES = (-4.0, -1.5, -0.6, -0.2, 0.2, 0.6, 1.5, 4.0, 10.0)  # mm; the gap's ramps run from node to node
@@ -130,6 +131,12 @@ class ContactNetwork(Surrogate):
         if self.has_memory:
             state.memory = ContactMemory.empty() if memory is None else memory
         return state
+
+    def memories(
+        self, scene: Scene, times: FloatArray, positions: FloatArray, angular_velocities: FloatArray
+    ) -> list[ContactMemory] | None:
+        """The springs at each of F stored frames; exact where the first one is the settled state."""
+        return list(follow_memory(scene, times, positions, angular_velocities)) if self.has_memory else None
 
     def forward(self, state: FrameState, scene: Scene, time: float) -> FrameState:
         interval = scene.frame_interval

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from gran_bench.scene import Scene
+from gran_bench.state import FloatArray
 
 UPDATES = ("mean", "trapezoid")
 
@@ -35,10 +36,12 @@ class Surrogate(nn.Module):
     Attributes:
         velocity_kind: ``mean`` over the frame that ends at the state, or ``instantaneous``.
         uses_spin: whether angular velocities are part of the state.
+        has_memory: whether the state carries a memory of earlier frames.
     """
 
     velocity_kind: str = "mean"
     uses_spin: bool = False
+    has_memory: bool = False
 
     def begin(
         self,
@@ -47,6 +50,7 @@ class Surrogate(nn.Module):
         velocity: Tensor,
         angular_velocity: Tensor | None = None,
         previous_position: Tensor | None = None,
+        memory: object | None = None,
     ) -> FrameState:
         """The state to start from.
 
@@ -58,6 +62,7 @@ class Surrogate(nn.Module):
             velocity: ``(N, 3)`` m/s, as stored.
             angular_velocity: ``(N, 3)`` rad/s; needed by a model that uses spin.
             previous_position: ``(N, 3)`` m, a frame earlier.
+            memory: of the start frame, as :meth:`memories` gives it; a model without memory takes no notice.
 
         Raises:
             ValueError: a model of spin that is given none.
@@ -67,6 +72,18 @@ class Surrogate(nn.Module):
         if self.velocity_kind == "mean" and previous_position is not None:
             velocity = minimum_image(position - previous_position, scene.period) / scene.frame_interval
         return FrameState(position, velocity, angular_velocity if self.uses_spin else None)
+
+    def memories(
+        self, scene: Scene, times: FloatArray, positions: FloatArray, angular_velocities: FloatArray
+    ) -> list[object] | None:
+        """What the model remembers at each of F stored frames, from the settled one on; None without a memory.
+
+        Args:
+            times: ``(F,)`` s.
+            positions: ``(F, N, 3)`` m.
+            angular_velocities: ``(F, N, 3)`` rad/s.
+        """
+        return None
 
     def forward(self, state: FrameState, scene: Scene, time: float) -> FrameState:
         """The state one frame later, from ``time`` to ``time + scene.frame_interval`` (s); differentiable."""
