@@ -8,7 +8,7 @@ drum moves.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,12 +141,13 @@ def surface_line(
         if abs(tilt) <= TOLERANCE:
             return line
         if any(abs(angle - before) < 1e-12 for before in seen):
-            # Spheres that change columns can make the iteration circle through a few angles for ever: take the middle.
-            circle = seen[_index_of(seen, angle) :]
-            line, _ = _fit(across, radius, drum_radius, length, diameter, float(np.mean(circle)))
-            return line
+            # Spheres that change columns can make the iteration circle through a few angles for ever (in one state
+            # of seven, over 0.5° in the mean): the middle of the circle is the answer.
+            middle = float(np.mean(seen[_index_of(seen, angle) :]))
+            line, _ = _fit(across, radius, drum_radius, length, diameter, middle)
+            return replace(line, angle=middle)
         seen.append(angle)
-    return SurfaceLine(line.angle, line.offset, line.residual, line.filled, False)
+    return replace(line, valid=False)
 
 
 def solid_fractions(

@@ -154,11 +154,11 @@ def ever(name: str) -> Scalar:
 
 
 COMPARISONS = (
-    Comparison("surface_angle_series", "angle of repose over the series", "deg", series_distance("surface_angle")),
+    Comparison("surface_angle", "angle of repose over the series", "deg", series_distance("surface_angle")),
     Comparison("surface_angle_steady", "its steady mean", "deg", scalar_distance(steady("surface_angle"))),
     Comparison("surface_angle_peak", "its first peak", "deg", scalar_distance(peak("surface_angle"))),
     Comparison("surface_angle_peak_time", "time of its first peak", "s", scalar_distance(peak_time("surface_angle"))),
-    Comparison("com_angle_series", "centre-of-mass angle over the series", "deg", series_distance("com_angle")),
+    Comparison("com_angle", "centre-of-mass angle over the series", "deg", series_distance("com_angle")),
     Comparison("com_angle_steady", "its steady mean", "deg", scalar_distance(steady("com_angle"))),
     Comparison("com_angle_peak", "its first peak", "deg", scalar_distance(peak("com_angle"))),
     Comparison("com_angle_peak_time", "time of its first peak", "s", scalar_distance(peak_time("com_angle"))),

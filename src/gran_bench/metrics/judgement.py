@@ -173,7 +173,7 @@ class Judgement:
     def _lines(self) -> Iterator[str]:
         yield f"{'distance from the DEM':<38}{'value':>10} {'floor':>10} {'floors':>7}"
         for row in self.errors:
-            multiple = f"{row.multiple:.2f}" if row.multiple is not None else "-"
+            multiple = "-" if row.multiple is None else f"{row.multiple:.2f}" if row.multiple < 1e3 else "> 1000"
             line = f"{row.label:<38}{_shown(row.error):>10} {_shown(row.floor):>10} {multiple:>7} {_unit(row.unit)}"
             yield _with_note(line, row.error.note or row.floor.note)
         yield ""
