@@ -19,6 +19,7 @@ import math
 import numpy as np
 from numba import njit
 
+from gran_bench.dem.contact import PREDICTION_FADE
 from gran_bench.dem.integrate import Divergence, Physics
 from gran_bench.dem.walls import CYLINDER
 from gran_bench.neighbors import bin_cells, list_pairs
@@ -36,7 +37,8 @@ HX, HY, HZ, BEFORE = 17 * BLOCK, 18 * BLOCK, 19 * BLOCK, 20 * BLOCK  # history
 FX, FY, FZ = 21 * BLOCK, 22 * BLOCK, 23 * BLOCK  # force on the first
 TX, TY, TZ = 24 * BLOCK, 25 * BLOCK, 26 * BLOCK  # n × f_t
 MX, MY, MZ = 27 * BLOCK, 28 * BLOCK, 29 * BLOCK  # rolling moment: history in, moment on the first out
-ROWS = 30
+AX, AY, AZ = 30 * BLOCK, 31 * BLOCK, 32 * BLOCK  # what the relative velocity still gains until the step's end
+ROWS = 33
 
 FINISHED, DIVERGED = 0, 1
 
@@ -81,6 +83,7 @@ def _advance(
     """One stretch of ``len(wall_speed) − 1`` steps; the first three arrays are advanced in place."""
     count, steps = len(position), len(wall_speed) - 1
     sphere, motion, load = np.empty((count, 4)), np.empty((count, 8)), np.empty((count, 8))
+    ahead = np.zeros((count, 4))
     order = _order_in_space(position, radius, skin, period)
     rank_of = np.empty(count, np.int64)
     smallest = np.inf
@@ -119,16 +122,16 @@ def _advance(
     travelled, fastest_allowed = 0.0, (0.25 * smallest / dt) ** 2
     load[:] = 0.0
     _pair_forces(
-        sphere, motion, load, pair_i, pair_j, pair_slot, pair_roll, active, buffer,
+        sphere, motion, ahead, load, pair_i, pair_j, pair_slot, pair_roll, active, buffer,
         pair_law, density, period, tangential, rolling, 0.0,
     )  # fmt: skip
     _wall_forces(
-        sphere, motion, load, wall_i, wall_w, wall_slot, wall_roll, active, buffer,
+        sphere, motion, ahead, load, wall_i, wall_w, wall_slot, wall_roll, active, buffer,
         wall_law, walls, axis, density, tangential, rolling, wall_speed[0], 0.0,
     )  # fmt: skip
     for step in range(steps):
         kick = 0.5 * dt if step == 0 else dt
-        fastest, culprit = _kick(motion, load, gravity, kick, tangential, fastest_allowed)
+        fastest, culprit = _kick(motion, ahead, load, gravity, kick, 0.5 * dt, tangential, fastest_allowed)
         if culprit >= 0:
             status = DIVERGED
             break
@@ -156,15 +159,15 @@ def _advance(
                 travelled = 0.0
         load[:] = 0.0
         _pair_forces(
-            sphere, motion, load, pair_i, pair_j, pair_slot, pair_roll, active, buffer,
+            sphere, motion, ahead, load, pair_i, pair_j, pair_slot, pair_roll, active, buffer,
             pair_law, density, period, tangential, rolling, dt,
         )  # fmt: skip
         _wall_forces(
-            sphere, motion, load, wall_i, wall_w, wall_slot, wall_roll, active, buffer,
+            sphere, motion, ahead, load, wall_i, wall_w, wall_slot, wall_roll, active, buffer,
             wall_law, walls, axis, density, tangential, rolling, wall_speed[step + 1], dt,
         )  # fmt: skip
     if steps > 0 and status == FINISHED:
-        fastest, culprit = _kick(motion, load, gravity, 0.5 * dt, tangential, fastest_allowed)
+        fastest, culprit = _kick(motion, ahead, load, gravity, 0.5 * dt, 0.0, tangential, fastest_allowed)
         if culprit >= 0:
             status = DIVERGED
 
@@ -202,16 +205,19 @@ def _order_in_space(position, radius, skin, period):
 
 
 @njit(cache=True, error_model="numpy")
-def _kick(motion, load, gravity, dt, tangential, fastest_allowed):
-    """Velocities forward by dt; the largest squared speed and the first row that is too fast or not finite."""
+def _kick(motion, ahead, load, gravity, dt, rest, tangential, fastest_allowed):
+    """Velocities forward by dt, and in ``ahead`` what the same acceleration adds in the ``rest`` of the step.
+
+    Returns the largest squared speed and the first row that is too fast or not finite.
+    """
     fastest, culprit = 0.0, -1
-    gx, gy, gz = dt * gravity[0], dt * gravity[1], dt * gravity[2]
+    gx, gy, gz = gravity[0], gravity[1], gravity[2]
     for i in range(len(motion)):
-        push = dt * motion[i, 3]
-        vx = motion[i, 0] + (push * load[i, 0] + gx)
-        vy = motion[i, 1] + (push * load[i, 1] + gy)
-        vz = motion[i, 2] + (push * load[i, 2] + gz)
+        inverse_mass = motion[i, 3]
+        ax, ay, az = inverse_mass * load[i, 0] + gx, inverse_mass * load[i, 1] + gy, inverse_mass * load[i, 2] + gz
+        vx, vy, vz = motion[i, 0] + dt * ax, motion[i, 1] + dt * ay, motion[i, 2] + dt * az
         motion[i, 0], motion[i, 1], motion[i, 2] = vx, vy, vz
+        ahead[i, 0], ahead[i, 1], ahead[i, 2] = rest * ax, rest * ay, rest * az
         squared = vx * vx + vy * vy + vz * vz
         fastest = max(fastest, squared)
         if not squared <= fastest_allowed and culprit < 0:
@@ -338,7 +344,22 @@ def _near_walls(sphere, walls, margin):
 
 @njit(cache=True, error_model="numpy")
 def _pair_forces(
-    sphere, motion, load, pair_i, pair_j, slot, roll, active, buffer, law, density, period, tangential, rolling, dt
+    sphere,
+    motion,
+    ahead,
+    load,
+    pair_i,
+    pair_j,
+    slot,
+    roll,
+    active,
+    buffer,
+    law,
+    density,
+    period,
+    tangential,
+    rolling,
+    dt,
 ):
     """Adds the forces and torques of all touching pairs to ``load`` and updates their history."""
     touching = 0
@@ -366,6 +387,9 @@ def _pair_forces(
             buffer[VX + k] = motion[i, 0] - motion[j, 0]
             buffer[VY + k] = motion[i, 1] - motion[j, 1]
             buffer[VZ + k] = motion[i, 2] - motion[j, 2]
+            buffer[AX + k] = ahead[i, 0] - ahead[j, 0]
+            buffer[AY + k] = ahead[i, 1] - ahead[j, 1]
+            buffer[AZ + k] = ahead[i, 2] - ahead[j, 2]
             if tangential:
                 buffer[PX + k], buffer[PY + k], buffer[PZ + k] = motion[i, 4], motion[i, 5], motion[i, 6]
                 buffer[QX + k], buffer[QY + k], buffer[QZ + k] = motion[j, 4], motion[j, 5], motion[j, 6]
@@ -411,7 +435,7 @@ def _pair_forces(
 
 @njit(cache=True, error_model="numpy")
 def _wall_forces(
-    sphere, motion, load, wall_i, wall_w, slot, roll, active, buffer,
+    sphere, motion, ahead, load, wall_i, wall_w, slot, roll, active, buffer,
     law, walls, axis, density, tangential, rolling, speed, dt,
 ):  # fmt: skip
     """Adds the forces and torques of all touching walls to ``load`` and updates their history."""
@@ -442,6 +466,7 @@ def _wall_forces(
                 vy -= speed * (axis[2] * cx - axis[0] * cz)
                 vz -= speed * (axis[0] * cy - axis[1] * cx)
             buffer[VX + k], buffer[VY + k], buffer[VZ + k] = vx, vy, vz
+            buffer[AX + k], buffer[AY + k], buffer[AZ + k] = ahead[i, 0], ahead[i, 1], ahead[i, 2]
             if tangential:
                 buffer[PX + k], buffer[PY + k], buffer[PZ + k] = motion[i, 4], motion[i, 5], motion[i, 6]
                 buffer[HX + k], buffer[HY + k], buffer[HZ + k] = slot[p, 0], slot[p, 1], slot[p, 2]
@@ -503,7 +528,9 @@ def _law(buffer, size, law, tangential, dt):
         contact_radius = math.sqrt(buffer[RS + k] * overlap)
         stiffness = modulus * contact_radius  # K √δ
         drag = damping * math.sqrt(buffer[MS + k] * stiffness)  # α √(m* K) δ^(1/4)
-        normal = max(0.0, stiffness * overlap + drag * approach)
+        gain = buffer[AX + k] * nx + buffer[AY + k] * ny + buffer[AZ + k] * nz
+        gain *= max(0.0, 1.0 - PREDICTION_FADE * drag * dt / buffer[MS + k])
+        normal = max(0.0, stiffness * overlap + drag * (approach + gain))
         buffer[FX + k], buffer[FY + k], buffer[FZ + k] = -normal * nx, -normal * ny, -normal * nz
         if tangential:
             r1, r2 = buffer[R1 + k], buffer[R2 + k]

@@ -23,6 +23,7 @@ class _Bodies:
 
     position: FloatArray
     velocity: FloatArray
+    velocity_gain: FloatArray
     spin: FloatArray
     radius: FloatArray
     mass: FloatArray
@@ -49,7 +50,8 @@ def advance(state: ParticleState, physics: Physics, time_step: float, wall_speed
     )
     radius = np.asarray(state.radius, np.float64)
     mass = sphere_mass(physics.density, radius)
-    bodies = _Bodies(position, velocity, spin, radius, mass, 0.4 * mass * radius**2, state.history)
+    inertia = 0.4 * mass * radius**2
+    bodies = _Bodies(position, velocity, np.zeros_like(velocity), spin, radius, mass, inertia, state.history)
     steps, fastest = len(wall_speed) - 1, 0.25 * radius.min() / time_step
     force, torque = _loads(bodies, physics, 0.0, wall_speed[0])
     for step in range(steps):
@@ -71,7 +73,10 @@ def advance(state: ParticleState, physics: Physics, time_step: float, wall_speed
 
 
 def _kick(bodies: _Bodies, physics: Physics, force: FloatArray, torque: FloatArray, duration: float) -> None:
-    bodies.velocity += duration * (force / bodies.mass[:, None] + physics.gravity)
+    gain = duration * (force / bodies.mass[:, None] + physics.gravity)
+    bodies.velocity += gain
+    # What the second half of the step will add, if the acceleration stays.
+    bodies.velocity_gain = gain
     bodies.spin += duration * torque / bodies.inertia[:, None]
 
 
@@ -121,6 +126,7 @@ def _pair_loads(
         effective_radius=radius[i] * radius[j] / (radius[i] + radius[j]),
         effective_mass=bodies.mass[i] * bodies.mass[j] / (bodies.mass[i] + bodies.mass[j]),
         velocity=bodies.velocity[i] - bodies.velocity[j],
+        velocity_gain=bodies.velocity_gain[i] - bodies.velocity_gain[j],
         surface_spin=arm[:, None] * bodies.spin[i] + (distance - arm)[:, None] * bodies.spin[j],
         history=old.force,
         overlap_before=old.overlap,
@@ -162,6 +168,7 @@ def _wall_loads(
         effective_radius=bodies.radius[i],
         effective_mass=bodies.mass[i],
         velocity=bodies.velocity[i] - surface_velocity(physics.axis, speed, point),
+        velocity_gain=bodies.velocity_gain[i],
         surface_spin=distance[:, None] * bodies.spin[i],
         history=old.force,
         overlap_before=old.overlap,

@@ -2,8 +2,10 @@
 
     v_{n+1/2} = v_n + ½ a_n Δt,   x_{n+1} = x_n + v_{n+1/2} Δt,   v_{n+1} = v_{n+1/2} + ½ a_{n+1} Δt
 
-with a_{n+1} from x_{n+1}, v_{n+1/2} and the walls' speed at the middle of the step; spin likewise. A stretch of
-steps starts with the forces of its state alone: histories as they are, nothing added to them.
+with a_{n+1} from x_{n+1}, v_{n+1/2} and the walls' speed at the middle of the step; spin likewise. The damping of the
+normal force takes v_{n+1/2} + ½ a_n Δt, the prediction of v_{n+1}: with v_{n+1/2} alone, which lags by half a step,
+an impact of e = 0.3 loses up to 1.2e-3 of its restitution at a step of t_c/200, more than it may. A stretch of steps
+starts with the forces of its state alone: histories as they are, nothing added to them.
 """
 
 from __future__ import annotations
