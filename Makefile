@@ -22,7 +22,7 @@ lint: $(READY)
 	$(BIN)/ruff check .
 
 ui: $(READY)
-	$(BIN)/python -m gran_bench.ui --port $(PORT)
+	$(BIN)/python -m gran_bench.ui port=$(PORT)
 
 bench: $(READY)
 	$(BIN)/python -m gran_bench.benchmark

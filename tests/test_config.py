@@ -18,6 +18,7 @@ from gran_bench.config import (
     GenerateConfig,
     SceneConfig,
     TrainConfig,
+    UiConfig,
 )
 from gran_bench.config_check import dotted_keys, nearest_key, read_config, validate
 from gran_bench.config_rules import RULES, ConfigError, Range
@@ -40,6 +41,7 @@ def train_config(*overrides: str) -> TrainConfig:
 def test_the_commands_compose_without_any_choice():
     assert train_config().model.name == "contact"
     assert checked_config(compose("generate", []), GenerateConfig).scene.name == "drum"
+    assert checked_config(compose("ui", []), UiConfig).port == 5000
 
 
 @pytest.mark.parametrize("recipe", RECIPES)
@@ -69,12 +71,8 @@ def test_a_shipped_scene_carries_its_file_name_and_has_room_for_its_spheres(scen
 
 def test_the_papers_training_is_the_papers():
     config = train_config("+experiment=paper")
-    assert (config.model.name, config.model.kernel, config.model.width, config.model.layers) == (
-        "ccnn",
-        "lattice",
-        64,
-        3,
-    )
+    model = config.model
+    assert (model.name, model.kernel, model.width, model.layers) == ("ccnn", "lattice", 64, 3)
     assert (config.boundary.kind, config.boundary.normal, config.boundary.velocity) == ("spheres", True, True)
     loss = config.loss
     assert (loss.position_l2, loss.position_mse, loss.velocity, loss.spin, loss.overlap) == (1, 0, 0, 0, 0)

@@ -206,13 +206,15 @@ def test_the_exit_code_tells_a_refused_config_from_a_failed_run(error, code):
     assert complain(error, TrainConfig) == code
 
 
-@pytest.mark.parametrize("entry", ["train", "generate"])
-def test_the_entries_refuse_before_they_load_anything_heavy(entry, tmp_path: Path):
+@pytest.mark.parametrize(
+    ("entry", "typed", "meant"), [("train", "sede", "seed"), ("generate", "scen", "scene"), ("ui", "prot", "port")]
+)
+def test_the_entries_refuse_before_they_load_anything_heavy(entry, typed, meant, tmp_path: Path):
     done = subprocess.run(
-        [sys.executable, "-X", "importtime", "-m", f"gran_bench.{entry}", "+sede=1"],
+        [sys.executable, "-X", "importtime", "-m", f"gran_bench.{entry}", f"+{typed}=1"],
         cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     lines = [line for line in done.stderr.splitlines() if not line.startswith("import time:")]
-    assert (done.returncode, lines) == (REFUSED, ["error: sede=1: no such key; did you mean seed?"])
+    assert (done.returncode, lines) == (REFUSED, [f"error: {typed}=1: no such key; did you mean {meant}?"])
     assert not {"torch", "numba", "mlflow"} & {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
     assert list(tmp_path.iterdir()) == []

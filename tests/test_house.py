@@ -11,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from gran_bench.config import TrainConfig
+from gran_bench.config_check import dotted_keys
+
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "gran_bench"
 MODULES = sorted(path for path in SOURCE.rglob("*.py") if path.name != "__init__.py")
@@ -122,3 +125,10 @@ def test_this_environment_is_the_locked_one():
     for line in (ROOT / "requirements.lock").read_text("utf-8").split():
         name, version = line.split("==")
         assert importlib.metadata.version(name).partition("+")[0] == version
+
+
+def test_every_config_key_is_read_by_something():
+    readers = [path for path in MODULES if not room_of(path).startswith("config")]
+    source = "\n".join(path.read_text("utf-8") for path in readers)
+    names = {key.rpartition(".")[2] for key in dotted_keys(TrainConfig)}
+    assert sorted(name for name in names if not re.search(rf"\b{name}\b", source)) == []

@@ -242,8 +242,14 @@ class TrainConfig:
 class GenerateConfig:
     """Everything that `python -m gran_bench.generate` reads."""
 
-    seed: int = 0
     scene: SceneConfig = field(default_factory=SceneConfig)
     dem: DemConfig = field(default_factory=DemConfig)
     dataset: DatasetConfig = field(default_factory=DatasetConfig)
+
+
+@dataclass
+class UiConfig:
+    """Everything that `python -m gran_bench.ui` reads."""
+
+    port: int = 5000  # of this machine
     tracking: TrackingConfig = field(default_factory=TrackingConfig)

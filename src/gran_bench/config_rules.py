@@ -25,6 +25,7 @@ from gran_bench.config import (
     TrackingConfig,
     TrainConfig,
     TrainerConfig,
+    UiConfig,
 )
 
 
@@ -242,7 +243,8 @@ RULES: dict[type, dict[str, Rule]] = {
         "device": OneOf(("auto", "cpu", "cuda")),
         "threads": at_least(1),
     },
-    GenerateConfig: {"seed": at_least(0)},
+    GenerateConfig: {},
+    UiConfig: {"port": Range(1, 65535)},
 }
 
 

@@ -23,6 +23,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
+from gran_bench.config import TrainConfig
 from gran_bench.config_check import read_config
 from gran_bench.config_rules import ConfigError
 from gran_bench.override_errors import explain
@@ -69,9 +70,9 @@ def run(task: Callable[[Any], object], config_name: str, schema: type) -> NoRetu
         settings = HydraConfig.get()
         try:
             config = checked_config(composed, schema)
-            config.tracking.folder = config.tracking.folder or run_folder(
-                getattr(config, "experiment", config_name), settings.overrides.task
-            )
+            if isinstance(config, TrainConfig):
+                name = run_folder(config.experiment, settings.overrides.task)
+                config.tracking.folder = config.tracking.folder or name
             task(config)
         except Exception as error:
             if settings.mode == RunMode.MULTIRUN:
