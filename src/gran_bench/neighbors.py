@@ -87,6 +87,26 @@ def cell_pairs(position: FloatArray, reach: float, period: float = 0.0) -> Index
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
+def cell_neighbors(
+    query: FloatArray, source: FloatArray, reach: float, period: float = 0.0
+) -> tuple[IndexArray, IndexArray]:
+    """The same neighbours as :func:`tree_neighbors` from the jitted cell list, sorted by query only.
+
+    Args:
+        query: ``(Q, 3)`` m.
+        source: ``(S, 3)`` m.
+        reach: m.
+        period: length of the periodic y axis, m; 0 for none.
+
+    Raises:
+        ValueError: a period that is shorter than twice the reach.
+    """
+    check_period(period, reach)
+    if len(query) == 0 or len(source) == 0:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    return _list_neighbors(_wrapped(np.concatenate((query, source)), period), len(query), reach, period)
+
+
 def nearest_image(offset: FloatArray, period: float) -> FloatArray:
     """Relative vectors with y taken to the nearest image, ``(M, 3)`` m; the same array where nothing wraps."""
     if period > 0:
@@ -239,6 +259,45 @@ def list_pairs(sphere, margin, period):
                 first[found], second[found] = min(i, j), max(i, j)
                 found += dx * dx + dy * dy + dz * dz < reach * reach
     return first[:found].copy(), second[:found].copy()
+
+
+@njit(cache=True, error_model="numpy")
+def _list_neighbors(point, query_count, reach, period):
+    """Query and source index of every hit, of ``(Q + S, 3)`` points of which the first Q ask."""
+    order, start, cell_of_rank, cells = bin_cells(point, reach, period)
+    rank_of, place = np.empty(len(point), np.int64), np.empty((len(point), 3))
+    for rank in range(len(point)):
+        rank_of[order[rank]] = rank
+        place[rank] = point[order[rank]]
+    nx, ny, nz = cells[0], cells[1], cells[2]
+    query, source = np.empty(32 * query_count, np.int64), np.empty(32 * query_count, np.int64)
+    found = 0
+    for i in range(query_count):
+        cell = cell_of_rank[rank_of[i]]
+        x, y, z = cell % nx, (cell // nx) % ny, cell // (nx * ny)
+        left, right = max(0, x - 1), min(nx - 1, x + 1)
+        for row in range(9):
+            layer, line = z + row // 3 - 1, y + row % 3 - 1
+            if layer < 0 or layer >= nz:
+                continue
+            if line < 0 or line >= ny:
+                if period == 0.0 or ny == 1:
+                    continue
+                line = (line + ny) % ny
+            base = (layer * ny + line) * nx
+            begin, end = start[base + left], start[base + right + 1]
+            if found + end - begin > len(query):
+                room = 2 * (len(query) + end - begin)
+                query, source = _enlarged(query, room), _enlarged(source, room)
+            for other in range(begin, end):
+                dx = place[other, 0] - point[i, 0]
+                dy = place[other, 1] - point[i, 1]
+                dz = place[other, 2] - point[i, 2]
+                if period > 0.0:
+                    dy -= period * np.rint(dy / period)
+                query[found], source[found] = i, order[other] - query_count
+                found += order[other] >= query_count and dx * dx + dy * dy + dz * dz < reach * reach
+    return query[:found].copy(), source[:found].copy()
 
 
 @njit(cache=True)

@@ -10,10 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gran_bench.neighbors import tree_neighbors
+from gran_bench.neighbors import cell_neighbors
 from gran_bench.scene import Cylinder, Plane, Scene, Wall
 from gran_bench.state import FloatArray
-from gran_bench.surrogate.step import minimum_image
 
 KINDS = ("none", "spheres", "analytic")
 
@@ -31,6 +30,7 @@ class WallPairs:
         relative: ``(M, 3)`` source − particle, m.
         normal: ``(S, 3)`` unit normals into the container.
         velocity: ``(S, 3)`` velocity of the wall's material, mean over the frame, m/s.
+        moves: whether any wall of the scene ever moves; where none does, the velocities are zero.
         gap: ``(S,)`` distance from the wall to the particle's surface, in diameters; analytic sources only.
         slip: ``(S, 3)`` velocity of the wall less that of the particle, m/s; analytic sources only.
     """
@@ -41,6 +41,7 @@ class WallPairs:
     relative: Tensor
     normal: Tensor
     velocity: Tensor
+    moves: bool
     gap: Tensor | None = None
     slip: Tensor | None = None
 
@@ -65,30 +66,38 @@ class WallSpheres:
     wall: np.ndarray
 
 
-def wall_spheres(scene: Scene, spacing: float) -> WallSpheres:
+def wall_spheres(scene: Scene, spacing: float, beyond: float = 0.0) -> WallSpheres:
     """Cover the walls of a scene with points about ``spacing`` (m) apart.
 
     A cylinder is covered between the caps, or over one period, whose length a whole number of rows divides; an end
     cap is a disc of the drum's radius.
 
+    Args:
+        beyond: how far the cover goes on beyond the ends of a period, m; for particles that see across its seam.
+
     Raises:
-        ValueError: a spacing that is not positive, or a scene whose walls have no end (no drum radius or length).
+        ValueError: a spacing that is not positive, or walls without an end (a scene without drum radius or length).
     """
     if not spacing > 0:
         raise ValueError(f"boundary.spacing gives {spacing:g} m between wall spheres; choose a value > 0")
-    return _cover(scene.walls, scene.drum_radius, scene.length, scene.period, spacing)
+    return _cover(scene.walls, scene.drum_radius, scene.length, scene.period, spacing, beyond)
 
 
 @lru_cache(maxsize=16)
 def _cover(
-    walls: tuple[Wall, ...], drum_radius: float | None, length: float | None, period: float, spacing: float
+    walls: tuple[Wall, ...],
+    drum_radius: float | None,
+    length: float | None,
+    period: float,
+    spacing: float,
+    beyond: float,
 ) -> WallSpheres:
     if walls and (drum_radius is None or length is None):
-        raise ValueError("walls without a drum's radius and length have no end to cover; use boundary=analytic")
+        raise ValueError("walls without a drum's radius and length have no end to cover; use boundary.kind=analytic")
     pieces = []
     for wall in walls:
         if isinstance(wall, Cylinder):
-            pieces.append(_cover_cylinder(wall, length, period, spacing))
+            pieces.append(_cover_cylinder(wall, length, spacing, beyond if period > 0.0 else 0.0))
         else:
             pieces.append(_cover_disc(wall, drum_radius, spacing))
     if not pieces:
@@ -109,15 +118,17 @@ def _frame(axis: tuple[float, float, float]) -> tuple[FloatArray, FloatArray, Fl
     return along, first, np.cross(along, first)
 
 
-def _cover_cylinder(wall: Cylinder, length: float, period: float, spacing: float) -> tuple[FloatArray, FloatArray]:
+def _cover_cylinder(wall: Cylinder, length: float, spacing: float, beyond: float) -> tuple[FloatArray, FloatArray]:
     """Rows of points around a cylinder, every other row turned by half a spacing."""
     along, first, second = _frame(wall.axis)
     around = max(3, round(2.0 * math.pi * wall.radius / spacing))
     rows = max(1, round(length / spacing))
-    if period > 0.0:
-        rows += rows % 2  # the turned rows must alternate across the seam too
-    height = ((np.arange(rows) + 0.5) / rows - 0.5) * length
-    angle = (np.arange(around)[None, :] + 0.5 * (np.arange(rows)[:, None] % 2)) * (2.0 * math.pi / around)
+    if beyond > 0.0:
+        rows += rows % 2  # turned rows alternate across the seam too
+    more = math.ceil(beyond * rows / length)
+    row = np.arange(-more, rows + more)
+    height = ((row + 0.5) / rows - 0.5) * length
+    angle = (np.arange(around)[None, :] + 0.5 * (row[:, None] % 2)) * (2.0 * math.pi / around)
     outward = np.cos(angle)[..., None] * first + np.sin(angle)[..., None] * second
     position = np.asarray(wall.point) + wall.radius * outward + height[:, None, None] * along
     return position.reshape(-1, 3), -outward.reshape(-1, 3)
@@ -188,14 +199,16 @@ def see_spheres(position: Tensor, scene: Scene, time: float, radius: float, spac
         spacing: of the spheres, m.
     """
     near, _ = _near(position, scene, radius)
-    cover = wall_spheres(scene, spacing)
+    cover = wall_spheres(scene, spacing, beyond=radius)
     centres = position.detach()[near].double().cpu().numpy()
-    query_index, sphere = tree_neighbors(centres, cover.position, radius, scene.period)
-    kept, source_index = np.unique(sphere, return_inverse=True)
+    query_index, sphere = cell_neighbors(centres, cover.position, radius)
+    seen = np.zeros(len(cover.position), bool)
+    seen[sphere] = True
+    kept, source_index = np.flatnonzero(seen), (np.cumsum(seen) - 1)[sphere]
 
     device, like = position.device, position.detach()
     query = torch.from_numpy(query_index).to(device)
-    source = torch.from_numpy(source_index.reshape(-1)).to(device)
+    source = torch.from_numpy(source_index).to(device)
     point = torch.as_tensor(cover.position[kept], dtype=like.dtype, device=device)
     velocity = torch.zeros_like(point)
     for index, wall in enumerate(scene.walls):
@@ -205,9 +218,10 @@ def see_spheres(position: Tensor, scene: Scene, time: float, radius: float, spac
         near=near,
         query=query,
         source=source,
-        relative=minimum_image(point[source] - position[near][query], scene.period),
+        relative=point[source] - position[near][query],
         normal=torch.as_tensor(cover.normal[kept], dtype=like.dtype, device=device),
         velocity=velocity,
+        moves=scene.needs.wall_motion,
     )
 
 
@@ -239,6 +253,7 @@ def see_contacts(position: Tensor, velocity: Tensor, scene: Scene, time: float, 
         relative=relative[order],
         normal=normal[order],
         velocity=moving[order],
+        moves=scene.needs.wall_motion,
         gap=gap[order],
         slip=slip[order],
     )

@@ -9,13 +9,13 @@ import torch
 from torch import Tensor, nn
 
 from gran_bench.config import BoundaryConfig, CconvModelConfig
-from gran_bench.neighbors import tree_neighbors
 from gran_bench.scene import Scene
 from gran_bench.surrogate.boundary import KINDS, WallPairs, see_contacts, see_spheres
-from gran_bench.surrogate.cconv import ContinuousConvolution, KernelBasis, Neighborhood, weigh_pairs
+from gran_bench.surrogate.cconv import ContinuousConvolution
 from gran_bench.surrogate.kernels.lattice import LatticeBasis
 from gran_bench.surrogate.kernels.radial import RadialBasis
-from gran_bench.surrogate.step import NewtonSurrogate, minimum_image
+from gran_bench.surrogate.neighborhood import KernelBasis, Neighborhood, particle_neighborhood, weigh_pairs
+from gran_bench.surrogate.step import NewtonSurrogate
 
 _SOLID_FRACTION = 0.58  # of a settled bed; only sets the scale of the first weights
 _OUTPUT_START = 0.1  # first output weights, of their usual size: an untrained network starts near pure gravity
@@ -121,25 +121,13 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
     def acceleration(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> Tensor:
         if self.config.backend == "fused":
             position = position.detach()
-        pairs = self._neighborhood(position, scene.period)
+        pairs = particle_neighborhood(self.pair_basis, position, scene.period)
         output = self._particle_branch(velocity, pairs)
         if self.has_walls:
             wall = self._see_walls(position, velocity, scene, time)
             if len(wall.near):
                 output = output.index_add(0, wall.near, self._wall_branch(velocity[wall.near], pairs, wall))
         return output * (self.config.output_scale / scene.frame_interval**2)
-
-    def _neighborhood(self, position: Tensor, period: float) -> Neighborhood:
-        """Particles within R of each other, weighed once for all layers of the frame."""
-        points = position.detach().double().cpu().numpy()
-        query, source = (
-            torch.from_numpy(i).to(position.device) for i in tree_neighbors(points, points, self.config.radius, period)
-        )
-        other = query != source
-        query, source = query[other], source[other]
-        relative = minimum_image(position[source] - position[query], period)
-        count = len(position)
-        return weigh_pairs(self.pair_basis, query, source, relative, count, count, symmetric=True)
 
     def _particle_branch(self, velocity: Tensor, pairs: Neighborhood) -> Tensor:
         inputs = velocity
@@ -165,8 +153,12 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
             shape = torch.cat((shape, wall.gap[:, None]), dim=1)
         convolved = [self.wall_normal(shape, seen)]
         if self.wall_velocity is not None:
-            motion = wall.velocity if wall.slip is None else torch.cat((wall.velocity, wall.slip), dim=1)
-            convolved.append(self.wall_velocity(motion, seen))
+            if wall.slip is not None:
+                convolved.append(self.wall_velocity(torch.cat((wall.velocity, wall.slip), dim=1), seen))
+            elif wall.moves:
+                convolved.append(self.wall_velocity(wall.velocity, seen))
+            else:
+                convolved.append(torch.zeros_like(convolved[0]))
         features = torch.cat((self.wall_linear(velocity), torch.cat(convolved, dim=1) + self.wall_bias), dim=1)
         among = pairs.restricted(wall.near)
         for layer in self.wall_layers:

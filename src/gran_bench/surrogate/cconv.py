@@ -4,141 +4,23 @@
 
 φ_b are the functions of a basis (:class:`~gran_bench.surrogate.kernels.lattice.LatticeBasis` or
 :class:`~gran_bench.surrogate.kernels.radial.RadialBasis`), W_b the trained matrices. Of the basis, a pair of points
-uses eight functions. They, and the window a, depend on the points alone: :class:`Neighborhood` holds them for all
-layers of a frame.
+uses eight functions. They, and the window a, depend on the points alone:
+:class:`~gran_bench.surrogate.neighborhood.Neighborhood` holds them for all layers of a frame.
+
+Source: Ummenhofer, Prantl, Thuerey & Koltun (2020), Lagrangian fluid simulation with continuous convolutions, ICLR.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
 from gran_bench.surrogate.kernels.fused import convolve_fused
+from gran_bench.surrogate.neighborhood import KernelBasis, Neighborhood
 
 BACKENDS = ("fused", "torch")
-
-
-class KernelBasis(Protocol):
-    """What a layer needs of a basis; see LatticeBasis."""
-
-    radius: float
-    size: int
-    offsets: tuple[int, ...]
-    mirror: Tensor
-    mirror_sign: Tensor
-
-    def evaluate(self, relative: Tensor) -> tuple[Tensor, Tensor]:
-        """First function ``(M,)`` and values ``(M, 8)`` for vectors ``(M, 3)``, m."""
-        ...
-
-
-@dataclass(frozen=True)
-class Neighborhood:
-    """Who sees whom in a frame, and with which weight: shared by every layer of a basis.
-
-    Attributes:
-        basis: of the kernel.
-        row_start: ``(Q + 1,)`` int64; the pairs of query q are row_start[q] … row_start[q + 1].
-        source: ``(M,)`` int64, the source of each pair.
-        first: ``(M,)`` int64, first basis function of each pair.
-        coefficient: ``(M, 8)`` window × basis function; differentiable in the positions unless they were detached.
-        source_count: S.
-        symmetric: queries are the sources, and with (q, i) the list holds (i, q) with the opposite vector. The
-            transposed layer is then the same layer with a mirrored kernel, and its backward pass needs no other list.
-    """
-
-    basis: KernelBasis
-    row_start: Tensor
-    source: Tensor
-    first: Tensor
-    coefficient: Tensor
-    source_count: int
-    symmetric: bool = False
-
-    @property
-    def query_count(self) -> int:
-        """Q."""
-        return len(self.row_start) - 1
-
-    @cached_property
-    def query(self) -> Tensor:
-        """``(M,)`` int64, the query of each pair."""
-        rows = torch.arange(self.query_count, device=self.row_start.device)
-        return torch.repeat_interleave(rows, self.row_start.diff())
-
-    @cached_property
-    def transposed(self) -> Neighborhood:
-        """The same pairs listed by source, with queries in the sources' place (same vectors, kernel not mirrored)."""
-        order = torch.argsort(self.source, stable=True)
-        counts = torch.bincount(self.source, minlength=self.source_count)
-        return replace(
-            self,
-            row_start=_starts(counts),
-            source=self.query[order],
-            first=self.first[order],
-            coefficient=self.coefficient[order],
-            source_count=self.query_count,
-            symmetric=False,
-        )
-
-    def restricted(self, kept: Tensor) -> Neighborhood:
-        """The pairs among some of the particles, renumbered; for queries that are the sources.
-
-        Args:
-            kept: ``(P,)`` int64, increasing.
-        """
-        place = torch.full((self.source_count,), -1, dtype=torch.int64, device=self.source.device)
-        place[kept] = torch.arange(len(kept), device=kept.device)
-        query, source = place[self.query], place[self.source]
-        inside = torch.nonzero((query >= 0) & (source >= 0))[:, 0]
-        return replace(
-            self,
-            row_start=_starts(torch.bincount(query[inside], minlength=len(kept))),
-            source=source[inside],
-            first=self.first[inside],
-            coefficient=self.coefficient[inside],
-            source_count=len(kept),
-        )
-
-
-def weigh_pairs(
-    basis: KernelBasis,
-    query: Tensor,
-    source: Tensor,
-    relative: Tensor,
-    query_count: int,
-    source_count: int,
-    symmetric: bool = False,
-) -> Neighborhood:
-    """Window and basis functions of a list of pairs.
-
-    Args:
-        query: ``(M,)`` int64, sorted.
-        source: ``(M,)`` int64.
-        relative: ``(M, 3)`` source − query, m (minimum image where periodic); at most R long.
-        symmetric: see :class:`Neighborhood`; the caller's promise.
-    """
-    window = (1.0 - (relative * relative).sum(-1) / basis.radius**2).clamp_min(0.0) ** 3
-    first, value = basis.evaluate(relative)
-    return Neighborhood(
-        basis=basis,
-        row_start=_starts(torch.bincount(query, minlength=query_count)),
-        source=source,
-        first=first,
-        coefficient=window[:, None] * value,
-        source_count=source_count,
-        symmetric=symmetric,
-    )
-
-
-def _starts(counts: Tensor) -> Tensor:
-    """``(Q + 1,)`` where each row starts, from the ``(Q,)`` lengths of the rows."""
-    return torch.cat((counts.new_zeros(1), counts.cumsum(0)))
 
 
 def convolve(features: Tensor, weight: Tensor, neighborhood: Neighborhood) -> Tensor:

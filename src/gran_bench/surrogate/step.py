@@ -94,6 +94,9 @@ class Surrogate(nn.Module):
         """Number of trained weights."""
         return sum(p.numel() for p in self.parameters() if p.requires_grad)
 
+    def __str__(self) -> str:
+        return f"{type(self).__name__}, {self.parameter_count:,} parameters"
+
 
 class NewtonSurrogate(Surrogate):
     """A surrogate whose network gives the acceleration of contacts; gravity and Newton's law do the rest.

@@ -27,7 +27,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 if TYPE_CHECKING:
-    from gran_bench.surrogate.cconv import Neighborhood
+    from gran_bench.surrogate.neighborhood import Neighborhood
 
 # A block's buffer: about what the second-level cache of a core holds. Rows beyond the bound gain nothing.
 _BUFFER_BYTES = 1 << 20

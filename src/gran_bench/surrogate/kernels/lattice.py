@@ -96,3 +96,7 @@ class LatticeBasis:
         value = torch.stack([c * b * a for c in wz for b in wy for a in wx], dim=-1)
         i, j, k = cell.long().unbind(-1)
         return (k * self.edge + j) * self.edge + i, value
+
+    def turned(self, first: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
+        """First function and values for the vectors turned round: the mirrored cell, its corners in reverse order."""
+        return self.size - 1 - self.offsets[-1] - first, value.flip(-1)

@@ -74,3 +74,7 @@ class RadialBasis:
         harmonics = torch.cat((torch.ones_like(distance)[:, None], direction), dim=-1)
         value = torch.cat(((1.0 - upper)[:, None] * harmonics, upper[:, None] * harmonics), dim=-1)
         return _HARMONICS * below, value
+
+    def turned(self, first: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
+        """First function and values for the vectors turned round: directions change their sign."""
+        return first, value * self.mirror_sign[:8].to(value)

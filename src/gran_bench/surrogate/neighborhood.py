@@ -1,0 +1,227 @@
+"""Who sees whom in a frame, and with which weight: the geometry that all layers of a network share."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import torch
+from numba import njit
+from torch import Tensor
+
+from gran_bench.neighbors import cell_neighbors, list_pairs
+
+
+class KernelBasis(Protocol):
+    """What a layer needs of a basis; see LatticeBasis."""
+
+    radius: float
+    size: int
+    offsets: tuple[int, ...]
+    mirror: Tensor
+    mirror_sign: Tensor
+
+    def evaluate(self, relative: Tensor) -> tuple[Tensor, Tensor]:
+        """First function ``(M,)`` and values ``(M, 8)`` for vectors ``(M, 3)``, m."""
+        ...
+
+    def turned(self, first: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
+        """The same for the vectors turned round, from what ``evaluate`` gave."""
+        ...
+
+
+@dataclass(frozen=True)
+class Neighborhood:
+    """Who sees whom in a frame, and with which weight: shared by every layer of a basis.
+
+    Attributes:
+        basis: of the kernel.
+        row_start: ``(Q + 1,)`` int64; the pairs of query q are row_start[q] … row_start[q + 1].
+        source: ``(M,)`` int64, the source of each pair.
+        first: ``(M,)`` int64, first basis function of each pair.
+        coefficient: ``(M, 8)`` window × basis function; differentiable in the positions unless they were detached.
+        source_count: S.
+        symmetric: queries are the sources, and with (q, i) the list holds (i, q) with the opposite vector. The
+            transposed layer is then the same layer with a mirrored kernel, and its backward pass needs no other list.
+    """
+
+    basis: KernelBasis
+    row_start: Tensor
+    source: Tensor
+    first: Tensor
+    coefficient: Tensor
+    source_count: int
+    symmetric: bool = False
+
+    @property
+    def query_count(self) -> int:
+        """Q."""
+        return len(self.row_start) - 1
+
+    @cached_property
+    def query(self) -> Tensor:
+        """``(M,)`` int64, the query of each pair."""
+        rows = torch.arange(self.query_count, device=self.row_start.device)
+        return torch.repeat_interleave(rows, self.row_start.diff())
+
+    @cached_property
+    def transposed(self) -> Neighborhood:
+        """The same pairs listed by source, with queries in the sources' place (same vectors, kernel not mirrored)."""
+        order = torch.argsort(self.source, stable=True)
+        counts = torch.bincount(self.source, minlength=self.source_count)
+        return replace(
+            self,
+            row_start=_starts(counts),
+            source=self.query[order],
+            first=self.first[order],
+            coefficient=self.coefficient[order],
+            source_count=self.query_count,
+            symmetric=False,
+        )
+
+    def restricted(self, kept: Tensor) -> Neighborhood:
+        """The pairs among some of the particles, renumbered; for queries that are the sources.
+
+        Args:
+            kept: ``(P,)`` int64, increasing.
+        """
+        place = torch.full((self.source_count,), -1, dtype=torch.int64, device=self.source.device)
+        place[kept] = torch.arange(len(kept), device=kept.device)
+        query, source = place[self.query], place[self.source]
+        inside = torch.nonzero((query >= 0) & (source >= 0))[:, 0]
+        return replace(
+            self,
+            row_start=_starts(torch.bincount(query[inside], minlength=len(kept))),
+            source=source[inside],
+            first=self.first[inside],
+            coefficient=self.coefficient[inside],
+            source_count=len(kept),
+        )
+
+
+def weigh_pairs(
+    basis: KernelBasis,
+    query: Tensor,
+    source: Tensor,
+    relative: Tensor,
+    query_count: int,
+    source_count: int,
+    symmetric: bool = False,
+) -> Neighborhood:
+    """Window and basis functions of a list of pairs.
+
+    Args:
+        query: ``(M,)`` int64, sorted.
+        source: ``(M,)`` int64.
+        relative: ``(M, 3)`` source − query, m; at most R long.
+        symmetric: see :class:`Neighborhood`; the caller's promise.
+    """
+    first, coefficient = _weigh(basis, relative)
+    return Neighborhood(
+        basis=basis,
+        row_start=_starts(torch.bincount(query, minlength=query_count)),
+        source=source,
+        first=first,
+        coefficient=coefficient,
+        source_count=source_count,
+        symmetric=symmetric,
+    )
+
+
+def particle_neighborhood(basis: KernelBasis, position: Tensor, period: float = 0.0) -> Neighborhood:
+    """Particles within R of each other, themselves excluded, weighed once for all layers of a frame.
+
+    Each pair is listed from both sides; the basis is evaluated on one side and mirrored to the other.
+
+    Args:
+        basis: of the kernel; gives R.
+        position: ``(N, 3)`` m; detach it to hold the geometry constant.
+        period: length of the periodic y axis, m; 0 for none. Where it is shorter than 2 R, a particle may be seen
+            through both sides.
+    """
+    count = len(position)
+    if period > 0.0:
+        points, particle = periodic_images(position, basis.radius, period)
+        queries, sources = (p.detach().double().cpu().numpy() for p in (position, points))
+        query, image = (torch.from_numpy(i).to(position.device) for i in cell_neighbors(queries, sources, basis.radius))
+        others = image != query
+        query, image = query[others], image[others]
+        relative = points[image] - position[query]
+        return weigh_pairs(basis, query, particle[image], relative, count, count, symmetric=True)
+    sphere = np.zeros((count, 4))
+    sphere[:, :3] = position.detach().cpu().numpy()
+    pair = [side.astype(np.int64) for side in list_pairs(sphere, basis.radius, 0.0)]
+    lists = (torch.from_numpy(a).to(position.device) for a in (*pair, *_both_sides(*pair, count)))
+    one, other, row_start, source, entry = lists
+    first, coefficient = _weigh(basis, position[other] - position[one])
+    mirrored_first, mirrored = basis.turned(first, coefficient)
+    return Neighborhood(
+        basis=basis,
+        row_start=row_start,
+        source=source,
+        first=torch.cat((first, mirrored_first))[entry],
+        coefficient=torch.cat((coefficient, mirrored))[entry],
+        source_count=count,
+        symmetric=True,
+    )
+
+
+def periodic_images(position: Tensor, reach: float, period: float) -> tuple[Tensor, Tensor]:
+    """The points of one period and their images up to ``reach`` beyond its ends.
+
+    Args:
+        position: ``(N, 3)`` m, y in [−L/2, L/2).
+        reach: m.
+        period: L, m.
+
+    Returns:
+        points ``(N + G, 3)`` m, the originals first; the original of each, ``(N + G,)`` int64.
+    """
+    everyone = torch.arange(len(position), device=position.device)
+    points, original = [position], [everyone]
+    for image in range(1, math.ceil(reach / period) + 1):
+        for shift in (-image * period, image * period):
+            moved = position + position.new_tensor((0.0, shift, 0.0))
+            near = torch.nonzero(moved.detach()[:, 1].abs() <= 0.5 * period + reach)[:, 0]
+            points.append(moved[near])
+            original.append(near)
+    return torch.cat(points), torch.cat(original)
+
+
+@njit(cache=True, nogil=True)
+def _both_sides(one, other, count):
+    """A full list by rows from M pairs of particles.
+
+    Returns ``(N + 1,)`` row starts, ``(2M,)`` sources and ``(2M,)`` entries: m where the row's particle is the pair's
+    first, M + m where it is its second.
+    """
+    row_start, length = np.zeros(count + 1, np.int64), len(one)
+    for m in range(length):
+        row_start[one[m] + 1] += 1
+        row_start[other[m] + 1] += 1
+    for i in range(count):
+        row_start[i + 1] += row_start[i]
+    fill = row_start[:-1].copy()
+    source, entry = np.empty(2 * length, np.int64), np.empty(2 * length, np.int64)
+    for m in range(length):
+        i, j = one[m], other[m]
+        source[fill[i]], entry[fill[i]] = j, m
+        source[fill[j]], entry[fill[j]] = i, length + m
+        fill[i] += 1
+        fill[j] += 1
+    return row_start, source, entry
+
+
+def _weigh(basis: KernelBasis, relative: Tensor) -> tuple[Tensor, Tensor]:
+    """First basis function ``(M,)`` and window × value ``(M, 8)`` of each vector."""
+    window = (1.0 - (relative * relative).sum(-1) / basis.radius**2).clamp_min(0.0) ** 3
+    first, value = basis.evaluate(relative)
+    return first, window[:, None] * value
+
+
+def _starts(counts: Tensor) -> Tensor:
+    """``(Q + 1,)`` where each row starts, from the ``(Q,)`` lengths of the rows."""
+    return torch.cat((counts.new_zeros(1), counts.cumsum(0)))
