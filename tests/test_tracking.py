@@ -1,0 +1,358 @@
+"""Runs in the store: what the UI will show, one run through all its lives, and nothing lost when the store fails."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from mlflow import MlflowClient
+from mlflow.entities import Run as StoredRun
+from mlflow.exceptions import MlflowException
+
+from gran_bench import tracking
+from gran_bench.config import RolloutConfig, TrackingConfig
+from gran_bench.tracking import TrackingError, ensure_store, open_parent, open_run
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The root of a store; making its tables takes a second, so the tests of this module share it."""
+    root = tmp_path_factory.mktemp("results")
+    ensure_store(TrackingConfig(root=str(root)))
+    return root
+
+
+@pytest.fixture
+def config(template: Path, request: pytest.FixtureRequest) -> TrackingConfig:
+    """An experiment of the test's own in the shared store."""
+    return TrackingConfig(experiment=request.node.name, root=str(template))
+
+
+def client(config: TrackingConfig) -> MlflowClient:
+    return MlflowClient(f"sqlite:///{Path(config.root) / tracking.DATABASE}")
+
+
+def runs(config: TrackingConfig) -> list[StoredRun]:
+    store = client(config)
+    return store.search_runs([store.get_experiment_by_name(config.experiment).experiment_id])
+
+
+def only_run(config: TrackingConfig) -> StoredRun:
+    (run,) = runs(config)
+    return run
+
+
+# ---- what a run shows ----------------------------------------------------------------------------------------
+
+
+def test_a_run_shows_params_metrics_tags_data_and_figures(config: TrackingConfig, tmp_path: Path):
+    figure = tmp_path / "angle.png"
+    figure.write_bytes(b"a picture")
+    params = {"seed": 0, "rollout": RolloutConfig(frames=3).__dict__, "speeds": [20.0, 25.0]}
+    with open_run(config, "holdout30rpm", "key", params, {"commit": "abc"}) as run:
+        run.log_dataset("drum", "d1", "data", {"cases": 6})
+        for step in range(3):
+            run.log_metrics({"training/loss": 1.0 / (1 + step), "learning_rate": 1e-4}, step)
+        run.log_artifact(figure, "figures")
+        run.set_tag("data_digest", "d1")
+    found = only_run(config)
+    assert found.info.status == "FINISHED"
+    assert found.info.run_name == "holdout30rpm"
+    assert found.data.params["rollout.frames"] == "3"
+    assert found.data.params["speeds"] == "[20.0, 25.0]"
+    assert found.data.tags["commit"] == "abc"
+    assert found.data.tags["data_digest"] == "d1"
+    history = client(config).get_metric_history(found.info.run_id, "training/loss")
+    assert [(m.step, m.value) for m in history] == [(0, 1.0), (1, 0.5), (2, pytest.approx(1 / 3))]
+    (data,) = found.inputs.dataset_inputs
+    assert (data.dataset.name, data.dataset.digest) == ("drum", "d1")
+    stored = Path(config.root) / "artifacts" / found.info.run_id / "artifacts" / "figures" / "angle.png"
+    assert stored.read_bytes() == b"a picture"
+
+
+def test_many_params_and_metrics_fit(config: TrackingConfig):
+    with open_run(config, "many", "key", {f"p{i}": i for i in range(250)}) as run:
+        for step in range(500):
+            run.log_metrics({f"m{i}": float(step) for i in range(5)}, step)
+    found = only_run(config)
+    assert len(found.data.params) == 250
+    assert len(client(config).get_metric_history(found.info.run_id, "m4")) == 500
+
+
+def test_metrics_travel_in_batches(config: TrackingConfig, monkeypatch: pytest.MonkeyPatch):
+    sent = []
+    original = MlflowClient.log_batch
+
+    def counted(self: MlflowClient, *arguments: object, **options: object) -> None:
+        sent.append(len(options.get("metrics", ())))
+        original(self, *arguments, **options)
+
+    monkeypatch.setattr(MlflowClient, "log_batch", counted)
+    monkeypatch.setattr(tracking, "FLUSH_SECONDS", 1e9)
+    with open_run(config, "batches", "key", {}) as run:
+        for step in range(100):
+            run.log_metrics({"loss": 1.0}, step)
+    assert [count for count in sent if count] == [100]
+
+
+def test_a_diverged_loss_is_recorded_as_it_is(config: TrackingConfig):
+    with open_run(config, "nan", "key", {}) as run:
+        run.log_metrics({"loss": float("nan")}, 1)
+    assert str(only_run(config).data.metrics["loss"]) == "nan"
+
+
+def test_without_tracking_nothing_is_written(tmp_path: Path):
+    config = TrackingConfig(root=str(tmp_path / "none"), enabled=False)
+    with open_run(config, "off", "key", {"a": 1}) as run:
+        run.log_metrics({"loss": 1.0}, 0)
+        run.log_artifact(tmp_path / "figure.png")
+        run.log_dataset("drum", "d1", "data")
+        run.set_tag("a", "b")
+        run.finish()
+    assert open_parent(config, "sweep", "key", {}) is None
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_sweeps_runs_hang_under_its_parent(config: TrackingConfig):
+    parent = open_parent(config, "sweep_radius", "sweep", {"sweep": "radius"})
+    assert open_parent(config, "sweep_radius", "sweep", {"sweep": "radius"}) == parent
+    with open_run(config, "R1", "one", {}, parent=parent):
+        pass
+    child = next(run for run in runs(config) if run.info.run_id != parent)
+    assert child.data.tags["mlflow.parentRunId"] == parent
+
+
+# ---- how a run ends, and its next life -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("error", "status"), [(KeyboardInterrupt("SIGINT"), "KILLED"), (ValueError("no"), "FAILED")])
+def test_the_status_says_how_a_run_ended(config: TrackingConfig, error: BaseException, status: str):
+    def life() -> None:
+        with open_run(config, "ends", "key", {}) as run:
+            run.log_metrics({"loss": 1.0}, 7)
+            raise error
+
+    with pytest.raises(type(error)):
+        life()
+    found = only_run(config)
+    assert found.info.status == status
+    assert found.data.tags["ended_by"].startswith(type(error).__name__)
+    assert found.data.metrics["loss"] == 1.0
+
+
+KILLED_BY_SIGNAL = """
+import signal, sys, time
+from gran_bench.config import TrackingConfig
+from gran_bench.tracking import open_run
+with open_run(TrackingConfig(experiment=sys.argv[2], root=sys.argv[1]), "killed", "key", {}) as run:
+    run.log_metrics({"loss": 1.0}, 0)
+    run.flush()
+    print("open", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGTERM, "KILLED"), (signal.SIGINT, "KILLED"), (signal.SIGKILL, "RUNNING")]
+)
+def test_a_killed_run_is_marked_and_reopened(config: TrackingConfig, number: signal.Signals, status: str):
+    sources = str(Path(__file__).parents[1] / "src")
+    process = subprocess.Popen(
+        [sys.executable, "-c", KILLED_BY_SIGNAL, config.root, config.experiment],
+        env=os.environ | {"PYTHONPATH": sources},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline() == "open\n", "MLflow must not chatter"
+    process.send_signal(number)
+    _, complaints = process.communicate(timeout=60)
+    assert "INFO" not in complaints
+    before = only_run(config)
+    assert before.info.status == status
+    with open_run(config, "killed", "key", {}) as run:
+        assert run.run_id == before.info.run_id
+        assert only_run(config).info.status == "RUNNING"
+    after = only_run(config)
+    assert after.info.status == "FINISHED"
+    assert "ended_by" not in after.data.tags
+
+
+def test_a_resumed_run_logs_a_repeated_step_once_and_a_changed_param_as_a_tag(config: TrackingConfig):
+    def first_life() -> None:
+        with open_run(config, "resumed", "key", {"minutes": 1, "seed": 0}) as run:
+            for step in range(4):
+                run.log_metrics({"loss": 1.0 / (step + 1)}, step)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        first_life()
+    # The last checkpoint was at step 2: steps 2 and 3 are computed again, to the same values.
+    with open_run(config, "resumed", "key", {"minutes": 2, "seed": 0, "new": "x"}) as run:
+        for step in range(2, 6):
+            run.log_metrics({"loss": 1.0 / (step + 1)}, step)
+    found = only_run(config)
+    assert [m.step for m in client(config).get_metric_history(found.info.run_id, "loss")] == list(range(6))
+    assert found.data.params == {"minutes": "1", "seed": "0", "new": "x"}
+    assert found.data.tags["resumed_with.minutes"] == "2"
+
+
+def test_another_key_is_another_run(config: TrackingConfig):
+    for key in ("one", "two", "one"):
+        with open_run(config, key, key, {}):
+            pass
+    assert sorted(run.info.run_name for run in runs(config)) == ["one", "two"]
+
+
+def test_a_status_that_does_not_exist_is_refused(config: TrackingConfig):
+    with open_run(config, "status", "key", {}) as run, pytest.raises(ValueError, match="status='DONE'"):
+        run.finish("DONE")
+
+
+# ---- first starts at once ------------------------------------------------------------------------------------
+
+FIRST_START = """
+import sys
+from gran_bench.config import TrackingConfig
+from gran_bench.tracking import open_run
+with open_run(TrackingConfig(root=sys.argv[1]), "run" + sys.argv[2], sys.argv[2], {}) as run:
+    run.log_metrics({"loss": 1.0}, 0)
+"""
+
+
+def test_first_starts_at_once_do_not_crash_each_other(tmp_path: Path):
+    sources = str(Path(__file__).parents[1] / "src")
+    starts = [
+        subprocess.Popen(
+            [sys.executable, "-c", FIRST_START, str(tmp_path), str(i)],
+            env=os.environ | {"PYTHONPATH": sources},
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for i in range(3)
+    ]
+    complaints = [process.communicate(timeout=120)[1] for process in starts]
+    assert [process.returncode for process in starts] == [0] * 3, complaints
+    assert complaints == [""] * 3
+    found = runs(TrackingConfig(root=str(tmp_path)))
+    assert sorted(run.info.run_name for run in found) == ["run0", "run1", "run2"]
+    assert {run.info.status for run in found} == {"FINISHED"}
+
+
+# ---- a store that fails --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def own(template: Path, tmp_path: Path) -> TrackingConfig:
+    """A store of the test's own, which it may break."""
+    root = tmp_path / "results"
+    root.mkdir()
+    (root / tracking.DATABASE).write_bytes((template / tracking.DATABASE).read_bytes())
+    return TrackingConfig(experiment="own", root=str(root))
+
+
+def test_a_vanished_store_is_told_and_the_record_is_kept_and_sent_later(
+    own: TrackingConfig, tmp_path: Path, capsys: pytest.CaptureFixture
+):
+    database, away = Path(own.root) / tracking.DATABASE, tmp_path / "away.db"
+    figure = tmp_path / "figure.png"
+    figure.write_bytes(b"a picture")
+
+    def first_life() -> None:
+        with open_run(own, "lost", "key", {}) as run:
+            database.rename(away)
+            run.log_metrics({"loss": 0.5}, 3)
+            run.log_artifact(figure, "figures")
+
+    with pytest.raises(TrackingError, match=r"mlflow\.db does not answer: the file is gone.*unsent.*same command"):
+        first_life()
+    assert "will try again" in capsys.readouterr().err
+    assert not database.exists(), "no empty store may appear in place of the lost one"
+    away.rename(database)
+    assert only_run(own).info.status == "RUNNING"
+    with open_run(own, "lost", "key", {}):
+        pass
+    found = only_run(own)
+    assert found.info.status == "FINISHED"
+    assert found.data.metrics["loss"] == 0.5
+    stored = Path(own.root) / "artifacts" / found.info.run_id / "artifacts" / "figures" / "figure.png"
+    assert stored.read_bytes() == b"a picture"
+    assert not list((Path(own.root) / "unsent").iterdir())
+
+
+def test_a_store_that_is_locked_for_a_while_loses_nothing(
+    own: TrackingConfig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+):
+    def locked(self: MlflowClient, *arguments: object, **options: object) -> None:
+        # What MLflow raises after waiting 20 s for another writer.
+        raise MlflowException("(sqlite3.OperationalError) database is locked")
+
+    with open_run(own, "locked", "key", {}) as run:
+        with monkeypatch.context() as patch:
+            patch.setattr(MlflowClient, "log_batch", locked)
+            run.log_metrics({"loss": 0.5}, 3)
+            run.flush()
+        assert "database is locked" in capsys.readouterr().err
+    assert only_run(own).data.metrics["loss"] == 0.5
+
+
+def test_a_failing_store_does_not_hide_why_the_run_failed(own: TrackingConfig, capsys: pytest.CaptureFixture):
+    def life() -> None:
+        with open_run(own, "both", "key", {}):
+            (Path(own.root) / tracking.DATABASE).unlink()
+            raise ValueError("the real reason")
+
+    with pytest.raises(ValueError, match="the real reason"):
+        life()
+    assert "does not answer" in capsys.readouterr().err
+
+
+def test_a_store_that_is_no_store_is_told_before_any_work(tmp_path: Path):
+    (tmp_path / tracking.DATABASE).write_bytes(b"this is no database, however long it may be" * 100)
+    config = TrackingConfig(root=str(tmp_path))
+    with pytest.raises(TrackingError, match=r"mlflow\.db does not answer.*tracking\.enabled=false"):
+        ensure_store(config)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(TrackingError, match=r"tracking\.root"):
+        ensure_store(TrackingConfig(root=str(tmp_path / "file" / "results")))
+
+
+def test_a_moved_results_folder_is_told(own: TrackingConfig, tmp_path: Path):
+    ensure_store(own)
+    Path(own.root).rename(tmp_path / "moved")
+    with pytest.raises(TrackingError, match="the folder was moved"):
+        ensure_store(TrackingConfig(experiment="own", root=str(tmp_path / "moved")))
+
+
+def test_a_missing_figure_is_told(config: TrackingConfig, tmp_path: Path):
+    with open_run(config, "missing", "key", {}) as run, pytest.raises(TrackingError, match=r"none\.png is not there"):
+        run.log_artifact(tmp_path / "none.png")
+
+
+# ---- the UI --------------------------------------------------------------------------------------------------
+
+
+def test_the_ui_shows_this_store_with_few_processes(template: Path, monkeypatch: pytest.MonkeyPatch):
+    became = []
+    monkeypatch.setattr(os, "execve", lambda program, command, environment: became.append((command, environment)))
+    tracking.ui(template, port=50123)
+    ((command, environment),) = became
+    assert f"sqlite:///{template / tracking.DATABASE}" in command
+    assert command[command.index("--workers") + 1] == "1"
+    assert command[command.index("--port") + 1] == "50123"
+    assert environment["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] == "false"
+
+
+def test_the_ui_says_when_its_port_is_taken(template: Path):
+    import socket
+
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(TrackingError, match=rf"port {port} cannot be used.*make ui PORT={port + 1}"):
+            tracking.ui(template, port)
