@@ -9,14 +9,16 @@ from pathlib import Path
 
 import pytest
 
+import gran_bench.conf
 from gran_bench.config import TrainConfig
 from gran_bench.config_rules import ConfigError
 from gran_bench.entry import FAILED, REFUSED, complain, distinct_overrides, run, run_folder
 from gran_bench.scene import SceneError
 from gran_bench.state import StateError
 
+CONF = Path(gran_bench.conf.__path__[0])
 PROBE = """
-import os, signal
+import gran_bench.conf
 from gran_bench.config import TrainConfig
 from gran_bench.entry import run
 from gran_bench.state import StateError
@@ -152,6 +154,17 @@ def test_the_commands_explain_themselves(probe):
     code, out, said, left = probe("--cfg", "job", "+experiment=paper")
     assert (code, said, left) == (0, "", [])
     assert "learning_rate: 0.0001" in out
+
+
+@pytest.mark.parametrize("entry", ["train", "generate"])
+def test_the_help_names_every_choice_that_there_is(entry, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", f"gran_bench.{entry}", "--help"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True,
+    )  # fmt: skip
+    for group in {"train": ["scene", "model", "optim", "experiment"], "generate": ["scene", "dem", "dataset"]}[entry]:
+        choices = sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+        assert f"{group}: {', '.join(choices)}" in done.stdout
 
 
 # ---- parts -----------------------------------------------------------------------------------------------
