@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gran_bench.neighbors import cell_pairs
+from gran_bench.neighbors import check_period, list_pairs
 from gran_bench.scene import Cylinder, Plane, Scene
 from gran_bench.state import FloatArray
 from gran_bench.surrogate.step import minimum_image
@@ -45,17 +46,53 @@ def find_contacts(scene: Scene, position: FloatArray, reach: float, wall_reach: 
     """Pairs closer than ``reach`` and walls closer than ``wall_reach``, at the ballistic guess of a frame's end.
 
     Args:
-        position: ``(N, 3)`` m, y in [−L/2, L/2) where the scene is periodic.
+        position: ``(N, 3)`` m, y in [−L/2, L/2) where the scene is periodic. A position that is not finite has no
+            contact to search for; then nothing has, and the frame carries the failure on.
         reach: distance of two centres, m.
         wall_reach: gap between a surface and a wall, m.
+
+    Raises:
+        ValueError: a period that is shorter than twice the reach.
     """
+    check_period(scene.period, reach)
     particles, walls = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    if not np.isfinite(position).all():
+        return ContactList(np.zeros((0, 2), np.int64), particles[0], walls[0])
     for index, wall in enumerate(scene.walls):
         near = np.flatnonzero(wall_distance(wall, position) - scene.filling.radius < wall_reach)
         particles.append(near)
         walls.append(np.full(len(near), index, np.int64))
-    pairs = cell_pairs(position, reach, scene.period)
+    pairs = _sorted_pairs(position, reach, scene.period)
     return ContactList(pairs, np.concatenate(particles), np.concatenate(walls))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sorted_pairs(position, reach, period):  # pragma: no cover - jitted
+    """Pairs of the cell list in order: counted by i, then each particle's few j by insertion."""
+    count = len(position)
+    sphere = np.zeros((count, 4))
+    for i in range(count):
+        for m in range(3):
+            sphere[i, m] = position[i, m]
+        if period > 0.0:
+            sphere[i, 1] -= period * np.floor(sphere[i, 1] / period)
+    first, second = list_pairs(sphere, reach, period)
+    start = np.zeros(count + 1, np.int64)
+    for i in first:
+        start[i + 1] += 1
+    for i in range(count):
+        start[i + 1] += start[i]
+    pairs, fill = np.empty((len(first), 2), np.int64), start[:-1].copy()
+    for c in range(len(first)):
+        i, j = np.int64(first[c]), np.int64(second[c])
+        place = fill[i]
+        fill[i] += 1
+        while place > start[i] and pairs[place - 1, 1] > j:
+            pairs[place, 1] = pairs[place - 1, 1]
+            place -= 1
+        pairs[place, 1] = j
+        pairs[fill[i] - 1, 0] = i
+    return pairs
 
 
 def wall_distance(wall: Plane | Cylinder, position: FloatArray) -> FloatArray:
@@ -64,7 +101,8 @@ def wall_distance(wall: Plane | Cylinder, position: FloatArray) -> FloatArray:
     if isinstance(wall, Plane):
         return offset @ np.asarray(wall.normal, position.dtype)
     axis = np.asarray(wall.axis, position.dtype)
-    return wall.radius - np.linalg.norm(offset - np.outer(offset @ axis, axis), axis=1)
+    radial = offset - (offset @ axis)[:, None] * axis
+    return wall.radius - np.sqrt(np.einsum("nk,nk->n", radial, radial))
 
 
 def wall_displacement_matrix(scene: Scene, wall: Plane | Cylinder, time: float) -> FloatArray:

@@ -245,25 +245,33 @@ def perceive_adjoint(
                 total += hidden_weight[unit * INPUTS + k] * b[(D_ACTIVE + unit) * LANES + c]
             b[(D_SEEN + k) * LANES + c] = total
     for out in range(OUTPUTS):
-        total = ZERO
-        for c in range(LANES):
-            total += b[(D_ANSWER + out) * LANES + c]
-        d_output_bias[out] += total
-        for k in range(HIDDEN):
-            total = ZERO
-            for c in range(LANES):
-                total += b[(D_ANSWER + out) * LANES + c] * b[(ACTIVE + k) * LANES + c]
-            d_output_weight[out * HIDDEN + k] += total
+        _add_products(b, D_ANSWER + out, ACTIVE, d_output_weight, out * HIDDEN, 1)
+        d_output_bias[out] += row_sum(b, D_ANSWER + out)
+    for k in range(INPUTS):
+        _add_products(b, SEEN + k, D_ACTIVE, d_hidden_weight, k, INPUTS)
     for unit in range(HIDDEN):
-        total = ZERO
+        d_hidden_bias[unit] += row_sum(b, D_ACTIVE + unit)
+
+
+@block_jit
+def _add_products(b, row, units, result, start, stride):  # pragma: no cover - jitted
+    """Adds the lanes' sums of one row times each of the HIDDEN rows from ``units`` on; HIDDEN is a multiple of 4.
+
+    Four sums a loop: a shorter body would be unrolled over all lanes into scalar code.
+    """
+    # Slices, because only an index that cannot be negative is read without a gather.
+    values, factors = b[row * LANES : (row + 1) * LANES], b[units * LANES : (units + HIDDEN) * LANES]
+    for unit in range(0, HIDDEN, 4):
+        t0, t1, t2, t3 = ZERO, ZERO, ZERO, ZERO
         for c in range(LANES):
-            total += b[(D_ACTIVE + unit) * LANES + c]
-        d_hidden_bias[unit] += total
-        for k in range(INPUTS):
-            total = ZERO
-            for c in range(LANES):
-                total += b[(D_ACTIVE + unit) * LANES + c] * b[(SEEN + k) * LANES + c]
-            d_hidden_weight[unit * INPUTS + k] += total
+            t0 += values[c] * factors[unit * LANES + c]
+            t1 += values[c] * factors[(unit + 1) * LANES + c]
+            t2 += values[c] * factors[(unit + 2) * LANES + c]
+            t3 += values[c] * factors[(unit + 3) * LANES + c]
+        result[start + unit * stride] += t0
+        result[start + (unit + 1) * stride] += t1
+        result[start + (unit + 2) * stride] += t2
+        result[start + (unit + 3) * stride] += t3
 
 
 @block_jit
@@ -315,7 +323,7 @@ def look_adjoint(b):  # pragma: no cover - jitted
 
 
 @block_jit
-def total(b, row):  # pragma: no cover - jitted
+def row_sum(b, row):  # pragma: no cover - jitted
     """Sum of one row over the lanes."""
     result = ZERO
     for c in range(LANES):

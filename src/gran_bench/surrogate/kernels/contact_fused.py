@@ -64,8 +64,8 @@ from gran_bench.surrogate.kernels.contact_block import (
     look_adjoint,
     perceive,
     perceive_adjoint,
+    row_sum,
     surfaces,
-    total,
 )
 
 # A particle's row: end of the frame y, displacement D, spin q, channels h.
@@ -316,6 +316,7 @@ def _forward(
     now, gain = np.zeros((count, ROW), np.float32), np.zeros((count, ROW), np.float32)
     extra = np.zeros((count, 6), np.float32)
     running = np.zeros(sums.shape[1:], np.float32)
+    held = np.empty(CHANNELS, np.float32)
     now[:, MOVE : MOVE + 3], now[:, TURNED : TURNED + 3] = guess, spin
     for k in range(iterations):
         for i in range(count):
@@ -372,7 +373,7 @@ def _forward(
                 now[i, m] += gain[i, m]
             for m in range(CHANNELS):
                 messages[slot, i, m] = now[i, CHANNEL + m]
-            _mix(now[i], extra[i], gravity, mix_weight[k], mix_bias[k])
+            _mix(now[i], extra[i], gravity, mix_weight[k], mix_bias[k], held)
     for i in range(count):
         for m in range(3):
             outcome[0, i, m], outcome[1, i, m] = now[i, MOVE + m], now[i, TURNED + m]
@@ -380,10 +381,9 @@ def _forward(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _mix(row, extra, gravity, weight, bias):  # pragma: no cover - jitted
+def _mix(row, extra, gravity, weight, bias, held):  # pragma: no cover - jitted
     """Gravity taken back and channels mixed, for one particle; ``gravity``: what D takes, what the velocity more."""
     share = ZERO
-    held = np.empty(CHANNELS, np.float32)
     for m in range(CHANNELS):
         held[m] = min(max(row[CHANNEL + m], -CHANNEL_CLAMP), CHANNEL_CLAMP)
         share += weight[CHANNELS, m] * held[m]
@@ -398,10 +398,9 @@ def _mix(row, extra, gravity, weight, bias):  # pragma: no cover - jitted
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _mix_adjoint(channels, adjoint, gravity, weight, bias, d_weight, d_bias):  # pragma: no cover - jitted
+def _mix_adjoint(channels, adjoint, gravity, weight, bias, d_weight, d_bias, held, d_held):  # pragma: no cover - jitted
     """Adjoint of :func:`_mix` for one particle; ``channels`` are those before it, ``adjoint`` is its row."""
     d_share = ZERO
-    held, d_held = np.empty(CHANNELS, np.float32), np.empty(CHANNELS, np.float32)
     for m in range(3):
         d_share += adjoint[m] * gravity[0, m] + adjoint[6 + CHANNELS + m] * gravity[1, m]
     for m in range(CHANNELS):
@@ -470,14 +469,16 @@ def _backward(
     count, iterations, pair_count = len(adjoint), len(w1), len(pairs)
     b = np.zeros(ROWS * LANES, np.float32)
     before = np.empty_like(adjoint)
+    held, d_held = np.empty(CHANNELS, np.float32), np.empty(CHANNELS, np.float32)
     d_sums = np.zeros(sums.shape[1:], np.float32)
     diameter = limits[4]
     for k in range(iterations - 1, -1, -1):
         now, running = states[k], sums[k]
         for i in range(count):
             _mix_adjoint(
-                messages[k, i], adjoint[i], gravity, mix_weight[k], mix_bias[k], d_mix_weight[k], d_mix_bias[k]
-            )
+                messages[k, i], adjoint[i], gravity, mix_weight[k], mix_bias[k], d_mix_weight[k], d_mix_bias[k],
+                held, d_held,
+            )  # fmt: skip
         before[:] = adjoint
         slope, reach = ONE / limits[1], limits[0]
         for first in range(0, pair_count, LANES):
@@ -493,8 +494,8 @@ def _backward(
                 b, slope, strength, share, w1[k, 0], w2[k, 0], d_w1[k, 0], d_b1[k, 0], d_w2[k, 0], d_b2[k, 0],
                 d_sums, first, last,
             )  # fmt: skip
-            d_stiffness[k, 0] += total(b, D_STIFFNESS)
-            d_spin_share[k, 0] += total(b, D_SHARE)
+            d_stiffness[k, 0] += row_sum(b, D_STIFFNESS)
+            d_spin_share[k, 0] += row_sum(b, D_SHARE)
             _pair_geometry_adjoint(b)
             for c in range(last - first):
                 i, j = pairs[first + c, 0], pairs[first + c, 1]
@@ -525,9 +526,9 @@ def _backward(
                     b, slope, strength, share, w1[k, 1], w2[k, 1], d_w1[k, 1], d_b1[k, 1], d_w2[k, 1], d_b2[k, 1],
                     d_sums, pair_count + first, pair_count + last,
                 )  # fmt: skip
-                pushed = total(b, D_STIFFNESS)
+                pushed = row_sum(b, D_STIFFNESS)
                 d_stiffness[k, 1] += pushed + pushed
-                d_spin_share[k, 1] += total(b, D_SHARE)
+                d_spin_share[k, 1] += row_sum(b, D_SHARE)
                 _wall_geometry_adjoint(b, walls[w])
                 for c in range(last - first):
                     i = near[first + c]
