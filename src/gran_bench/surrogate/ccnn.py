@@ -147,6 +147,13 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
 
     def _wall_branch(self, velocity: Tensor, pairs: Neighborhood, wall: WallPairs) -> Tensor:
         """Output of the wall branch, ``(P, 3)``, from the near particles' velocities ``(P, 3)``."""
+        features, among = self._wall_input(velocity, wall), pairs.restricted(wall.near)
+        for layer in self.wall_layers:
+            features = layer(features, among)
+        return features
+
+    def _wall_input(self, velocity: Tensor, wall: WallPairs) -> Tensor:
+        """Layer 1 of the wall branch, ``(P, 3/2 width)``: own velocity, normals seen, velocities seen."""
         seen = weigh_pairs(self.wall_basis, wall.query, wall.source, wall.relative, len(wall.near), wall.source_count)
         shape = wall.normal if self.boundary.normal else torch.ones_like(wall.normal[:, :1])
         if wall.gap is not None:
@@ -159,11 +166,7 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
                 convolved.append(self.wall_velocity(wall.velocity, seen))
             else:
                 convolved.append(torch.zeros_like(convolved[0]))
-        features = torch.cat((self.wall_linear(velocity), torch.cat(convolved, dim=1) + self.wall_bias), dim=1)
-        among = pairs.restricted(wall.near)
-        for layer in self.wall_layers:
-            features = layer(features, among)
-        return features
+        return torch.cat((self.wall_linear(velocity), torch.cat(convolved, dim=1) + self.wall_bias), dim=1)
 
 
 def _basis(config: CconvModelConfig, diameter: float, contact: float) -> KernelBasis:
