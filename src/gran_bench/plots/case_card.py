@@ -1,0 +1,114 @@
+"""One figure that shows a case of the data set: flow patterns, angle of repose, speeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+
+from gran_bench.metrics.angle_of_repose import angle_series
+from gran_bench.metrics.measured import frame_at
+from gran_bench.metrics.summary import PATTERN_TIME
+from gran_bench.plots.flow_pattern import draw_pattern, fastest
+from gran_bench.plots.style import BASELINE, DEM, QUIET, SPEED_MAP, SURROGATE, drawing, say
+from gran_bench.scene import Scene
+from gran_bench.state import FloatArray, Trajectory
+
+SHARES = ((5, 95, "#dbe7f1", "5–95 %"), (25, 75, "#a9c8e0", "25–75 %"))  # of the spheres, per cent
+
+
+def case_card(trajectory: Trajectory, scene: Scene, path: Path | str, title: str = "") -> Path:
+    """Draw a case: three flow patterns above, angle and speeds against time below.
+
+    Args:
+        trajectory: of the DEM.
+        scene: that it was made for.
+        path: of the PNG.
+        title: over the figure; the scene and its speed where empty.
+
+    Returns:
+        The path.
+    """
+    speed = np.linalg.norm(trajectory.velocity, axis=2)
+    norm = Normalize(0.0, fastest([speed]))
+    instants = _instants(scene)
+    with drawing(path, 10.0, 7.0) as figure:
+        upper, lower = figure.subfigures(2, 1, height_ratios=(1.25, 1.0))
+        figure.suptitle(title or default_title(scene), x=0.01, ha="left", fontsize=12)
+        panels = upper.subplots(1, len(instants), sharey=True, squeeze=False)[0]
+        for axes, time in zip(panels, instants, strict=True):
+            frame = frame_at(trajectory.time, time)
+            axes.set_title(f"{time:g} s")
+            if frame is None:
+                say(axes, f"no state at {time:g} s")
+                continue
+            draw_pattern(axes, trajectory.position[frame], speed[frame], trajectory.radius, scene, norm, pixels=480)
+        panels[0].set_ylabel("height z, m")
+        for axes in panels[1:]:
+            axes.tick_params(left=False)
+        upper.colorbar(
+            ScalarMappable(norm, SPEED_MAP),
+            ax=panels,
+            label="speed, m/s",
+            extend="max",
+            shrink=0.8,
+            pad=0.015,
+            aspect=28,
+        )
+        left, right = lower.subplots(1, 2)
+        _draw_angles(left, trajectory, scene)
+        _draw_speeds(right, trajectory.time, speed)
+    return Path(path)
+
+
+def default_title(scene: Scene) -> str:
+    """The scene's name, its speed or speeds, and how many spheres it has."""
+    speeds = " → ".join(f"{speed:g}" for speed in dict.fromkeys(scene.rotation.speeds_rpm))
+    return f"{scene.name}, {speeds} rpm, {scene.filling.count} spheres of {1e3 * scene.filling.diameter:g} mm"
+
+
+def _instants(scene: Scene) -> list[float]:
+    """An early state, that of the paper's figure, and the last; evenly spread where the scene ends before."""
+    if scene.end_time > PATTERN_TIME + 0.5:
+        return [scene.start_time + 0.35, PATTERN_TIME, scene.end_time]
+    span = scene.end_time - scene.start_time
+    steps = [round(share * span / scene.frame_interval) for share in (1 / 3, 2 / 3, 1.0)]
+    return [scene.start_time + step * scene.frame_interval for step in steps]
+
+
+def _draw_angles(axes: Axes, trajectory: Trajectory, scene: Scene) -> None:
+    surface, center, _ = angle_series(trajectory, scene)
+    axes.set_title("Angle of repose")
+    axes.set_xlabel("time, s")
+    axes.set_ylabel("angle, °")
+    axes.set_xlim(trajectory.time[0], trajectory.time[-1])
+    if surface.undefined_because:
+        say(axes, f"undefined:\n{surface.undefined_because}")
+        return
+    for series, label, colour in ((surface, "surface", SURROGATE), (center, "centre of mass", BASELINE)):
+        axes.plot(series.time, np.where(series.valid, series.value, np.nan), color=colour, label=label)
+    axes.legend(loc="upper right")
+
+
+def _draw_speeds(axes: Axes, time: FloatArray, speed: FloatArray) -> None:
+    axes.set_title("Speeds of the spheres")
+    finite = np.where(np.isfinite(speed).all(axis=1)[:, None], speed, np.nan)
+    for low, high, colour, label in SHARES:
+        axes.fill_between(
+            time,
+            *np.percentile(finite, (low, high), axis=1),
+            color=colour,
+            linewidth=0,
+            label=f"{label} of the spheres",
+        )
+    axes.plot(time, np.median(finite, axis=1), color=BASELINE, label="median")
+    axes.plot(time, finite.mean(axis=1), color=DEM, linewidth=1.1, linestyle=(0, (5, 2)), label="mean")
+    axes.set_xlabel("time, s")
+    axes.set_ylabel("speed, m/s")
+    axes.set_xlim(time[0], time[-1])
+    axes.set_ylim(bottom=0.0)
+    axes.tick_params(color=QUIET)
+    axes.legend(loc="upper right", ncols=2)

@@ -1,0 +1,43 @@
+"""All figures of an evaluated model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gran_bench.evaluation import Evaluation, rollout_name
+from gran_bench.metrics.summary import summarise
+from gran_bench.plots.angle import angle_of_repose
+from gran_bench.plots.animation import flow_animation
+from gran_bench.plots.flow_pattern import flow_pattern
+from gran_bench.plots.position_error import position_error
+from gran_bench.plots.speeds import speed_distribution
+
+
+def draw_evaluation(evaluation: Evaluation, holdout_rpm: float, folder: Path | str, gif: bool = True) -> list[Path]:
+    """Draw the paper's figures of the held-out speed, from the shared and from the unseen packing.
+
+    Args:
+        evaluation: of one model.
+        holdout_rpm: the held-out speed.
+        folder: for the files; those of the unseen packing end in ``_unseen``.
+        gif: whether to make the film of both flows, too (shared packing).
+
+    Returns:
+        The paths, in the order of the paper.
+    """
+    folder, paths = Path(folder), []
+    for packing, replicas in evaluation.replicas.items():
+        unseen = packing == "unseen"
+        name, suffix = rollout_name(holdout_rpm, unseen), "_unseen" if unseen else ""
+        case, rollout = evaluation.cases[name], evaluation.rollouts[name].trajectory
+        candidate = {"surrogate": summarise(rollout, case.scene)}
+        runs = {"DEM": case.trajectory, "surrogate": rollout}
+        paths += [
+            flow_pattern(runs, case.scene, folder / f"flow_pattern{suffix}.png"),
+            angle_of_repose(candidate, replicas, folder / f"angle_of_repose{suffix}.png"),
+            speed_distribution(candidate, replicas, folder / f"speed_distribution{suffix}.png"),
+            position_error(candidate, replicas, folder / f"position_error{suffix}.png"),
+        ]
+        if gif and not unseen:
+            paths.append(flow_animation(runs, case.scene, folder / "flow.gif"))
+    return paths

@@ -1,0 +1,61 @@
+"""How every figure looks, and how it reaches the disk: whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from gran_bench.atomic import whole_file
+
+# Okabe & Ito's colours, told apart with every kind of colour vision.
+DEM = "#000000"
+SURROGATE = "#D55E00"
+BASELINE = "#0072B2"
+FURTHER = ("#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442")
+QUIET = "#8a8a8a"
+BAND = "#c4c4c4"
+SPEED_MAP = "viridis"
+
+_LOOK = {
+    "font.family": "DejaVu Sans",
+    "font.size": 10.0,
+    "axes.titlesize": 10.5,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.8,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.7,
+    "lines.linewidth": 1.6,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "figure.facecolor": "white",
+    "figure.dpi": 100.0,
+}
+
+
+@contextmanager
+def drawing(path: Path | str, width: float, height: float) -> Iterator[Figure]:
+    """A figure of ``width`` × ``height`` inches that is written to ``path`` (PNG) when the block ends well.
+
+    No global state of matplotlib is touched, so that figures can be drawn in threads and in a user's notebook.
+    """
+    with matplotlib.rc_context(_LOOK):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        yield figure
+        with whole_file(path) as temporary:
+            figure.savefig(temporary, format="png", dpi=160)
+
+
+def say(axes: Axes, text: str) -> None:
+    """Write in the middle of an empty panel why it shows nothing."""
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color="#555555")
+    axes.set_yticks([])
+    axes.grid(False)

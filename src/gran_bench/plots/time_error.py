@@ -1,0 +1,138 @@
+"""Run time against error: which method gives the answer in the least time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+from matplotlib.transforms import Bbox
+
+from gran_bench.plots.style import BASELINE, DEM, FURTHER, QUIET, SURROGATE, drawing
+
+KINDS = {
+    "dem": ("DEM", DEM, "o"),
+    "surrogate": ("surrogate", SURROGATE, "D"),
+    "hybrid": ("hybrid or corrected", FURTHER[0], "s"),
+    "baseline": ("baseline", BASELINE, "^"),
+}
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One method in the picture.
+
+    Attributes:
+        name: that stands beside its mark.
+        kind: ``dem``, ``surrogate``, ``hybrid`` or ``baseline``.
+        milliseconds: run time of one frame.
+        floors: error in noise floors; None for a run that failed.
+        low, high: range of the error over seeds or packings, in floors.
+    """
+
+    name: str
+    kind: str
+    milliseconds: float
+    floors: float | None
+    low: float | None = None
+    high: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ValueError(f"kind={self.kind!r} of {self.name!r}; choose one of {', '.join(KINDS)}")
+
+
+def time_against_error(contenders: Sequence[Contender], quantity: str, path: Path | str) -> Path:
+    """Draw run time a frame against error in noise floors, with the front of those that nothing beats in both.
+
+    A failed run stands above all others as a cross; it is never left out.
+
+    Args:
+        contenders: the methods.
+        quantity: what the error is of, for the axis.
+        path: of the PNG.
+
+    Returns:
+        The path.
+    """
+    sound = [c for c in contenders if c.floors is not None]
+    highest = max([2.0, *((c.high or c.floors) for c in sound)])
+    lowest = min([0.8, *((c.low or c.floors) for c in sound)])
+    height = {c.name: 2.0 * highest if c.floors is None else c.floors for c in contenders}
+    with drawing(path, 8.4, 5.2) as figure:
+        axes = figure.subplots()
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.set_yticks([t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200) if lowest / 2 < t < 3 * highest])
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        times = [c.milliseconds for c in contenders]
+        axes.set_xlim(0.5 * min(times), 6.0 * max(times))
+        axes.set_ylim(0.6 * lowest, 2.8 * highest)
+        axes.set_xlabel("run time of a frame, ms")
+        axes.set_ylabel(f"{quantity}, noise floors")
+        axes.axhspan(0.0, 1.0, color="#f0f0f0", zorder=0)
+        axes.text(0.99, 0.015, "within the DEM's own noise", transform=axes.transAxes, ha="right", fontsize=8.5,
+                  color="#666666")  # fmt: skip
+        front = _front(sound)
+        if len(front) > 1:
+            axes.plot([c.milliseconds for c in front], [c.floors for c in front], color=QUIET, linewidth=1.0,
+                      drawstyle="steps-post", linestyle=(0, (5, 3)), label="nothing is faster and better")  # fmt: skip
+        for kind, (label, colour, mark) in KINDS.items():
+            for i, c in enumerate([c for c in contenders if c.kind == kind]):
+                if c.low is not None and c.high is not None:
+                    axes.plot([c.milliseconds] * 2, [c.low, c.high], color=colour, linewidth=1.2)
+                axes.plot(c.milliseconds, height[c.name], mark if c.floors is not None else "x", color=colour,
+                          markersize=7.5, linestyle="none", label=label if i == 0 else None)  # fmt: skip
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=5)
+        _name_marks(figure, axes, [(c, height[c.name]) for c in contenders])
+    return Path(path)
+
+
+def _name_marks(figure: Figure, axes: Axes, marks: Sequence[tuple[Contender, float]]) -> None:
+    """Write each name beside its mark, where it covers no other name and no mark."""
+    figure.draw_without_rendering()
+    points = axes.transData.transform([(c.milliseconds, y) for c, y in marks])
+    taken = [Bbox.from_extents(x - 6, y - 6, x + 6, y + 6) for x, y in points]
+    for contender, y in marks:
+        text = contender.name if contender.floors is not None else f"{contender.name} (failed)"
+        for right, up in (
+            (9, 0),
+            (-9, 0),
+            (9, 11),
+            (9, -11),
+            (-9, 11),
+            (-9, -11),
+            (0, 18),
+            (0, -18),
+            (9, 24),
+            (9, -24),
+        ):
+            label = axes.annotate(
+                text, (contender.milliseconds, y), xytext=(right, up), textcoords="offset points", fontsize=9,
+                ha={9: "left", -9: "right", 0: "center"}[right], va="center", color=KINDS[contender.kind][1],
+            )  # fmt: skip
+            box = label.get_window_extent()
+            if (
+                not any(box.overlaps(other) for other in taken)
+                and axes.bbox.containsx(box.x0)
+                and axes.bbox.containsx(box.x1)
+            ):
+                break
+            label.remove()
+        else:
+            axes.add_artist(label)
+        taken.append(box)
+
+
+def _front(contenders: Sequence[Contender]) -> list[Contender]:
+    """Those that no other beats in time and error at once, from fast to slow."""
+    front: list[Contender] = []
+    for contender in sorted(contenders, key=lambda c: (c.milliseconds, c.floors)):
+        if not front or contender.floors < front[-1].floors:
+            front.append(contender)
+    return front
