@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from gran_bench.config import ContactModelConfig
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
+from gran_bench.state import FloatArray
 from gran_bench.surrogate.contact_geometry import (
     MILLIMETRE,
     ContactList,
@@ -137,6 +138,13 @@ class ContactNetwork(Surrogate):
     ) -> list[ContactMemory] | None:
         """The springs at each of F stored frames; exact where the first one is the settled state."""
         return list(follow_memory(scene, times, positions, angular_velocities)) if self.has_memory else None
+
+    def memories(
+        self, scene: Scene, times: FloatArray, positions: FloatArray, angular_velocities: FloatArray
+    ) -> list[ContactMemory] | None:
+        if not self.has_memory:
+            return None
+        return list(follow_memory(scene, times, positions, angular_velocities))
 
     def forward(self, state: FrameState, scene: Scene, time: float) -> FrameState:
         interval = scene.frame_interval
