@@ -80,13 +80,15 @@ class Evaluation:
         judgements: of the held-out speed, by packing (``shared``, ``unseen``).
         rollouts: by name, such as ``30rpm`` and ``30rpm_unseen``.
         cases: the DEM's runs of the same names.
-        replicas: the DEM's nudged runs of the held-out speed, by packing.
+        candidates: the model's rollout of the held-out speed, summarised, by packing.
+        replicas: the DEM's nudged runs of the held-out speed, summarised, by packing.
         summary: everything as plain values for ``summary.json``.
     """
 
     judgements: dict[str, Judgement]
     rollouts: dict[str, Rollout]
     cases: dict[str, Case]
+    candidates: dict[str, TrajectorySummary]
     replicas: dict[str, list[TrajectorySummary]]
     summary: dict[str, Any]
 
@@ -114,11 +116,11 @@ def evaluate(model: Surrogate, plan: Plan, folder: Path, tell: Tell, progress: b
     for name, case in cases.items():
         tell(f"rollout of {case.trajectory.frame_count} frames, {name}")
         rollouts[name] = _kept_rollout(model, case, folder / "rollouts" / f"{name}.npz", progress)
-    judgements, doubles = {}, {}
+    judgements, candidates, doubles = {}, {}, {}
     for unseen in plan.packings:
         packing = "unseen" if unseen else "shared"
         tell(f"judging {rollout_name(plan.holdout_rpm, unseen)} against {plan.dataset.replicas} replicas")
-        judgements[packing], doubles[packing] = _judge_holdout(model, plan, rollouts, unseen)
+        judgements[packing], candidates[packing], doubles[packing] = _judge_holdout(plan, rollouts, unseen)
     summary = {
         "holdout_rpm": plan.holdout_rpm,
         "judged": {packing: judgement.to_dict() for packing, judgement in judgements.items()},
@@ -127,7 +129,7 @@ def evaluate(model: Surrogate, plan: Plan, folder: Path, tell: Tell, progress: b
         "rollouts": {name: _rollout_facts(result, cases[name]) for name, result in rollouts.items()},
         "data_digest": dataset_digest(list(cases.values())),
     }
-    return Evaluation(judgements, rollouts, cases, doubles, summary)
+    return Evaluation(judgements, rollouts, cases, candidates, doubles, summary)
 
 
 def rollout_name(rpm: float, unseen: bool = False) -> str:
@@ -160,20 +162,20 @@ def _kept_rollout(model: Surrogate, case: Case, path: Path, progress: bool) -> R
 
 
 def _judge_holdout(
-    model: Surrogate, plan: Plan, rollouts: dict[str, Rollout], unseen: bool
-) -> tuple[Judgement, list[TrajectorySummary]]:
+    plan: Plan, rollouts: dict[str, Rollout], unseen: bool
+) -> tuple[Judgement, TrajectorySummary, list[TrajectorySummary]]:
     """The held-out speed from one packing, against its replicas; another packing and half the step beside them."""
-    scene, root, kind = plan.scene.at_speed(plan.holdout_rpm), plan.dataset.root, model.velocity_kind
+    scene, root = plan.scene.at_speed(plan.holdout_rpm), plan.dataset.root
+    candidate = summarise(rollouts[rollout_name(plan.holdout_rpm, unseen)].trajectory, scene)
 
     def summary_of(spec: CaseSpec) -> TrajectorySummary:
-        return summarise(read_case(spec.path(root)).trajectory, scene, kind)
+        return summarise(read_case(spec.path(root)).trajectory, scene, candidate.velocity_kind)
 
     doubles = [summary_of(spec) for spec in plan.replicas(unseen)]
     beside = {"other_packing": summary_of(plan.case(plan.holdout_rpm, not unseen))}
     if not unseen:
         beside["half_step"] = summary_of(half_step(plan.case(plan.holdout_rpm)))
-    candidate = rollouts[rollout_name(plan.holdout_rpm, unseen)].trajectory
-    return judge(candidate, doubles, scene, beside), doubles
+    return judge(candidate, doubles, scene, beside), candidate, doubles
 
 
 def _nearest(plan: Plan, rollouts: dict[str, Rollout], cases: dict[str, Case]) -> dict[str, Any]:

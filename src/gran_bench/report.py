@@ -34,13 +34,13 @@ def headline(summary: dict[str, Any]) -> dict[str, float]:
     verdicts = [row["verdict"] for judged in summary["judged"].values() for row in judged["requirements"].values()]
     strangers = sum(not row["is_own"] for row in summary["nearest_case"].values())
     found = {
-        "angle error (deg)": shared["errors"]["surface_angle"]["value"],
-        "angle error (floors)": shared["errors"]["surface_angle"]["multiple_of_floor"],
-        "speed W1 (m per s)": shared["errors"]["speed_w1"]["value"],
-        "speed W1 (floors)": shared["errors"]["speed_w1"]["multiple_of_floor"],
-        "position error 10 frames (mm)": _scaled(summary["position_error"]["10_frames"]["m"], 1e3),
-        "rollout time (ms per frame)": rollout["ms_per_frame_median"],
-        "training time (min)": summary["training"]["seconds"] / 60.0,
+        "angle error deg": shared["errors"]["surface_angle"]["value"],
+        "angle error floors": shared["errors"]["surface_angle"]["multiple_of_floor"],
+        "speed W1 m per s": shared["errors"]["speed_w1"]["value"],
+        "speed W1 floors": shared["errors"]["speed_w1"]["multiple_of_floor"],
+        "position error 10 frames mm": _scaled(summary["position_error"]["10_frames"]["m"], 1e3),
+        "rollout ms per frame": rollout["ms_per_frame_median"],
+        "training minutes": summary["training"]["seconds"] / 60.0,
         "requirements failed": float(verdicts.count("fail") + strangers),
     }
     return {name: float(value) for name, value in found.items() if value is not None}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from gran_bench.evaluation import Evaluation, rollout_name
-from gran_bench.metrics.summary import summarise
 from gran_bench.plots.angle import angle_of_repose
 from gran_bench.plots.animation import flow_animation
 from gran_bench.plots.flow_pattern import flow_pattern
@@ -13,7 +12,9 @@ from gran_bench.plots.position_error import position_error
 from gran_bench.plots.speeds import speed_distribution
 
 
-def draw_evaluation(evaluation: Evaluation, holdout_rpm: float, folder: Path | str, gif: bool = True) -> list[Path]:
+def draw_evaluation(
+    evaluation: Evaluation, holdout_rpm: float, folder: Path | str, gif: bool = True, model_name: str = "surrogate"
+) -> list[Path]:
     """Draw the paper's figures of the held-out speed, from the shared and from the unseen packing.
 
     Args:
@@ -21,6 +22,7 @@ def draw_evaluation(evaluation: Evaluation, holdout_rpm: float, folder: Path | s
         holdout_rpm: the held-out speed.
         folder: for the files; those of the unseen packing end in ``_unseen``.
         gif: whether to make the film of both flows, too (shared packing).
+        model_name: for the legends.
 
     Returns:
         The paths, in the order of the paper.
@@ -30,8 +32,8 @@ def draw_evaluation(evaluation: Evaluation, holdout_rpm: float, folder: Path | s
         unseen = packing == "unseen"
         name, suffix = rollout_name(holdout_rpm, unseen), "_unseen" if unseen else ""
         case, rollout = evaluation.cases[name], evaluation.rollouts[name].trajectory
-        candidate = {"surrogate": summarise(rollout, case.scene)}
-        runs = {"DEM": case.trajectory, "surrogate": rollout}
+        candidate = {model_name: evaluation.candidates[packing]}
+        runs = {"DEM": case.trajectory, model_name: rollout}
         paths += [
             flow_pattern(runs, case.scene, folder / f"flow_pattern{suffix}.png"),
             angle_of_repose(candidate, replicas, folder / f"angle_of_repose{suffix}.png"),
