@@ -109,7 +109,7 @@ def choose_time_step(
         safe = dividing_step(scene.frame_interval, WARNING_FRACTION * contact_time * (1.0 - 1e-9))
         message = (
             f"dem.time_step={step:g} s is {step / contact_time:.2g} of the shortest contact time {contact_time:.3g} s "
-            f"and cannot resolve it; the largest safe step is {safe:.6g} s"
+            f"and cannot resolve it; the largest safe step is {safe:.10g} s"
         )
         if not allow_unsafe:
             raise TimeStepError(f"{message} (dem.allow_unsafe_step=true runs it all the same)")

@@ -1,0 +1,144 @@
+"""What cannot run is refused before the first step; what fails on the way stops with the failed frame in hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gran_bench.config import ContainerConfig, DemConfig, FillingConfig, SceneConfig
+from gran_bench.dem.integrate import Physics
+from gran_bench.dem.simulate import SimulationError, settle, simulate
+from gran_bench.dem.time_step import TimeStepError
+from gran_bench.scene import Plane, Rotation, Scene, SceneError, build_scene
+from gran_bench.state import ContactHistory, ParticleState, StateError
+
+
+@pytest.fixture
+def scene() -> Scene:
+    """A short drum."""
+    return build_scene(
+        SceneConfig(name="small", container=ContainerConfig(length=0.2), filling=FillingConfig(count=20))
+    )
+
+
+def at(*position: tuple[float, float, float]) -> ParticleState:
+    """Spheres of 50 mm at rest."""
+    position = np.array(position, float)
+    return ParticleState(position, np.zeros_like(position), np.zeros_like(position), np.full(len(position), 0.025))
+
+
+def test_duplicates_are_named(scene):
+    with pytest.raises(StateError, match="particles 0 and 2 have the same position; remove the duplicates"):
+        simulate(scene, at((0, 0, 0), (0.2, 0, 0), (0, 0, 0)), 0.1)
+
+
+def test_an_overlap_of_a_fifth_is_refused_and_just_less_is_not(scene):
+    with pytest.raises(StateError, match="particles 0 and 1 overlap by 20%"):
+        simulate(scene, at((0, 0, 0), (0.0399, 0, 0)), 0.1)
+    assert simulate(scene, at((0, 0, 0), (0.0401, 0, 0)), 0.01).steps > 0
+
+
+def test_a_particle_outside_is_named(scene):
+    with pytest.raises(StateError, match="particles 1 have their centre outside the container"):
+        simulate(scene, at((0, 0, 0), (0, 0, -0.51)), 0.1)
+
+
+def test_a_particle_deep_in_a_wall_is_named_with_the_wall(scene):
+    with pytest.raises(StateError, match="particles 0 overlap wall 2 by 20%"):
+        simulate(scene, at((0, 0.09, 0)), 0.1)
+
+
+def test_a_history_of_another_scene_is_refused(scene):
+    history = ContactHistory(np.array([0]), np.array([7]), np.zeros((1, 3)), np.full(1, 1e-4))
+    with pytest.raises(StateError, match="names 1 contacts whose particles or walls this scene does not have"):
+        simulate(scene, replace(at((0, 0, 0)), history=history), 0.1)
+
+
+def test_a_step_beyond_a_fifth_of_the_contact_time_names_the_largest_safe_one(scene):
+    with pytest.raises(TimeStepError, match=r"largest safe step is 0\.000370") as caught:
+        simulate(scene, at((0, 0, 0)), 0.1, dem=DemConfig(time_step=1e-3))
+    assert "dem.allow_unsafe_step=true" in str(caught.value)
+
+
+def test_an_unsafe_step_that_is_allowed_is_recorded(scene):
+    result = simulate(scene, at((0, 0, 0)), 0.1, dem=DemConfig(time_step=1e-3, allow_unsafe_step=True))
+    assert result.time_step == 1e-3
+    assert any("cannot resolve it" in warning for warning in result.warnings)
+
+
+@pytest.mark.parametrize("engine", ["numba", "numpy"])
+def test_divergence_names_particle_and_time_and_keeps_the_frames(scene, engine):
+    state = at((0, 0, 0), (0.2, 0, 0))
+    state = replace(state, velocity=np.array([[0, 0, 0], [0, 0, 60.0]]))
+    with pytest.raises(SimulationError, match=r"diverged at t = 0 s: particle 1 moves at 60 m/s") as caught:
+        simulate(scene, state, 0.1, dem=DemConfig(engine=engine))
+    trajectory = caught.value.trajectory
+    assert trajectory.frame_count == 2
+    assert trajectory.velocity[-1, 1, 2] == pytest.approx(60.0, abs=0.01)
+    assert np.isnan(trajectory.diagnostics["overlap_max"][-1])
+
+
+def test_divergence_in_a_bed_is_caught_with_the_frames_so_far(scene):
+    # A step far beyond the contact time makes contacts explode.
+    soft = replace(scene, frame_interval=0.02)
+    state = soft.fresh_filling(0)
+    with pytest.raises(SimulationError, match=r"choose a smaller dem\.time_step") as caught:
+        simulate(soft, state, 4.0, dem=DemConfig(time_step=5e-3, allow_unsafe_step=True))
+    assert caught.value.trajectory.frame_count >= 2
+
+
+def test_escape_names_the_particle_and_saves_the_frame(scene):
+    # Heavy enough to sink through a wall a thousand times too soft.
+    material = replace(scene.material, youngs_modulus=1e3)
+    soft = replace(scene, material=material, wall_material=material)
+    with pytest.raises(SimulationError, match=r"particle 0 is .* m beyond a wall, more than its radius") as caught:
+        simulate(soft, at((0, 0, -0.47)), 2.0, dem=DemConfig(time_step=1e-3, allow_unsafe_step=True))
+    assert np.hypot(*caught.value.trajectory.position[-1, 0, ::2]) > 0.525
+
+
+def test_a_bed_that_never_rests_is_an_error(scene):
+    restless = replace(scene, filling=replace(scene.filling, longest_settling=0.05))
+    with pytest.raises(SimulationError, match=r"still moves at .* m/s after 0\.05 s"):
+        settle(restless, 0)
+
+
+def test_a_filling_that_does_not_fit_says_how_many_do(scene):
+    crowded = replace(scene, filling=replace(scene.filling, count=10_000))
+    with pytest.raises(SceneError, match="this container has room for"):
+        settle(crowded, 0)
+
+
+def test_an_end_between_two_frames_is_refused(scene):
+    with pytest.raises(ValueError, match=r"end_time=0\.015 s is not a whole number of frames"):
+        simulate(scene, at((0, 0, 0)), 0.015)
+
+
+def test_an_unknown_engine_is_refused_with_the_known_ones(scene):
+    with pytest.raises(ValueError, match="'nunba' is unknown; choose numba or numpy"):
+        simulate(scene, at((0, 0, 0)), 0.1, dem=DemConfig(engine="nunba"))
+
+
+@pytest.mark.parametrize("skin", [0.0, -0.01, np.nan])
+def test_an_impossible_skin_is_refused(scene, skin):
+    with pytest.raises(ValueError, match=r"dem\.skin=.* choose a value > 0 m"):
+        Physics.of(scene, 0.025, skin)
+
+
+def test_a_wall_that_would_not_turn_into_itself_is_refused(scene):
+    tilted = replace(scene, walls=(Plane((0, 0, -0.3), (0.0, 0.0, 1.0)),), rotation=Rotation((0.0,), (30.0,)))
+    with pytest.raises(ValueError, match="wall 0 turns about"):
+        Physics.of(tilted, 0.025)
+
+
+def test_a_period_too_short_for_the_spheres_is_refused():
+    thin = build_scene(
+        SceneConfig(
+            name="thin",
+            container=ContainerConfig(length=0.11, periodic_axis=True),
+            filling=FillingConfig(count=5),
+        )
+    )
+    with pytest.raises(ValueError, match="shorter than twice the reach"):
+        settle(thin, 0)

@@ -1,0 +1,96 @@
+"""The tree and the cell list find the same pairs: all of them, each once, whatever the geometry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gran_bench.neighbors import cell_pairs, list_pairs, tree_neighbors, tree_pairs
+
+
+def brute_force(position, reach, period):
+    """All pairs by looking at all of them."""
+    found = []
+    for i in range(len(position)):
+        for j in range(i + 1, len(position)):
+            offset = position[j] - position[i]
+            if period:
+                offset[1] -= period * np.round(offset[1] / period)
+            if offset @ offset < reach**2:
+                found.append((i, j))
+    return np.array(found, np.int64).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("search", [tree_pairs, cell_pairs])
+@pytest.mark.parametrize("period", [0.0, 1.0])
+@pytest.mark.parametrize("reach", [0.05, 0.2, 0.34, 0.49])
+def test_pairs_are_those_of_brute_force(search, period, reach):
+    position = np.random.default_rng(0).uniform(-0.5, 0.5, (120, 3))
+    assert np.array_equal(search(position, reach, period), brute_force(position, reach, period))
+
+
+@pytest.mark.parametrize("search", [tree_pairs, cell_pairs])
+def test_a_pair_through_the_periodic_face_is_found_wherever_y_is_wrapped(search):
+    position = np.array([[0.0, -0.49, 0.0], [0.0, 0.49, 0.0], [0.0, 1.51, 0.5]])
+    assert search(position, 0.1).tolist() == []
+    assert search(position, 0.1, 1.0).tolist() == [[0, 1]]
+
+
+@pytest.mark.parametrize("search", [tree_pairs, cell_pairs])
+@pytest.mark.parametrize("count", [0, 1])
+def test_too_few_points_have_no_pairs(search, count):
+    assert search(np.zeros((count, 3)), 0.1).shape == (0, 2)
+
+
+@pytest.mark.parametrize("search", [tree_pairs, cell_pairs])
+def test_a_distance_of_exactly_the_reach_is_no_pair(search):
+    position = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    assert len(search(position, 0.5)) == 0
+    assert len(search(position, np.nextafter(0.5, 1.0))) == 1
+
+
+@pytest.mark.parametrize("search", [tree_pairs, cell_pairs])
+def test_a_period_in_which_images_are_ambiguous_is_refused(search):
+    with pytest.raises(ValueError, match="shorter than twice the reach"):
+        search(np.zeros((2, 3)), 0.3, 0.5)
+
+
+def test_a_particle_far_away_does_not_cost_a_grid_of_empty_cells():
+    position = np.vstack((np.random.default_rng(1).uniform(0, 1, (50, 3)), [[1e6, -1e6, 1e6]]))
+    assert np.array_equal(cell_pairs(position, 0.2), brute_force(position, 0.2, 0.0))
+
+
+def test_all_points_in_one_place_are_all_pairs():
+    # More pairs than the first guess of the list's room.
+    position = np.full((60, 3), 0.25)
+    assert len(cell_pairs(position, 0.1)) == 60 * 59 // 2
+
+
+def test_the_half_list_counts_distances_between_surfaces():
+    sphere = np.array([[0, 0, 0, 0.1], [0.35, 0, 0, 0.2], [0, 0.25, 0, 0.1]], float)
+    first, second = list_pairs(sphere, 0.06, 0.0)
+    assert sorted(zip(first.tolist(), second.tolist(), strict=True)) == [(0, 1), (0, 2)]
+
+
+@pytest.mark.parametrize("period", [0.0, 1.0])
+def test_tree_neighbors_lists_every_source_of_every_query(period):
+    rng = np.random.default_rng(2)
+    query, source = rng.uniform(-0.5, 0.5, (40, 3)), rng.uniform(-0.5, 0.5, (90, 3))
+    offset = source[None] - query[:, None]
+    if period:
+        offset[..., 1] -= np.round(offset[..., 1])
+    expected = np.argwhere((offset**2).sum(axis=-1) < 0.3**2)
+    found = np.stack(tree_neighbors(query, source, 0.3, period), axis=1)
+    assert np.array_equal(found, expected)
+
+
+def test_tree_neighbors_has_no_cap_and_counts_a_point_as_its_own_neighbour():
+    cloud = np.random.default_rng(3).uniform(0, 0.01, (300, 3))
+    query, source = tree_neighbors(cloud, cloud, 0.1)
+    assert len(query) == 300 * 300
+    assert np.count_nonzero(query == source) == 300
+
+
+def test_tree_neighbors_of_nothing_are_none():
+    for query, source in ((0, 3), (3, 0)):
+        assert [len(part) for part in tree_neighbors(np.zeros((query, 3)), np.zeros((source, 3)), 1.0)] == [0, 0]
