@@ -32,6 +32,7 @@ def test_a_perfect_prediction_costs_nothing(name):
     [
         ("position_l2", "position", D, 1.0),
         ("position_mse", "position", 2 * D, 4.0),
+        ("cell_displacement", "position", D, 1.0),
         ("velocity", "velocity", D / DT, 1.0),
         ("spin", "angular_velocity", 2.0 / DT, 1.0),  # ω r Δt / d = 1 at ω = 2/Δt, since r = d/2
     ],
@@ -49,6 +50,14 @@ def test_position_error_across_a_periodic_edge_is_the_short_way():
     predicted.position = torch.tensor([[0.0, 0.099, 0.0]], dtype=torch.float64)
     target = replace(target, position=torch.tensor([[0.0, -0.099, 0.0]], dtype=torch.float64))
     assert TERMS["position_l2"](predicted, target, scene).item() == pytest.approx(0.002 / D, rel=1e-6)
+
+
+def test_errors_that_cancel_within_a_cell_leave_the_flow_right():
+    target = Target(torch.tensor([[0.02, 0.0, 0.02], [0.07, 0.4, 0.07], [0.13, 0.0, 0.02]]), *torch.zeros(2, 3, 3))
+    error = torch.tensor([[0.001, 0.0, 0.0], [-0.001, 0.0, 0.0], [0.0, 0.0, 0.003]])
+    predicted = FrameState(target.position + error, target.velocity, target.angular_velocity)
+    # Only the sphere in the neighbouring cell is left: 3 mm, one of three spheres.
+    assert TERMS["cell_displacement"](predicted, target, SCENE).item() == pytest.approx(0.001 / D, rel=1e-4)
 
 
 def test_overlap_sums_pairs_and_walls():

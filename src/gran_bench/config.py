@@ -152,6 +152,7 @@ class LossConfig:
     velocity: float = 0.0
     spin: float = 0.0
     overlap: float = 0.0
+    cell_displacement: float = 0.0  # of the mean displacement in cells of the cross-section, 0.1 m wide
     frame_weights: str = "uniform"  # uniform | discounted | inverse | rising
     spin_frame_weights: str = "uniform"  # of the spin term alone
     discount: float = 0.8  # γ of `discounted`

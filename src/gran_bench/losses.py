@@ -18,6 +18,8 @@ from gran_bench.neighbors import tree_pairs
 from gran_bench.scene import Cylinder, Scene
 from gran_bench.surrogate.step import FrameState, minimum_image
 
+CELL = 0.1  # m, edge of the cells of the cross-section in `cell_displacement`
+
 
 class LossError(ValueError):
     """A loss that cannot be computed for this model; the message says which key to change."""
@@ -121,12 +123,27 @@ def total_overlap(position: Tensor, scene: Scene) -> Tensor:
     return total
 
 
+def cell_displacement(predicted: FrameState, target: Target, scene: Scene) -> Tensor:
+    """Σ_c n_c ‖⟨x̂ − x⟩_c‖ / N d over the cells c of the cross-section that the DEM's spheres lie in.
+
+    Errors of single spheres average out within a cell; what stays is the error of the flow.
+    """
+    place = torch.floor(target.position[:, (0, 2)] / CELL).long()
+    place -= place.amin(dim=0)
+    cell = place[:, 0] * (place[:, 1].max() + 1) + place[:, 1]
+    error = minimum_image(predicted.position - target.position, scene.period)
+    summed = error.new_zeros(int(cell.max()) + 1, 3).index_add(0, cell, error)
+    lengths = torch.sqrt(summed.square().sum(dim=1) + 1e-24)
+    return lengths.sum() / len(error) / scene.filling.diameter
+
+
 TERMS: dict[str, Callable[[FrameState, Target, Scene], Tensor]] = {
     "position_l2": position_l2,
     "position_mse": position_mse,
     "velocity": velocity,
     "spin": spin,
     "overlap": overlap,
+    "cell_displacement": cell_displacement,
 }
 
 
