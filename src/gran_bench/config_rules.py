@@ -198,6 +198,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "velocity": at_least(0),
         "spin": at_least(0),
         "overlap": at_least(0),
+        "cell_displacement": at_least(0),
         "frame_weights": FRAME_WEIGHTS,
         "spin_frame_weights": FRAME_WEIGHTS,
         "discount": Range(0.0, 1.0, open_low=True),
