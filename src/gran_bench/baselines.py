@@ -1,0 +1,122 @@
+"""Baselines that keep everyone honest: what a model has to beat before it has learned anything.
+
+- `ballistic`: gravity and nothing else; spheres fall through each other and the walls.
+- `rigid_rotation`: the bed turns with the drum as if glued to it.
+- `interpolated_statistics`: no particles at all, but the statistics of the neighbouring training speeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from gran_bench.metrics.measured import Series
+from gran_bench.metrics.summary import TrajectorySummary
+from gran_bench.scene import Scene
+from gran_bench.state import FloatArray, ParticleState, Trajectory
+
+
+def ballistic(scene: Scene, settled: ParticleState) -> Trajectory:
+    """Free flight: x = x₀ + v₀ τ + ½ g τ², v = v₀ + g τ, the spin kept; nothing touches anything.
+
+    Args:
+        scene: gives gravity, frame interval and number of states.
+        settled: the first state.
+    """
+    time = _clock(scene, settled)
+    past = (time - settled.time)[:, None, None]
+    gravity = np.asarray(scene.gravity)
+    return _trajectory(
+        settled,
+        time,
+        settled.position + settled.velocity * past + 0.5 * gravity * past**2,
+        settled.velocity + gravity * past,
+        np.broadcast_to(settled.angular_velocity, (len(time), settled.count, 3)),
+    )
+
+
+def rigid_rotation(scene: Scene, settled: ParticleState) -> Trajectory:
+    """The whole bed turns with the wall: x = Q(φ) x₀, v = ω × x, spin ω, with φ the angle that the wall has turned.
+
+    Args:
+        scene: gives the rotation, frame interval and number of states.
+        settled: the first state, which is kept as it is.
+    """
+    time, axis = _clock(scene, settled), np.asarray(scene.rotation.axis)
+    angle = np.array([scene.rotation.angle(settled.time, t) for t in time])[:, None, None]
+    speed = np.array([scene.rotation.angular_speed(t) for t in time])[:, None, None]
+    start = settled.position.astype(np.float64)
+    # Rodrigues: the part along the axis stays, the part across it turns.
+    along = (start @ axis)[:, None] * axis
+    position = along + (start - along) * np.cos(angle) + np.cross(axis, start) * np.sin(angle)
+    velocity = speed * np.cross(axis, position)
+    spin = np.broadcast_to(speed * axis, position.shape).copy()
+    position[0], velocity[0], spin[0] = settled.position, settled.velocity, settled.angular_velocity
+    return _trajectory(settled, time, position, velocity, spin)
+
+
+def interpolated_statistics(speed_rpm: float, training: Mapping[float, TrajectorySummary]) -> TrajectorySummary:
+    """Statistics at a speed, linear in the speed between the neighbouring training cases, state by state.
+
+    Series are interpolated as they are, speeds quantile by quantile (the straight line between two distributions in
+    the Wasserstein-1 distance). There are no particles, so figures that need them are undefined.
+
+    Args:
+        speed_rpm: that has no case.
+        training: summaries of the training cases by speed, rpm; of one definition of velocity.
+
+    Raises:
+        ValueError: the speed lies outside the training speeds, or the cases are not comparable.
+    """
+    slower = [rpm for rpm in training if rpm <= speed_rpm]
+    faster = [rpm for rpm in training if rpm >= speed_rpm]
+    if not (slower and faster):
+        known = ", ".join(f"{rpm:g}" for rpm in sorted(training))
+        raise ValueError(f"speed_rpm={speed_rpm:g} lies outside the training speeds {known}; interpolate between them")
+    below, above = max(slower), min(faster)
+    low, high = training[below], training[above]
+    if low.velocity_kind != high.velocity_kind:
+        raise ValueError(
+            f"the cases at {below:g} and {above:g} rpm use {low.velocity_kind} and {high.velocity_kind} velocities; "
+            "summarise both with one velocity_kind"
+        )
+    if low.sorted_speed.shape != high.sorted_speed.shape:
+        raise ValueError(
+            f"the cases at {below:g} and {above:g} rpm have (states, spheres) = {low.sorted_speed.shape} and "
+            f"{high.sorted_speed.shape}; interpolate between cases of one scene"
+        )
+    share = 0.0 if above == below else (speed_rpm - below) / (above - below)
+    layers = min(len(low.layer_speed), len(high.layer_speed))
+    return TrajectorySummary(
+        time=low.time,
+        velocity_kind=low.velocity_kind,
+        series={name: _between_series(low.series[name], high.series[name], share) for name in low.series},
+        sorted_speed=_between(low.sorted_speed, high.sorted_speed, share),
+        sorted_component=_between(low.sorted_component, high.sorted_component, share),
+        layer_speed=_between(low.layer_speed[:layers], high.layer_speed[:layers], share),
+        layer_velocity=_between(low.layer_velocity[:layers], high.layer_velocity[:layers], share),
+        steady_undefined_because=low.steady_undefined_because or high.steady_undefined_because,
+        diameter=low.diameter,
+        period=low.period,
+    )
+
+
+def _clock(scene: Scene, settled: ParticleState) -> FloatArray:
+    return settled.time + scene.frame_interval * np.arange(scene.frame_count)
+
+
+def _trajectory(
+    settled: ParticleState, time: FloatArray, position: FloatArray, velocity: FloatArray, spin: FloatArray
+) -> Trajectory:
+    single = [array.astype(np.float32) for array in (position, velocity, spin)]
+    return Trajectory(time, *single, settled.radius)
+
+
+def _between(low: FloatArray, high: FloatArray, share: float) -> FloatArray:
+    return low + (high - low) * np.asarray(share, low.dtype)
+
+
+def _between_series(low: Series, high: Series, share: float) -> Series:
+    value = (1.0 - share) * low.value + share * high.value
+    return Series(low.time, value, low.unit, low.undefined_because or high.undefined_because, low.invalid_because)

@@ -1,0 +1,216 @@
+"""Figures: they are written whole, say what they cannot show, and never hide a failure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import matplotlib
+import numpy as np
+import pandas as pd
+import pytest
+from beds import drum, flowing, inclined_bed, resting
+from matplotlib.figure import Figure
+from PIL import Image
+
+from gran_bench.metrics import summarise
+from gran_bench.plots import (
+    Contender,
+    angle_of_repose,
+    case_card,
+    flow_animation,
+    flow_pattern,
+    loss_curves,
+    position_error,
+    speed_distribution,
+    style,
+    time_against_error,
+)
+from gran_bench.plots.spheres import draw_spheres, halved, shaded, view_along_axis
+
+SCENE = replace(drum(end_time=2.6), frame_interval=0.1)
+
+
+@pytest.fixture
+def texts(monkeypatch):
+    """Every text of the figures that a test draws."""
+    found: list[str] = []
+    save = Figure.savefig
+
+    def reading(figure, *args, **keys):
+        found.extend(text.get_text() for text in figure.findobj(matplotlib.text.Text))
+        return save(figure, *args, **{**keys, "dpi": 30})
+
+    monkeypatch.setattr(Figure, "savefig", reading)
+    return found
+
+
+@pytest.fixture(scope="module")
+def replicas():
+    return [summarise(flowing(SCENE, seed), SCENE) for seed in range(3)]
+
+
+def broken_run():
+    run = flowing(SCENE, 7)
+    for array in (run.position, run.velocity, run.angular_velocity):
+        array[6:] = np.nan
+    return run
+
+
+def is_png(path):
+    with Image.open(path) as image:
+        image.load()
+        return image.format == "PNG"
+
+
+# ---- spheres -----------------------------------------------------------------------------------------
+
+
+def test_spheres_are_drawn_to_scale_where_they_are():
+    image = draw_spheres(np.array([[0.25, -0.25]]), np.zeros(1), np.full(1, 0.1), half_width=0.5, pixels=400)
+    rows, columns = np.nonzero(image.owner == 0)
+    assert len(rows) == pytest.approx(np.pi * 40**2, rel=0.01)  # 0.1 m are 40 of 400 pixels
+    assert (rows.mean(), columns.mean()) == (pytest.approx(299.5, abs=0.5), pytest.approx(299.5, abs=0.5))
+    assert image.facing[300, 300] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_nearer_sphere_hides_the_farther_one_in_any_order():
+    across = np.array([[0.0, 0.0], [0.05, 0.0]])
+    for order in ([0, 1], [1, 0]):
+        away = np.array([0.0, 1.0])[order]
+        image = draw_spheres(across, away, np.full(2, 0.1), 0.5, 100)
+        assert image.owner[50, 52] == int(np.argmin(away))
+
+
+def test_spheres_that_cannot_be_shown_are_counted():
+    across = np.array([[0.0, 0.0], [np.nan, 0.0], [3.0, 0.0], [0.0, np.inf]])
+    assert draw_spheres(across, np.zeros(4), np.full(4, 0.1), 0.5, 50).unseen == 3
+
+
+def test_the_viewer_sees_x_to_the_right_z_up_and_looks_along_the_axis_whichever_way_it_turns():
+    for rpm in (30.0, -30.0):
+        across, away = view_along_axis(np.array([[0.1, 0.2, 0.3]]), drum(rpm))
+        assert across[0] == pytest.approx([0.1, 0.3])
+        assert away[0] == pytest.approx(0.2)
+
+
+def test_a_sphere_has_its_colour_and_the_background_its_own():
+    image = draw_spheres(np.zeros((1, 2)), np.zeros(1), np.full(1, 0.2), 0.5, 100)
+    picture = shaded(image, np.array([[0.2, 0.4, 0.6]]))
+    assert picture[50, 50] == pytest.approx([0.2, 0.4, 0.6], abs=1e-3)
+    assert picture[0, 0] == pytest.approx([1.0, 1.0, 1.0])
+    assert halved(picture).shape == (50, 50, 3)
+
+
+# ---- figures -----------------------------------------------------------------------------------------
+
+
+def test_flow_pattern_says_how_many_spheres_it_cannot_show(tmp_path, texts):
+    broken = flowing(SCENE, 2)
+    broken.position[10, :3] = np.nan
+    flow_pattern({"DEM": flowing(SCENE, 1), "surrogate": broken}, SCENE, tmp_path / "flow.png")
+    assert is_png(tmp_path / "flow.png")
+    assert "3 spheres not finite or out of sight" in texts
+    assert {"DEM", "surrogate", "speed, m/s", "x, m", "height z, m"} <= set(texts)
+
+
+def test_flow_pattern_of_a_run_that_ended_says_so(tmp_path, texts):
+    flow_pattern({"short": flowing(SCENE, 1, frames=4)}, SCENE, tmp_path / "flow.png")
+    assert "no state at 2.5 s" in texts
+
+
+def test_angle_figure_counts_invalid_states(tmp_path, texts):
+    beds = [summarise(resting(SCENE, inclined_bed(20.0, seed)), SCENE) for seed in range(2)]
+    half = resting(SCENE, inclined_bed(25.0))
+    half.position[8:] = np.nan
+    angle_of_repose({"surrogate": summarise(half, SCENE)}, beds, tmp_path / "angle.png")
+    assert is_png(tmp_path / "angle.png")
+    assert "surrogate (4 of 12 states invalid)" in texts
+    assert "DEM, range of 2 replicas" in texts
+
+
+def test_angle_figure_above_the_critical_speed_shows_no_line(tmp_path, texts):
+    scene = SCENE.at_speed(60.0)
+    runs = [summarise(flowing(scene, seed), scene) for seed in range(2)]
+    angle_of_repose({"surrogate": runs[0]}, runs, tmp_path / "angle.png")
+    assert sum("undefined: at or above the critical speed" in text for text in texts) == 2
+
+
+def test_speed_figure_keeps_a_failed_run_in_its_legend(tmp_path, texts, replicas):
+    speed_distribution({"surrogate": summarise(broken_run(), SCENE)}, replicas, tmp_path / "speed.png")
+    assert is_png(tmp_path / "speed.png")
+    assert "surrogate: not finite at 2.5 s" in texts
+
+
+def test_position_figure_counts_lost_frames_and_marks_the_horizon(tmp_path, texts, replicas):
+    position_error({"surrogate": summarise(broken_run(), SCENE)}, replicas, tmp_path / "position.png")
+    assert is_png(tmp_path / "position.png")
+    assert "surrogate to DEM (6 frames not finite or missing)" in texts
+    assert any(text.startswith("frame 0:") for text in texts)  # these replicas never were one trajectory
+
+
+def test_loss_figure_marks_where_training_looks_further_ahead(tmp_path, texts):
+    step = np.arange(1, 61)
+    losses = pd.DataFrame(
+        {
+            "step": step,
+            "loss": 1.0 / step,
+            "learning_rate": 1e-3,
+            "frames_ahead": np.where(step < 40, 3, 5),
+            "term/spin": 0.1 / step,
+        }
+    )
+    loss_curves(losses, tmp_path / "loss.png")
+    assert {"5 frames ahead", "spin"} <= set(texts)
+    loss_curves(losses.iloc[:0], tmp_path / "empty.png")
+    assert "no losses were logged" in texts
+
+
+def test_case_card_shows_a_case_and_what_has_no_angle(tmp_path, texts):
+    case_card(flowing(SCENE, 1), SCENE.at_speed(60.0), tmp_path / "card.png")
+    assert is_png(tmp_path / "card.png")
+    assert "drum, 60 rpm, 3000 spheres of 50 mm" in texts
+    assert any("undefined" in text for text in texts)
+
+
+def test_a_failed_method_stays_in_the_picture_of_time_and_error(tmp_path, texts):
+    contenders = [
+        Contender("DEM", "dem", 5.0, 1.0),
+        Contender("contact", "surrogate", 2.0, 4.0, 3.0, 5.0),
+        Contender("ccnn", "surrogate", 300.0, None),
+    ]
+    time_against_error(contenders, "angle of repose", tmp_path / "time.png")
+    assert {"DEM", "contact", "ccnn (failed)", "nothing is faster and better"} <= set(texts)
+    with pytest.raises(ValueError, match="choose one of dem, surrogate"):
+        Contender("x", "magic", 1.0, 1.0)
+
+
+def test_the_film_has_its_frames_in_real_time_and_shows_failures(tmp_path):
+    path = flow_animation({"DEM": flowing(SCENE, 1), "surrogate": broken_run()}, SCENE, tmp_path / "flow.gif")
+    with Image.open(path) as film:
+        assert film.n_frames == SCENE.frame_count
+        assert film.info["duration"] == 100
+        film.seek(8)
+        left, right = (np.asarray(film.convert("RGB").crop((x, 60, x + 300, 300))) for x in (0, 300))
+    # Of the failed run only the drum's wall and a word are left, in grey.
+    assert (right.max(axis=2) == right.min(axis=2)).all()
+    assert (left.max(axis=2) != left.min(axis=2)).mean() > 0.05
+
+
+def test_a_figure_that_fails_leaves_the_old_file_as_it_was(tmp_path):
+    path = tmp_path / "figure.png"
+    path.write_text("old")
+
+    def draw_and_fail():
+        with style.drawing(path, 1.0, 1.0):
+            raise RuntimeError("no")
+
+    with pytest.raises(RuntimeError, match="no"):
+        draw_and_fail()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_drawing_leaves_the_users_matplotlib_alone(tmp_path, replicas):
+    before = dict(matplotlib.rcParams)
+    speed_distribution({}, replicas, tmp_path / "speed.png")
+    assert dict(matplotlib.rcParams) == before
