@@ -106,7 +106,7 @@ def choose_time_step(
             f"a whole fraction of the frame interval {scene.frame_interval:g} s"
         )
     if step >= ERROR_FRACTION * contact_time:
-        safe = dividing_step(scene.frame_interval, WARNING_FRACTION * contact_time * (1.0 - 1e-9))
+        safe = dividing_step(scene.frame_interval, WARNING_FRACTION * contact_time * (1.0 - 1e-6))
         message = (
             f"dem.time_step={step:g} s is {step / contact_time:.2g} of the shortest contact time {contact_time:.3g} s "
             f"and cannot resolve it; the largest safe step is {safe:.10g} s"
