@@ -91,9 +91,9 @@ class LatticeBasis:
         """
         coordinate = (ball_to_cube(relative / self.radius) + 1.0) * (0.5 * (self.edge - 1))
         cell = coordinate.detach().floor().clamp_(0, self.edge - 2)
-        x, y, z = (coordinate - cell).unbind(-1)
-        wx, wy, wz = ((1.0 - x, x), (1.0 - y, y), (1.0 - z, z))
-        value = torch.stack([c * b * a for c in wz for b in wy for a in wx], dim=-1)
+        upper = coordinate - cell
+        x, y, z = torch.stack((1.0 - upper, upper), dim=1).unbind(-1)
+        value = (z[:, :, None, None] * y[:, None, :, None] * x[:, None, None, :]).flatten(1)
         i, j, k = cell.long().unbind(-1)
         return (k * self.edge + j) * self.edge + i, value
 
