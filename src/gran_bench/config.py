@@ -249,6 +249,18 @@ class GenerateConfig:
 
 
 @dataclass
+class EvaluateConfig:
+    """Everything that `python -m gran_bench.evaluate` reads; the scene is the one that the model was made for."""
+
+    checkpoint: str = MISSING  # model file
+    device: str = "auto"  # auto | cpu | cuda
+    dem: DemConfig = field(default_factory=DemConfig)
+    dataset: DatasetConfig = field(default_factory=DatasetConfig)
+    judge: JudgeConfig = field(default_factory=JudgeConfig)
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)
+
+
+@dataclass
 class UiConfig:
     """Everything that `python -m gran_bench.ui` reads."""
 

@@ -13,6 +13,7 @@ from gran_bench.config import (
     ContainerConfig,
     DatasetConfig,
     DemConfig,
+    EvaluateConfig,
     FillingConfig,
     GenerateConfig,
     JudgeConfig,
@@ -245,6 +246,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "threads": at_least(1),
     },
     GenerateConfig: {},
+    EvaluateConfig: {"checkpoint": Text(), "device": OneOf(("auto", "cpu", "cuda"))},
     UiConfig: {"port": Range(1, 65535)},
 }
 

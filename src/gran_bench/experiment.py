@@ -6,12 +6,7 @@ any interruption and a finished run only prints its summary again.
 
 from __future__ import annotations
 
-import hashlib
 import json
-import sys
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,17 +15,19 @@ import pandas as pd
 import torch
 
 from gran_bench import tracking
-from gran_bench.atomic import locked, write_atomically, write_text
-from gran_bench.config import TrainConfig
+from gran_bench.atomic import write_text
+from gran_bench.config import EvaluateConfig, SceneConfig, TrainConfig
+from gran_bench.config_check import read_config
 from gran_bench.dataset import Split, Windows, ensure_cases, read_case, split_cases
-from gran_bench.evaluation import Evaluation, Plan, evaluate
+from gran_bench.evaluation import Plan, evaluate
 from gran_bench.plots import draw_evaluation, loss_curves
-from gran_bench.provenance import code_digest, provenance
-from gran_bench.report import flat_metrics, headline, read_summary, summary_table, write_summary
+from gran_bench.provenance import provenance
+from gran_bench.report import flat_metrics, headline
+from gran_bench.run_record import Clock, LossLog, RunRecord, hash_of, tell
 from gran_bench.scene import Scene, build_scene
 from gran_bench.stopping import StopRequest, stop_on_signals
 from gran_bench.surrogate.build import build_model
-from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, save_model
+from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model
 from gran_bench.surrogate.step import Surrogate
 from gran_bench.trainer import CHECKPOINT, Trainer
 
@@ -38,7 +35,7 @@ MODEL = "model.pt"
 TRAINING = "training.json"
 LOSSES = "losses.csv"
 
-# Sections and keys that decide where, when or how fast, but not what comes out.
+# Sections and keys that decide where, when, how fast or how it is judged, but not what is trained.
 _UNDECIDING = {
     "": ("experiment", "threads", "judge", "tracking"),
     "dataset": ("root", "workers", "replicas", "unseen_packing_seed", "holdout_speeds_rpm"),
@@ -59,66 +56,49 @@ def run_experiment(config: TrainConfig) -> dict[str, Any]:
         KeyboardInterrupt: SIGTERM or Ctrl-C; a resumable state is on disk and the MLflow run is KILLED.
     """
     scene = build_scene(config.scene)
-    _tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
+    tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
     clock = Clock()
     with stop_on_signals() as stop:
         split = split_cases(scene, config.dem, config.dataset)
+        tell(f"data: {len(split.all)} cases in {Path(config.dataset.root).resolve()}")
         with clock.stage("data"):
-            _tell(f"data: {len(split.all)} cases in {Path(config.dataset.root).resolve()}")
             ensure_cases(split.all, config.dataset.root, config.dataset.workers)
             windows = training_windows(config, split)
-        key = run_key(config, windows.digest)
-        folder = run_folder(config, key)
-        folder.mkdir(parents=True, exist_ok=True)
-        with locked(folder / ".lock", lambda: _tell(f"another process works on {folder}; waiting for it")):
-            finished = read_summary(folder)
-            if finished is not None:
-                return _say_again(finished, folder)
-            write_text(folder / "config.json", json.dumps(asdict(config), indent=1) + "\n")
-            with tracking.open_run(
-                config.tracking,
-                name=folder.name,
-                key=key,
-                params=asdict(config),
-                tags={"data_digest": windows.digest, **provenance()},
-            ) as run:
-                run.log_dataset(scene.name, windows.digest, str(Path(config.dataset.root).resolve()))
-                summary = _run_stages(config, scene, windows, folder, run, clock, stop)
-    print(summary_table(summary))
-    _tell(f"figures and summary in {folder}; compare runs with `make ui`")
-    return summary
+        key = hash_of(_deciding(config), windows.digest)
+        folder = Path(config.tracking.root) / "runs" / f"{config.tracking.folder or config.experiment}-{key[:8]}"
+        record = RunRecord(folder, key, _judged_by(config), config, scene.name, windows.digest, clock)
+
+        def work(run: tracking.Run) -> dict[str, Any]:
+            model = make_model(config, scene)
+            with record.clock.stage("training"):
+                training = train_stage(config, model, windows, folder, run, stop)
+            return judge_stage(record, model, scene, asdict(config.model), training, run)
+
+        return record.carry_out(work)
 
 
-def _run_stages(
-    config: TrainConfig,
-    scene: Scene,
-    windows: Windows,
-    folder: Path,
-    run: tracking.Run,
-    clock: Clock,
-    stop: StopRequest,
-) -> dict[str, Any]:
-    """Train, judge, draw, record; inside an open run of the tracking store."""
-    model = make_model(config, scene)
-    with clock.stage("training"):
-        training = train_stage(config, model, windows, folder, run, stop)
-    with clock.stage("judging"):
-        plan = Plan(scene, config.dem, config.dataset, config.judge)
-        evaluation = evaluate(model, plan, folder, _tell)
-    with clock.stage("figures"):
-        _tell("figures")
-        place = folder / "figures"
-        figures = draw_evaluation(evaluation, plan.holdout_rpm, place, config.judge.gif, config.model.name)
-        figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
-    summary = summarise_run(config, training, evaluation, windows.digest, folder, clock)
-    for metrics in (headline(summary), flat_metrics(summary)):
-        run.log_metrics(metrics, training["steps"])
-    for figure in figures:
-        run.log_artifact(figure, "figures")
-    run.log_artifact(folder / MODEL, "model")
-    path = write_summary(folder, summary)
-    run.log_artifact(path)
-    return summary
+def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
+    """Roll out and judge a model file, without training.
+
+    Args:
+        config: checked.
+
+    Returns:
+        The summary, as in ``summary.json``.
+
+    Raises:
+        CheckpointError: the file is no model.
+        KeyboardInterrupt: as for `run_experiment`.
+    """
+    path = Path(config.checkpoint)
+    model, card = load_model(path, device_named(config.device))
+    scene, digest = build_scene(read_config(SceneConfig, card.scene)), file_digest(path)
+    tell(f"model {card.model['name']}: {model.parameter_count} parameters from {path}, made for scene {scene.name}")
+    key = hash_of(digest, _judged_by(config))
+    folder = Path(config.tracking.root) / "evaluations" / f"{path.parent.name}-{key[:8]}"
+    record = RunRecord(folder, key, _judged_by(config), config, scene.name, card.origin["data_digest"], Clock())
+    with stop_on_signals():
+        return record.carry_out(lambda run: judge_stage(record, model, scene, card.model, card.origin, run))
 
 
 # ---- stages ----------------------------------------------------------------------------------------------
@@ -134,16 +114,17 @@ def training_windows(config: TrainConfig, split: Split) -> Windows:
 def make_model(config: TrainConfig, scene: Scene) -> Surrogate:
     """The model with its seeded first weights, on its device."""
     torch.manual_seed(config.seed)
-    model = build_model(config.model, config.boundary, scene).to(device_of(config))
-    _tell(f"model {config.model.name}: {model.parameter_count} parameters on {device_of(config)}")
+    device = device_named(config.device)
+    model = build_model(config.model, config.boundary, scene).to(device)
+    tell(f"model {config.model.name}: {model.parameter_count} parameters on {device}")
     return model
 
 
-def device_of(config: TrainConfig) -> str:
-    """The torch device that a config asks for."""
-    if config.device == "auto":
+def device_named(name: str) -> str:
+    """The torch device of ``auto``, ``cpu`` or ``cuda``."""
+    if name == "auto":
         return "cuda" if torch.cuda.is_available() else "cpu"
-    return config.device
+    return name
 
 
 def train_stage(
@@ -167,110 +148,75 @@ def train_stage(
     trainer = Trainer(model, windows, config, folder, keep, lambda: stop.requested)
     if trainer.resume():
         log.drop_after(trainer.step)
-        _tell(f"training goes on from update {trainer.step} of {config.trainer.steps} ({folder / CHECKPOINT})")
+        tell(f"training goes on from update {trainer.step} of {config.trainer.steps} ({folder / CHECKPOINT})")
     with stop.deferred():
         result = trainer.run()
     weights = trainer.final_weights()
     model.load_state_dict(weights)
-    training = asdict(result) | {"origin": provenance(), "data_digest": windows.digest}
-    card = ModelCard(asdict(config.model), asdict(config.boundary), asdict(config.scene), _origin(training, config))
+    training = asdict(result) | {
+        "seed": config.seed,
+        "experiment": config.experiment,
+        "data_digest": windows.digest,
+        "data_seconds": sum(float(case.attributes["wall_seconds"]) for case in windows.cases),
+        **provenance(),
+    }
+    card = ModelCard(asdict(config.model), asdict(config.boundary), asdict(config.scene), training)
     training["model_sha256"] = save_model(folder / MODEL, weights, card)
+    run.log_artifact(folder / MODEL, "model")
     # Written last: its presence says that model and losses are whole.
     write_text(folder / TRAINING, json.dumps(training, indent=1) + "\n")
     return training
 
 
-def _origin(training: dict[str, Any], config: TrainConfig) -> dict[str, Any]:
-    """What a model file says about how it was made."""
-    facts = {name: training[name] for name in ("steps", "seconds", "stopped_by", "data_digest")}
-    return facts | {"seed": config.seed, "experiment": config.experiment, **training["origin"]}
-
-
-def summarise_run(
-    config: TrainConfig, training: dict[str, Any], evaluation: Evaluation, data_digest: str, folder: Path, clock: Clock
+def judge_stage(
+    record: RunRecord,
+    model: Surrogate,
+    scene: Scene,
+    model_keys: dict[str, Any],
+    training: dict[str, Any],
+    run: tracking.Run,
 ) -> dict[str, Any]:
-    """Everything that ``summary.json`` says."""
-    return {
-        "experiment": config.experiment,
+    """Roll out, judge, draw and record; returns the summary."""
+    config, folder = record.config, record.folder
+    plan = Plan(scene, config.dem, config.dataset, config.judge)
+    with record.clock.stage("judging"):
+        evaluation = evaluate(model, plan, folder, tell)
+    with record.clock.stage("figures"):
+        tell("figures")
+        place = folder / "figures"
+        figures = draw_evaluation(evaluation, plan.holdout_rpm, place, config.judge.gif, model_keys["name"])
+        if (folder / LOSSES).exists():
+            figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
+    summary = {
+        "experiment": training["experiment"],
         "provenance": provenance(),
-        "config": asdict(config),
-        "model": asdict(config.model),
+        "model": model_keys,
         "training": training,
-        "training_data_digest": data_digest,
-        "model_sha256": file_digest(folder / MODEL),
-        "frame_ms": 1e3 * config.scene.frame_interval,
-        "wall_seconds": clock.seconds,
+        "frame_ms": 1e3 * scene.frame_interval,
+        "wall_seconds": record.clock.seconds,
         **evaluation.summary,
     }
-
-
-def _say_again(summary: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """A finished run prints its summary again, and says where the code has changed since."""
-    print(summary_table(summary))
-    _tell(f"this run was finished before; its figures and summary are in {folder}")
-    if summary["provenance"]["code_digest"] != code_digest():
-        _tell(f"the code has changed since; to run it anew, move {folder} away")
+    for metrics in (headline(summary), flat_metrics(summary)):
+        run.log_metrics(metrics, training["steps"])
+    for figure in figures:
+        run.log_artifact(figure, "figures")
     return summary
 
 
-# ---- what a run is called, how long it takes, what it logs -----------------------------------------------
+# ---- what determines a run -------------------------------------------------------------------------------
 
 
-def run_key(config: TrainConfig, data_digest: str) -> str:
-    """12 hex digits of what determines the trained weights: the deciding config keys and the training data."""
+def _deciding(config: TrainConfig) -> dict[str, Any]:
+    """The config keys that determine the trained weights."""
     values = asdict(config)
     for section, names in _UNDECIDING.items():
         place = values[section] if section else values
         for name in names:
             del place[name]
-    text = json.dumps([values, data_digest], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:12]
+    return values
 
 
-def run_folder(config: TrainConfig, key: str) -> Path:
-    """Folder of a run: its name for people, its key for certainty."""
-    name = config.tracking.folder or config.experiment
-    return Path(config.tracking.root) / "runs" / f"{name}-{key[:8]}"
-
-
-class Clock:
-    """Wall seconds of each stage, by name."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Count the block under ``name``."""
-        began = time.monotonic()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - began
-
-
-class LossLog:
-    """The logged losses of a training as a CSV file that survives any interruption.
-
-    Args:
-        path: of the file; rows that are there are kept.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.rows: list[dict[str, float]] = pd.read_csv(path).to_dict("records") if path.exists() else []
-
-    def add(self, metrics: dict[str, float], step: int) -> None:
-        """Append one row and rewrite the file whole."""
-        self.rows.append({"step": step} | metrics)
-        table = pd.DataFrame(self.rows)
-        write_atomically(self.path, lambda file: table.to_csv(file, index=False))
-
-    def drop_after(self, step: int) -> None:
-        """Forget rows of updates that a resumed training will do again."""
-        self.rows = [row for row in self.rows if row["step"] <= step]
-
-
-def _tell(line: str) -> None:
-    """One line of progress, on stderr, so that stdout holds the table alone."""
-    print(line, file=sys.stderr, flush=True)
+def _judged_by(config: TrainConfig | EvaluateConfig) -> str:
+    """Hash of the config keys that determine what a model is judged on."""
+    dataset = {name: value for name, value in asdict(config.dataset).items() if name not in ("root", "workers")}
+    return hash_of(asdict(config.judge), dataset, asdict(config.dem))

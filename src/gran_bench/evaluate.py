@@ -1,0 +1,18 @@
+"""Judge a trained model without training: ``python -m gran_bench.evaluate checkpoint=results/holdout30rpm/model.pt``."""
+
+from __future__ import annotations
+
+from gran_bench.config import EvaluateConfig
+from gran_bench.entry import run
+
+
+def task(config: EvaluateConfig) -> object:
+    """Roll out and judge the model that ``config`` names."""
+    # Imported here, so that --help and a refused config need not wait for PyTorch and MLflow.
+    from gran_bench.experiment import run_evaluation
+
+    return run_evaluation(config)
+
+
+if __name__ == "__main__":
+    run(task, "evaluate", EvaluateConfig)

@@ -1,0 +1,123 @@
+"""One run: its folder, its key, its place in the tracking store, its clock and its logged losses."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from gran_bench import tracking
+from gran_bench.atomic import locked, write_atomically, write_text
+from gran_bench.config import EvaluateConfig, TrainConfig
+from gran_bench.provenance import code_digest, provenance
+from gran_bench.report import read_summary, summary_table, write_summary
+
+CONFIG = "config.json"
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """What a run is called and what determines it.
+
+    Attributes:
+        folder: of its files.
+        key: hash of what determines the result of its training; the run's identity in the tracking store.
+        judged_by: hash of what determines its judgement; a finished run is judged anew where it has changed.
+        config: of the command.
+        scene_name: for people.
+        data_digest: of the training data.
+        clock: wall time of its stages.
+    """
+
+    folder: Path
+    key: str
+    judged_by: str
+    config: TrainConfig | EvaluateConfig
+    scene_name: str
+    data_digest: str
+    clock: Clock
+
+    def carry_out(self, work: Callable[[tracking.Run], dict[str, Any]]) -> dict[str, Any]:
+        """Do the work in the run's own folder and tracked run, unless it is finished; print the summary.
+
+        Args:
+            work: gets the open run; returns the summary.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with locked(self.folder / ".lock", lambda: tell(f"another process works on {self.folder}; waiting for it")):
+            finished = read_summary(self.folder)
+            if finished is not None and finished["judged_by"] == self.judged_by:
+                return self._say_again(finished)
+            write_text(self.folder / CONFIG, json.dumps(asdict(self.config), indent=1) + "\n")
+            tags = {"data_digest": self.data_digest, **provenance()}
+            with tracking.open_run(self.config.tracking, self.folder.name, self.key, asdict(self.config), tags) as run:
+                run.log_dataset(self.scene_name, self.data_digest, str(Path(self.config.dataset.root).resolve()))
+                summary = {"judged_by": self.judged_by, **work(run)}
+                run.log_artifact(write_summary(self.folder, summary))
+        print(summary_table(summary))
+        tell(f"figures and summary in {self.folder}; compare runs with `make ui`")
+        return summary
+
+    def _say_again(self, summary: dict[str, Any]) -> dict[str, Any]:
+        """A finished run prints its summary again, and says where the code has changed since."""
+        print(summary_table(summary))
+        tell(f"this run was finished before; its figures and summary are in {self.folder}")
+        if summary["provenance"]["code_digest"] != code_digest():
+            tell(f"the code has changed since; to run it anew, move {self.folder} away")
+        return summary
+
+
+class Clock:
+    """Wall seconds of each stage, by name."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Count the block under ``name``."""
+        began = time.monotonic()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - began
+
+
+class LossLog:
+    """The logged losses of a training as a CSV file that survives any interruption.
+
+    Args:
+        path: of the file; rows that are there are kept.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.rows: list[dict[str, float]] = pd.read_csv(path).to_dict("records") if path.exists() else []
+
+    def add(self, metrics: dict[str, float], step: int) -> None:
+        """Append one row and rewrite the file whole."""
+        self.rows.append({"step": step} | metrics)
+        table = pd.DataFrame(self.rows)
+        write_atomically(self.path, lambda file: table.to_csv(file, index=False))
+
+    def drop_after(self, step: int) -> None:
+        """Forget rows of updates that a resumed training will do again."""
+        self.rows = [row for row in self.rows if row["step"] <= step]
+
+
+def hash_of(*values: Any) -> str:
+    """12 hex digits of the SHA-256 of plain values."""
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def tell(line: str) -> None:
+    """One line of progress, on stderr, so that stdout holds the table alone."""
+    print(line, file=sys.stderr, flush=True)
