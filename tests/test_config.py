@@ -173,7 +173,7 @@ def test_every_value_of_the_schema_has_a_rule():
         ("judge.speeds_rpm=[31]", ["judge.speeds_rpm=[31.0]", "30.0"]),
         ("model.radius=0.04", ["model.radius=0.04", "0.05"]),
         ("model.backend=cuda", ["model.backend=cuda", "fused or torch"]),
-        ("loss.position_l2=0 loss.spin=0", ["loss.position_l2=0", "weight"]),
+        ("loss=paper loss.position_l2=0", ["loss.position_l2=0", "weight"]),
         ("model=ccnn loss.spin=0.2", ["loss.spin=0.2", "model=contact"]),
         ("model=ccnn model.width=63", ["model.width=63", "even"]),
         ("model=ccnn model.kernel=radial", ["model.kernel=radial", "model=radial"]),

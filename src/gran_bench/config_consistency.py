@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from dataclasses import fields
 
-from gran_bench.config import CconvModelConfig, DatasetConfig, GenerateConfig, SceneConfig, TrainConfig
+from gran_bench.config import (
+    CconvModelConfig,
+    DatasetConfig,
+    EvaluateConfig,
+    GenerateConfig,
+    JudgeConfig,
+    SceneConfig,
+    TrainConfig,
+)
 from gran_bench.config_rules import ConfigError
 
 
@@ -12,17 +20,20 @@ def check_consistency(config: object) -> None:
     """Hold the values of a whole config against each other.
 
     Args:
-        config: a ``TrainConfig`` or ``GenerateConfig`` whose values are legal each by itself.
+        config: of a command, with values that are legal each by itself; sections alone have nothing to contradict.
 
     Raises:
         ConfigError: names a dotted key, its value, what it contradicts and the remedy.
     """
     if isinstance(config, TrainConfig | GenerateConfig):
         _check_scene(config.scene)
+    if isinstance(config, TrainConfig | GenerateConfig | EvaluateConfig):
         _check_dataset(config.dataset)
     if isinstance(config, TrainConfig):
         _check_model(config)
         _check_training(config)
+    if isinstance(config, TrainConfig | EvaluateConfig):
+        _check_judge(config.judge, config.dataset)
 
 
 def _require(holds: bool, message: str) -> None:
@@ -81,6 +92,20 @@ def _check_dataset(dataset: DatasetConfig) -> None:
     )
 
 
+def _check_judge(judge: JudgeConfig, dataset: DatasetConfig) -> None:
+    _require(
+        len(dataset.holdout_speeds_rpm) == 1,
+        f"dataset.holdout_speeds_rpm={dataset.holdout_speeds_rpm} is not one speed; one held-out case is judged",
+    )
+    made = {*dataset.training_speeds_rpm, *dataset.validation_speeds_rpm, *dataset.holdout_speeds_rpm}
+    for speed in judge.speeds_rpm:
+        _require(
+            speed in made,
+            f"judge.speeds_rpm={judge.speeds_rpm} has {speed:g} rpm, which no split of dataset has; "
+            f"choose from {sorted(made)}",
+        )
+
+
 def _check_model(config: TrainConfig) -> None:
     model, diameter = config.model, config.scene.filling.diameter
     _require(
@@ -108,17 +133,6 @@ def _check_training(config: TrainConfig) -> None:
         len(dataset.training_speeds_rpm) > 0,
         "dataset.training_speeds_rpm=[] leaves nothing to train on; give at least one speed",
     )
-    _require(
-        len(dataset.holdout_speeds_rpm) == 1,
-        f"dataset.holdout_speeds_rpm={dataset.holdout_speeds_rpm} is not one speed; training judges one held-out case",
-    )
-    made = {*dataset.training_speeds_rpm, *dataset.validation_speeds_rpm, *dataset.holdout_speeds_rpm}
-    for speed in config.judge.speeds_rpm:
-        _require(
-            speed in made,
-            f"judge.speeds_rpm={config.judge.speeds_rpm} has {speed:g} rpm, which no split of dataset has; "
-            f"choose from {sorted(made)}",
-        )
     terms = [entry.name for entry in fields(loss) if entry.type == "float" and entry.name != "discount"]
     _require(
         any(getattr(loss, term) > 0 for term in terms),
