@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from gran_bench.surrogate.neighborhood import Neighborhood
 
 # A block's buffer: about what the second-level cache of a core holds. Rows beyond the bound gain nothing.
-_BUFFER_BYTES = 1 << 20
+_BUFFER_BYTES = 1 << 21
 _MOST_ROWS = 256
 
 
