@@ -141,7 +141,7 @@ def test_tables_are_for_people_for_pandas_and_for_json(replicas):
     assert plain["errors"]["speed_w1"]["unit"] == "m/s"
     assert plain["failures"]["non_finite_states"] == 0
     text = str(judgement)
-    for expected in ("angle of repose over the series", "requirements (7 of 7 pass)", "0 of 56 states not finite"):
+    for expected in ("angle of repose, over the series", "requirements (7 of 7 pass)", "0 of 56 states not finite"):
         assert expected in text
     with pytest.raises(KeyError, match="speed_w1"):
         judgement.error("speed")

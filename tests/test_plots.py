@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import matplotlib
 import numpy as np
@@ -12,15 +13,19 @@ from beds import drum, flowing, inclined_bed, resting
 from matplotlib.figure import Figure
 from PIL import Image
 
-from gran_bench.metrics import summarise
+from gran_bench.metrics import Measured, nearest_case, summarise
 from gran_bench.plots import (
     Contender,
     angle_of_repose,
     case_card,
+    diagnostics,
+    draw_evaluation,
     flow_animation,
     flow_pattern,
     loss_curves,
+    nearest_cases,
     position_error,
+    speed_by_depth,
     speed_distribution,
     style,
     time_against_error,
@@ -146,6 +151,56 @@ def test_position_figure_counts_lost_frames_and_marks_the_horizon(tmp_path, text
     assert is_png(tmp_path / "position.png")
     assert "surrogate to DEM (6 frames not finite or missing)" in texts
     assert any(text.startswith("frame 0:") for text in texts)  # these replicas never were one trajectory
+
+
+def test_depth_figure_shows_layers_or_why_there_are_none(tmp_path, texts, replicas):
+    scene = replace(drum(), frame_interval=0.5)
+    beds = [summarise(resting(scene, inclined_bed(20.0, seed), speed=0.1), scene) for seed in range(2)]
+    speed_by_depth({"surrogate": beds[0]}, beds, tmp_path / "depth.png")
+    assert {"depth under the surface, d", "DEM, range of 2 replicas", "surrogate"} <= set(texts)
+    speed_by_depth({}, replicas, tmp_path / "none.png")
+    assert any("before the steady part" in text for text in texts)
+
+
+def test_diagnostics_say_what_a_model_lacks(tmp_path, texts, replicas):
+    spinless = replace(flowing(SCENE, 5), angular_velocity=None)
+    diagnostics({"surrogate": summarise(spinless, SCENE)}, replicas, tmp_path / "diagnostics.png")
+    assert is_png(tmp_path / "diagnostics.png")
+    assert {"energy, J", "overlap, mm", "DEM, range of 3 replicas", "surrogate"} <= set(texts)
+
+
+def test_nearest_cases_keep_a_failed_rollout(tmp_path, texts):
+    failed = Measured.undefined("m/s", "diverged")
+    nearest_cases(
+        {30.0: {25.0: 0.07, 30.0: Measured(0.02, "m/s")}, 25.0: {25.0: failed, 30.0: failed}}, tmp_path / "n.png"
+    )
+    assert texts.count("failed") == 2
+    assert {"0.070", "0.020", "case of the DEM, rpm"} <= set(texts)
+
+
+def test_an_evaluation_is_drawn_for_both_packings(tmp_path, texts, replicas):
+    names = {"20rpm": 20.0, "30rpm": 30.0, "30rpm_unseen": 30.0}
+    runs = {name: flowing(SCENE, seed) for seed, name in enumerate(names)}
+    truth = {rpm: runs[f"{rpm:g}rpm"] for rpm in (20.0, 30.0)}
+    table = {}
+    for rpm, run in truth.items():
+        nearest, distances = nearest_case(run, truth)
+        w1 = {f"{other:g}rpm": distance.value for other, distance in distances.items()}
+        table[f"{rpm:g}rpm"] = {"own_rpm": rpm, "nearest_rpm": nearest, "is_own": nearest == rpm, "w1_m_s": w1}
+    evaluation = SimpleNamespace(
+        rollouts={name: SimpleNamespace(trajectory=run) for name, run in runs.items()},
+        cases={name: SimpleNamespace(trajectory=run, scene=SCENE) for name, run in runs.items()},
+        replicas={"shared": replicas, "unseen": replicas},
+        candidates={"shared": replicas[0], "unseen": replicas[1]},
+        summary={"nearest_case": table},
+    )
+    paths = draw_evaluation(evaluation, 30.0, tmp_path, model_name="contact")
+    assert "contact" in texts
+    assert all(path.stat().st_size > 0 for path in paths)
+    found = {path.name for path in paths}
+    assert {"flow_pattern.png", "flow_pattern_unseen.png", "flow.gif", "nearest_case.png"} <= found
+    assert found == {path.name for path in tmp_path.iterdir()}
+    assert "flow.gif" not in {path.name for path in draw_evaluation(evaluation, 30.0, tmp_path, gif=False)}
 
 
 def test_loss_figure_marks_where_training_looks_further_ahead(tmp_path, texts):

@@ -154,14 +154,18 @@ def ever(name: str) -> Scalar:
 
 
 COMPARISONS = (
-    Comparison("surface_angle", "angle of repose over the series", "deg", series_distance("surface_angle")),
-    Comparison("surface_angle_steady", "its steady mean", "deg", scalar_distance(steady("surface_angle"))),
-    Comparison("surface_angle_peak", "its first peak", "deg", scalar_distance(peak("surface_angle"))),
-    Comparison("surface_angle_peak_time", "time of its first peak", "s", scalar_distance(peak_time("surface_angle"))),
-    Comparison("com_angle", "centre-of-mass angle over the series", "deg", series_distance("com_angle")),
-    Comparison("com_angle_steady", "its steady mean", "deg", scalar_distance(steady("com_angle"))),
-    Comparison("com_angle_peak", "its first peak", "deg", scalar_distance(peak("com_angle"))),
-    Comparison("com_angle_peak_time", "time of its first peak", "s", scalar_distance(peak_time("com_angle"))),
+    Comparison("surface_angle", "angle of repose, over the series", "deg", series_distance("surface_angle")),
+    Comparison("surface_angle_steady", "angle of repose, steady mean", "deg", scalar_distance(steady("surface_angle"))),
+    Comparison("surface_angle_peak", "angle of repose, first peak", "deg", scalar_distance(peak("surface_angle"))),
+    Comparison(
+        "surface_angle_peak_time", "angle of repose, time of the peak", "s", scalar_distance(peak_time("surface_angle"))
+    ),
+    Comparison("com_angle", "centre-of-mass angle, over the series", "deg", series_distance("com_angle")),
+    Comparison("com_angle_steady", "centre-of-mass angle, steady mean", "deg", scalar_distance(steady("com_angle"))),
+    Comparison("com_angle_peak", "centre-of-mass angle, first peak", "deg", scalar_distance(peak("com_angle"))),
+    Comparison(
+        "com_angle_peak_time", "centre-of-mass angle, time of the peak", "s", scalar_distance(peak_time("com_angle"))
+    ),
     Comparison("speed_w1", "speeds, W1 a frame", "m/s", speed_distance),
     Comparison("speed_w1_pattern", f"speeds at {PATTERN_TIME:g} s, W1", "m/s", speed_distance_at_pattern),
     Comparison("speed_w1_steady", "steady speeds, W1 pooled", "m/s", speed_distance_pooled),
@@ -180,12 +184,12 @@ COMPARISONS = (
 )
 
 FIGURES = (
-    Figure("surface_angle_steady", "angle of repose, steady", "deg", steady("surface_angle")),
+    Figure("surface_angle_steady", "angle of repose, steady mean", "deg", steady("surface_angle")),
     Figure("surface_angle_peak", "angle of repose, first peak", "deg", peak("surface_angle")),
-    Figure("surface_angle_peak_time", "time of that peak", "s", peak_time("surface_angle")),
-    Figure("com_angle_steady", "centre-of-mass angle, steady", "deg", steady("com_angle")),
+    Figure("surface_angle_peak_time", "angle of repose, time of the peak", "s", peak_time("surface_angle")),
+    Figure("com_angle_steady", "centre-of-mass angle, steady mean", "deg", steady("com_angle")),
     Figure("com_angle_peak", "centre-of-mass angle, first peak", "deg", peak("com_angle")),
-    Figure("com_angle_peak_time", "time of that peak", "s", peak_time("com_angle")),
+    Figure("com_angle_peak_time", "centre-of-mass angle, time of the peak", "s", peak_time("com_angle")),
     Figure("mean_speed_steady", "mean speed, steady", "m/s", steady("mean_speed")),
     Figure("translational_energy_steady", "translational energy, steady", "J", steady("translational_energy")),
     Figure("rotational_energy_steady", "rotational energy, steady", "J", steady("rotational_energy")),

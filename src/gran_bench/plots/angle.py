@@ -65,11 +65,11 @@ def draw_band(axes: Axes, replicas: Sequence[Series], scale: float = 1.0) -> Non
     axes.plot(replicas[0].time, middle, color=DEM, linewidth=1.3, label="DEM, mean" if count > 1 else "DEM")
 
 
-def draw_series(axes: Axes, series: Series, label: str, colour: str) -> None:
+def draw_series(axes: Axes, series: Series, label: str, colour: str, scale: float = 1.0) -> None:
     """One run; its label counts the states that have no valid value."""
     bad = int((~series.valid).sum())
     note = f" ({bad} of {len(series.value)} states invalid)" if bad else ""
-    axes.plot(series.time, np.where(series.valid, series.value, np.nan), color=colour, label=label + note)
+    axes.plot(series.time, scale * np.where(series.valid, series.value, np.nan), color=colour, label=label + note)
 
 
 def mark_steady_part(axes: Axes, run: TrajectorySummary) -> None:
