@@ -47,7 +47,6 @@ from gran_bench.surrogate.kernels.contact_block import (
     MOTION,
     NORMAL,
     ONE,
-    OUTPUTS,
     PUSH,
     ROWS,
     SPIN,
@@ -72,6 +71,7 @@ from gran_bench.surrogate.kernels.contact_block import (
 END, MOVE, TURNED, CHANNEL = 0, 3, 6, 9
 STATE = CHANNEL + CHANNELS
 ROW = 16  # one cache line
+EXTRA = 6 + CHANNELS  # in a row of adjoints (D, q, h, extra translation, extra spin)
 WALL_FIELDS = 20  # kind, point, direction, radius, M row by row
 SPIN_RESPONSE = np.float32(contact.SPIN_RESPONSE)
 CHANNEL_CLAMP = np.float32(contact.CHANNEL_CLAMP)
@@ -316,7 +316,6 @@ def _forward(
     now, gain = np.zeros((count, ROW), np.float32), np.zeros((count, ROW), np.float32)
     extra = np.zeros((count, 6), np.float32)
     running = np.zeros(sums.shape[1:], np.float32)
-    held = np.empty(CHANNELS, np.float32)
     now[:, MOVE : MOVE + 3], now[:, TURNED : TURNED + 3] = guess, spin
     for k in range(iterations):
         for i in range(count):
@@ -326,10 +325,11 @@ def _forward(
         states[slot], sums[slot] = now, running
         gain[:] = ZERO
         slope, reach, diameter = ONE / limits[1], limits[0], limits[4]
+        u1, c1, u2, c2 = w1[k, 0], b1[k, 0], w2[k, 0], b2[k, 0]
         for first in range(0, pair_count, LANES):
             last = min(first + LANES, pair_count)
             _gather_pairs(b, pairs, first, last, now, running, springs, diameter, period)
-            _respond(b, slope, reach, stiffness[k, 0], spin_share[k, 0], w1[k, 0], b1[k, 0], w2[k, 0], b2[k, 0])
+            _respond(b, slope, reach, stiffness[k, 0], spin_share[k, 0], u1, c1, u2, c2)
             for c in range(last - first):
                 i, j = pairs[first + c, 0], pairs[first + c, 1]
                 for m in range(3):
@@ -351,12 +351,13 @@ def _forward(
                 running[0, first + c] += b[ANSWER * LANES + c]
                 running[1, first + c] += b[(ANSWER + 1) * LANES + c]
         slope, reach = ONE / limits[3], limits[2]
+        u1, c1, u2, c2 = w1[k, 1], b1[k, 1], w2[k, 1], b2[k, 1]
         for w in range(len(walls)):
             for first in range(wall_start[w], wall_start[w + 1], LANES):
                 last = min(first + LANES, wall_start[w + 1])
                 _gather_walls(b, near, first, last, pair_count, walls[w], now, running, springs, HALF * diameter)
                 strength = stiffness[k, 1] + stiffness[k, 1]
-                _respond(b, slope, reach, strength, spin_share[k, 1], w1[k, 1], b1[k, 1], w2[k, 1], b2[k, 1])
+                _respond(b, slope, reach, strength, spin_share[k, 1], u1, c1, u2, c2)
                 for c in range(last - first):
                     i = near[first + c]
                     for m in range(3):
@@ -373,7 +374,7 @@ def _forward(
                 now[i, m] += gain[i, m]
             for m in range(CHANNELS):
                 messages[slot, i, m] = now[i, CHANNEL + m]
-            _mix(now[i], extra[i], gravity, mix_weight[k], mix_bias[k], held)
+        _mix(now, extra, gravity, mix_weight[k], mix_bias[k])
     for i in range(count):
         for m in range(3):
             outcome[0, i, m], outcome[1, i, m] = now[i, MOVE + m], now[i, TURNED + m]
@@ -381,67 +382,86 @@ def _forward(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _mix(row, extra, gravity, weight, bias, held):  # pragma: no cover - jitted
-    """Gravity taken back and channels mixed, for one particle; ``gravity``: what D takes, what the velocity more."""
-    share = ZERO
-    for m in range(CHANNELS):
-        held[m] = min(max(row[CHANNEL + m], -CHANNEL_CLAMP), CHANNEL_CLAMP)
-        share += weight[CHANNELS, m] * held[m]
-    for m in range(3):
-        row[MOVE + m] += share * gravity[0, m]
-        extra[m] += share * gravity[1, m]
-    for out in range(CHANNELS):
-        mixed = bias[out]
+def _mix(now, extra, gravity, weight, bias):  # pragma: no cover - jitted
+    """Gravity taken back and channels mixed, for all particles; ``gravity``: what D takes, what the velocity more."""
+    held = np.empty(CHANNELS, np.float32)
+    for i in range(len(now)):
+        share = ZERO
         for m in range(CHANNELS):
-            mixed += weight[out, m] * held[m]
-        row[CHANNEL + out] += HALF * max(mixed, ZERO)
+            held[m] = min(max(now[i, CHANNEL + m], -CHANNEL_CLAMP), CHANNEL_CLAMP)
+            share += weight[CHANNELS, m] * held[m]
+        for m in range(3):
+            now[i, MOVE + m] += share * gravity[0, m]
+            extra[i, m] += share * gravity[1, m]
+        for out in range(CHANNELS):
+            mixed = bias[out]
+            for m in range(CHANNELS):
+                mixed += weight[out, m] * held[m]
+            now[i, CHANNEL + out] += HALF * max(mixed, ZERO)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _mix_adjoint(channels, adjoint, gravity, weight, bias, d_weight, d_bias, held, d_held):  # pragma: no cover - jitted
-    """Adjoint of :func:`_mix` for one particle; ``channels`` are those before it, ``adjoint`` is its row."""
-    d_share = ZERO
-    for m in range(3):
-        d_share += adjoint[m] * gravity[0, m] + adjoint[6 + CHANNELS + m] * gravity[1, m]
-    for m in range(CHANNELS):
-        held[m] = min(max(channels[m], -CHANNEL_CLAMP), CHANNEL_CLAMP)
-        d_held[m] = d_share * weight[CHANNELS, m]
-        d_weight[CHANNELS, m] += d_share * held[m]
-    for out in range(CHANNELS):
-        mixed = bias[out]
+def _mix_adjoint(messages, adjoint, gravity, weight, bias, d_weight, d_bias):  # pragma: no cover - jitted
+    """Adjoint of :func:`_mix`; ``messages`` are the channels before it, ``adjoint`` the particles' rows."""
+    held, d_held = np.empty(CHANNELS, np.float32), np.empty(CHANNELS, np.float32)
+    for i in range(len(adjoint)):
+        d_share = ZERO
+        for m in range(3):
+            d_share += adjoint[i, m] * gravity[0, m] + adjoint[i, 6 + CHANNELS + m] * gravity[1, m]
         for m in range(CHANNELS):
-            mixed += weight[out, m] * held[m]
-        if mixed > ZERO:
-            d_mixed = HALF * adjoint[6 + out]
-            d_bias[out] += d_mixed
+            held[m] = min(max(messages[i, m], -CHANNEL_CLAMP), CHANNEL_CLAMP)
+            d_held[m] = d_share * weight[CHANNELS, m]
+            d_weight[CHANNELS, m] += d_share * held[m]
+        for out in range(CHANNELS):
+            mixed = bias[out]
             for m in range(CHANNELS):
-                d_weight[out, m] += d_mixed * held[m]
-                d_held[m] += d_mixed * weight[out, m]
-    for m in range(CHANNELS):
-        if abs(channels[m]) <= CHANNEL_CLAMP:
-            adjoint[6 + m] += d_held[m]
+                mixed += weight[out, m] * held[m]
+            if mixed > ZERO:
+                d_mixed = HALF * adjoint[i, 6 + out]
+                d_bias[out] += d_mixed
+                for m in range(CHANNELS):
+                    d_weight[out, m] += d_mixed * held[m]
+                    d_held[m] += d_mixed * weight[out, m]
+        for m in range(CHANNELS):
+            if abs(messages[i, m]) <= CHANNEL_CLAMP:
+                adjoint[i, 6 + m] += d_held[m]
 
 
 @block_jit
-def _seed(b, adjoint, i, c, sign):  # pragma: no cover - jitted
-    """Adds what particle ``i``'s adjoint asks of lane ``c``; ``sign`` is −1 for the partner, pushed the other way."""
-    for m in range(3):
-        b[(D_PUSH + m) * LANES + c] += sign * HALF * adjoint[i, m]
-        b[(D_TURN + m) * LANES + c] += SPIN_RESPONSE * adjoint[i, 3 + m]
-        b[(D_EXTRA_PUSH + m) * LANES + c] += sign * HALF * adjoint[i, 6 + CHANNELS + m]
-        b[(D_EXTRA_TURN + m) * LANES + c] += SPIN_RESPONSE * adjoint[i, 9 + CHANNELS + m]
-    for m in range(CHANNELS):
-        b[(D_ANSWER + 3 + m) * LANES + c] += adjoint[i, 6 + m]
+def _seed_pairs(b, pairs, adjoint, d_sums, first, last):  # pragma: no cover - jitted
+    """What the adjoints of particles and sums ask of a block of pairs; lanes beyond ``last`` get nothing."""
+    for c in range(LANES):
+        p = min(first + c, last - 1)
+        i, j = pairs[p, 0], pairs[p, 1]
+        half = HALF if first + c < last else ZERO
+        both, spin = half + half, (half + half) * SPIN_RESPONSE
+        for m in range(3):
+            b[(D_PUSH + m) * LANES + c] = half * (adjoint[i, m] - adjoint[j, m])
+            b[(D_TURN + m) * LANES + c] = spin * (adjoint[i, 3 + m] + adjoint[j, 3 + m])
+            b[(D_EXTRA_PUSH + m) * LANES + c] = half * (adjoint[i, EXTRA + m] - adjoint[j, EXTRA + m])
+            b[(D_EXTRA_TURN + m) * LANES + c] = spin * (adjoint[i, EXTRA + 3 + m] + adjoint[j, EXTRA + 3 + m])
+        for m in range(CHANNELS):
+            b[(D_ANSWER + 3 + m) * LANES + c] = both * (adjoint[i, 6 + m] + adjoint[j, 6 + m])
+        b[D_SUM_A * LANES + c], b[D_SUM_B * LANES + c] = both * d_sums[0, p], both * d_sums[1, p]
 
 
 @block_jit
-def _clear_seeds(b, d_sums, first, last):  # pragma: no cover - jitted
-    """Zero seeds, but for the running sums; lanes beyond ``last`` stay zero and so add nothing to any gradient."""
-    for row in range(D_PUSH, D_ANSWER + OUTPUTS):
-        for c in range(LANES):
-            b[row * LANES + c] = ZERO
-    for c in range(last - first):
-        b[D_SUM_A * LANES + c], b[D_SUM_B * LANES + c] = d_sums[0, first + c], d_sums[1, first + c]
+def _seed_walls(b, near, offset, adjoint, d_sums, first, last):  # pragma: no cover - jitted
+    """The same for a block of wall contacts, which come after ``offset`` pairs in ``d_sums``."""
+    for c in range(LANES):
+        p = min(first + c, last - 1)
+        i = near[p]
+        half = HALF if first + c < last else ZERO
+        both, spin = half + half, (half + half) * SPIN_RESPONSE
+        for m in range(3):
+            b[(D_PUSH + m) * LANES + c] = half * adjoint[i, m]
+            b[(D_TURN + m) * LANES + c] = spin * adjoint[i, 3 + m]
+            b[(D_EXTRA_PUSH + m) * LANES + c] = half * adjoint[i, EXTRA + m]
+            b[(D_EXTRA_TURN + m) * LANES + c] = spin * adjoint[i, EXTRA + 3 + m]
+        for m in range(CHANNELS):
+            b[(D_ANSWER + 3 + m) * LANES + c] = both * adjoint[i, 6 + m]
+        b[D_SUM_A * LANES + c] = both * d_sums[0, offset + p]
+        b[D_SUM_B * LANES + c] = both * d_sums[1, offset + p]
 
 
 @block_jit
@@ -466,34 +486,25 @@ def _backward(
 
     The extra parts are only ever added to, so their adjoint stays what it was seeded with.
     """
-    count, iterations, pair_count = len(adjoint), len(w1), len(pairs)
+    iterations, pair_count = len(w1), len(pairs)
     b = np.zeros(ROWS * LANES, np.float32)
     before = np.empty_like(adjoint)
-    held, d_held = np.empty(CHANNELS, np.float32), np.empty(CHANNELS, np.float32)
     d_sums = np.zeros(sums.shape[1:], np.float32)
     diameter = limits[4]
     for k in range(iterations - 1, -1, -1):
         now, running = states[k], sums[k]
-        for i in range(count):
-            _mix_adjoint(
-                messages[k, i], adjoint[i], gravity, mix_weight[k], mix_bias[k], d_mix_weight[k], d_mix_bias[k],
-                held, d_held,
-            )  # fmt: skip
+        _mix_adjoint(messages[k], adjoint, gravity, mix_weight[k], mix_bias[k], d_mix_weight[k], d_mix_bias[k])
         before[:] = adjoint
         slope, reach = ONE / limits[1], limits[0]
+        u1, c1, u2, c2 = w1[k, 0], b1[k, 0], w2[k, 0], b2[k, 0]
+        d_u1, d_c1, d_u2, d_c2 = d_w1[k, 0], d_b1[k, 0], d_w2[k, 0], d_b2[k, 0]
         for first in range(0, pair_count, LANES):
             last = min(first + LANES, pair_count)
             strength, share = stiffness[k, 0], spin_share[k, 0]
             _gather_pairs(b, pairs, first, last, now, running, springs, diameter, period)
-            _respond(b, slope, reach, strength, share, w1[k, 0], b1[k, 0], w2[k, 0], b2[k, 0])
-            _clear_seeds(b, d_sums, first, last)
-            for c in range(last - first):
-                _seed(b, before, pairs[first + c, 0], c, ONE)
-                _seed(b, before, pairs[first + c, 1], c, -ONE)
-            _respond_adjoint(
-                b, slope, strength, share, w1[k, 0], w2[k, 0], d_w1[k, 0], d_b1[k, 0], d_w2[k, 0], d_b2[k, 0],
-                d_sums, first, last,
-            )  # fmt: skip
+            _respond(b, slope, reach, strength, share, u1, c1, u2, c2)
+            _seed_pairs(b, pairs, before, d_sums, first, last)
+            _respond_adjoint(b, slope, strength, share, u1, u2, d_u1, d_c1, d_u2, d_c2, d_sums, first, last)
             d_stiffness[k, 0] += row_sum(b, D_STIFFNESS)
             d_spin_share[k, 0] += row_sum(b, D_SHARE)
             _pair_geometry_adjoint(b)
@@ -513,19 +524,17 @@ def _backward(
                     adjoint[i, 6 + m] += channel
                     adjoint[j, 6 + m] += channel
         slope, reach = ONE / limits[3], limits[2]
+        u1, c1, u2, c2 = w1[k, 1], b1[k, 1], w2[k, 1], b2[k, 1]
+        d_u1, d_c1, d_u2, d_c2 = d_w1[k, 1], d_b1[k, 1], d_w2[k, 1], d_b2[k, 1]
         for w in range(len(walls)):
             for first in range(wall_start[w], wall_start[w + 1], LANES):
                 last = min(first + LANES, wall_start[w + 1])
                 strength, share = stiffness[k, 1] + stiffness[k, 1], spin_share[k, 1]
                 _gather_walls(b, near, first, last, pair_count, walls[w], now, running, springs, HALF * diameter)
-                _respond(b, slope, reach, strength, share, w1[k, 1], b1[k, 1], w2[k, 1], b2[k, 1])
-                _clear_seeds(b, d_sums, pair_count + first, pair_count + last)
-                for c in range(last - first):
-                    _seed(b, before, near[first + c], c, ONE)
-                _respond_adjoint(
-                    b, slope, strength, share, w1[k, 1], w2[k, 1], d_w1[k, 1], d_b1[k, 1], d_w2[k, 1], d_b2[k, 1],
-                    d_sums, pair_count + first, pair_count + last,
-                )  # fmt: skip
+                _respond(b, slope, reach, strength, share, u1, c1, u2, c2)
+                _seed_walls(b, near, pair_count, before, d_sums, first, last)
+                low, high = pair_count + first, pair_count + last
+                _respond_adjoint(b, slope, strength, share, u1, u2, d_u1, d_c1, d_u2, d_c2, d_sums, low, high)
                 pushed = row_sum(b, D_STIFFNESS)
                 d_stiffness[k, 1] += pushed + pushed
                 d_spin_share[k, 1] += row_sum(b, D_SHARE)
