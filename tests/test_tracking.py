@@ -108,6 +108,12 @@ def test_a_diverged_loss_is_recorded_as_it_is(config: TrackingConfig):
     assert str(only_run(config).data.metrics["loss"]) == "nan"
 
 
+def test_a_name_that_mlflow_would_refuse_is_made_legal(config: TrackingConfig):
+    with open_run(config, "names", "key", {}) as run:
+        run.log_metrics({"angle error (°)": 1.0, "steady/speed W1": 2.0}, 1)
+    assert only_run(config).data.metrics == {"angle error ___": 1.0, "steady/speed W1": 2.0}
+
+
 def test_without_tracking_nothing_is_written(tmp_path: Path):
     config = TrackingConfig(root=str(tmp_path / "none"), enabled=False)
     with open_run(config, "off", "key", {"a": 1}) as run:
@@ -271,15 +277,15 @@ def test_a_vanished_store_is_told_and_the_record_is_kept_and_sent_later(
             run.log_metrics({"loss": 0.5}, 3)
             run.log_artifact(figure, "figures")
 
-    with pytest.raises(TrackingError, match=r"mlflow\.db does not answer: the file is gone.*unsent.*same command"):
+    with pytest.raises(TrackingError, match=r"mlflow\.db does not answer: the file is gone.*unsent.*next run opens"):
         first_life()
     assert "will try again" in capsys.readouterr().err
     assert not database.exists(), "no empty store may appear in place of the lost one"
     away.rename(database)
     assert only_run(own).info.status == "RUNNING"
-    with open_run(own, "lost", "key", {}):
+    with open_run(own, "another", "another key", {}):
         pass
-    found = only_run(own)
+    found = next(run for run in runs(own) if run.info.run_name == "lost")
     assert found.info.status == "FINISHED"
     assert found.data.metrics["loss"] == 0.5
     stored = Path(own.root) / "artifacts" / found.info.run_id / "artifacts" / "figures" / "figure.png"

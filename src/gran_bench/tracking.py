@@ -1,8 +1,8 @@
 """Runs in MLflow: one SQLite store under the results folder, opened once and shared by any number of processes.
 
 The store must never cost a result. What cannot be recorded (a locked or vanished store) waits in memory while the
-run goes on, is kept in a file when the run ends, is said in one clear error, and is sent when the run is opened
-again. This is the only file that knows MLflow.
+run goes on, is kept in a file when the run ends, is said in one clear error, and is sent when the next run opens.
+This is the only file that knows MLflow.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import json
 import logging
 import math
 import os
+import re
 import signal
 import sys
 import threading
@@ -37,6 +38,7 @@ RETRY_SECONDS = 60.0  # after a store that did not answer; MLflow waits 20 s for
 _BATCH = 900  # metrics a request; MLflow takes 1000
 _PARAMS_A_REQUEST = 100
 _LONGEST_VALUE = 5000  # characters of a parameter or tag
+_ILLEGAL = re.compile(r"[^\w\-.: /]", re.ASCII)  # in the name of a metric
 _CLOSED = {"FINISHED", "FAILED", "KILLED"}
 
 
@@ -63,7 +65,7 @@ class Run:
     run_id: str | None = None
 
     def log_metrics(self, metrics: Mapping[str, float], step: int = 0) -> None:
-        """Record scalars of one step; they reach the store in batches."""
+        """Record scalars of one step; they reach the store in batches, by names in which / makes groups."""
 
     def log_artifact(self, path: Path | str, folder: str | None = None) -> None:
         """Copy a file into the run's artifacts, into ``folder`` there."""
@@ -90,13 +92,11 @@ class _StoredRun(Run):
         self._next_flush = time.monotonic() + FLUSH_SECONDS
         self._known: dict[str, set[tuple[int, float]]] = {}
         self._kept = store.root / UNSENT / f"{run_id}.json"
-        if self._kept.exists():
-            kept = json.loads(self._kept.read_text("utf-8"))
-            self._backlog = _Backlog([tuple(m) for m in kept["metrics"]], kept["tags"], kept["artifacts"])
 
     def log_metrics(self, metrics: Mapping[str, float], step: int = 0) -> None:
         now = int(1000 * time.time())
-        self._backlog.metrics += [(name, float(value), int(step), now) for name, value in metrics.items()]
+        legal = {_ILLEGAL.sub("_", name): float(value) for name, value in metrics.items()}
+        self._backlog.metrics += [(name, value, int(step), now) for name, value in legal.items()]
         if time.monotonic() >= self._next_flush or len(self._backlog.metrics) >= _BATCH:
             self.flush()
 
@@ -140,12 +140,11 @@ class _StoredRun(Run):
         self._finished, self._backlog.status = True, status
         try:
             self._send()
-            self._kept.unlink(missing_ok=True)
         except TrackingError as error:
             write_text(self._kept, json.dumps(asdict(self._backlog)))
             raise TrackingError(
                 f"{error}. The results are safe in the run's folder; what the store misses is in {self._kept} and is "
-                "sent when the same command runs again"
+                "sent when the next run opens"
             ) from error
 
     def _send(self) -> None:
@@ -361,6 +360,7 @@ def _open(
 ) -> _StoredRun:
     # Two processes with one key must not both find nothing and make two runs.
     with locked(store.lock), store.spoken_for():
+        _send_kept(store)
         run_id = store.run_of(key)
         resumed = run_id is not None
         if run_id is None:
@@ -376,6 +376,17 @@ def _open(
         run.set_tag(label, value)
     run.flush()
     return run
+
+
+def _send_kept(store: _Store) -> None:
+    """Send what earlier runs could not, and close them as they ended."""
+    for path in sorted((store.root / UNSENT).glob("*.json")):
+        kept = json.loads(path.read_text("utf-8"))
+        run = _StoredRun(store, path.stem, resumed=True)
+        metrics = [tuple(metric) for metric in kept["metrics"]]
+        run._backlog = _Backlog(metrics, kept["tags"], kept["artifacts"], kept["status"])
+        run._send()
+        path.unlink()
 
 
 def _log_params(client: MlflowClient, run_id: str, params: dict[str, str]) -> dict[str, str]:

@@ -1,7 +1,15 @@
 """The data: cases as HDF5 files that are made once, checked when read, and split into what trains and what judges."""
 
 from gran_bench.dataset.case_file import Case, read_attributes, read_case, read_settled
-from gran_bench.dataset.case_spec import CaseSpec, DatasetError, Split, half_step, replicas, split_cases
+from gran_bench.dataset.case_spec import (
+    CaseSpec,
+    DatasetError,
+    Split,
+    half_step,
+    replicas,
+    rotation_label,
+    split_cases,
+)
 from gran_bench.dataset.generation import ensure_case, ensure_cases
 from gran_bench.dataset.scene_document import from_document, to_document
 from gran_bench.dataset.summary import CaseRow, case_rows, generate, table
@@ -27,6 +35,7 @@ __all__ = [
     "read_case",
     "read_settled",
     "replicas",
+    "rotation_label",
     "split_cases",
     "statistics",
     "table",

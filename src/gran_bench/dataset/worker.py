@@ -30,6 +30,8 @@ def main() -> None:
             request = json.loads(line)
             job = Job(spec_from_document(request["spec"]), Path(request["root"]), request["settles"])
             try:
+                if str(job.path) != request["path"]:
+                    raise DatasetError("the solver's code changed since the command began; run it again")
                 job.run(lambda seconds: tell(reached=float(seconds)), lambda: tell(waits=True))
             except DatasetError as error:
                 tell(failed=str(error))

@@ -139,7 +139,7 @@ class _Crew:
 
 def _converse(worker: subprocess.Popen, job: Job, bar: SimulatedTimeBar) -> str | None:
     """Give a job to a worker and follow it to its end; what went wrong, or None."""
-    request = {"spec": spec_to_document(job.spec), "root": str(job.root), "settles": job.settles}
+    request = {"spec": spec_to_document(job.spec), "root": str(job.root), "settles": job.settles, "path": str(job.path)}
     try:
         worker.stdin.write(json.dumps(request) + "\n")
         worker.stdin.flush()

@@ -1,14 +1,44 @@
-"""The figures of a data set's cases, kept beside the files."""
+"""The data card's figures and tables: what each case is, and how far apart equally right answers are."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from tqdm import tqdm
 
-from gran_bench.dataset import read_case
+from gran_bench.config import GenerateConfig
+from gran_bench.dataset import CaseSpec, ensure_cases, half_step, read_case, replicas, rotation_label, split_cases
+from gran_bench.metrics.comparisons import COMPARISONS, FIGURES
+from gran_bench.metrics.measured import Measured
+from gran_bench.metrics.noise_floor import noise_floor, score
+from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.plots.case_card import case_card
+from gran_bench.scene import build_scene
+
+CASE_COLUMNS = (
+    "surface_angle_steady",
+    "surface_angle_peak",
+    "com_angle_steady",
+    "com_angle_peak",
+    "mean_speed_steady",
+    "overlap_max",
+    "wall_overlap_max",
+)
+FLOOR_ROWS = (
+    "surface_angle",
+    "surface_angle_steady",
+    "surface_angle_peak",
+    "com_angle",
+    "speed_w1",
+    "speed_w1_pattern",
+    "speed_w1_steady",
+    "position_10",
+    "position_30",
+)
+SHOWN_AS = {"m": ("mm", 1e3), "deg": ("°", 1.0)}  # unit of a figure: for people, times
 
 
 def draw_missing_cards(paths: Sequence[Path], progress: bool = True) -> list[Path]:
@@ -32,3 +62,71 @@ def draw_missing_cards(paths: Sequence[Path], progress: bool = True) -> list[Pat
         case = read_case(path)
         case_card(case.trajectory, case.scene, figure)
     return figures
+
+
+def print_data_card(config: GenerateConfig) -> None:
+    """Make whatever the card needs and print its two tables in Markdown: the cases, and the noise floor.
+
+    Raises:
+        DatasetError: a case cannot be made, or a file is damaged.
+    """
+    root, workers = config.dataset.root, config.dataset.workers
+    split = split_cases(build_scene(config.scene), config.dem, config.dataset)
+    judged = split.holdout[0] if split.holdout else split.training[0]
+    nudged = replicas(judged, max(config.dataset.replicas, 2))
+    halved = half_step(judged)
+    packings = [replace(judged, packing_seed=config.dataset.unseen_packing_seed + k) for k in range(2)]
+    ensure_cases([*split.all, *nudged, halved, *packings], root, workers)
+    print("\n".join(case_table(split.all, root)), end="\n\n")
+    print("\n".join(floor_table(nudged, halved, packings, root)))
+
+
+def case_table(specs: Sequence[CaseSpec], root: Path | str) -> Iterator[str]:
+    """Lines of a Markdown table with a case a row."""
+    figures = [figure for key in CASE_COLUMNS for figure in FIGURES if figure.key == key]
+    yield _row("case", *(f"{figure.label}, {_unit(figure.unit)}" for figure in figures))
+    yield _row(*["---"] * (1 + len(figures)))
+    for spec in specs:
+        summary = _summary(spec, root)
+        yield _row(rotation_label(spec.scene), *(_shown(figure.measure(summary)) for figure in figures))
+
+
+def floor_table(
+    nudged: Sequence[CaseSpec], halved: CaseSpec, packings: Sequence[CaseSpec], root: Path | str
+) -> Iterator[str]:
+    """Lines of a Markdown table: distances between replicas, to half the time step, to other packings.
+
+    The last two are mean distances to the replicas, of packings the mean over them.
+    """
+    truth, fine = [_summary(spec, root) for spec in nudged], _summary(halved, root)
+    others = [_summary(spec, root) for spec in packings]
+    yield _row("", "between replicas", "half the time step", "other packings")
+    yield _row(*["---"] * 4)
+    for comparison in (c for key in FLOOR_ROWS for c in COMPARISONS if c.key == key):
+        metric, unit = comparison.distance, comparison.unit
+        floor = noise_floor(metric, truth, unit)
+        away = [score(metric, other, truth, unit) for other in others]
+        values = [figure.value for figure in away if figure.value is not None]
+        packing = Measured(float(np.mean(values)), unit) if len(values) == len(away) else away[0]
+        cells = (floor, score(metric, fine, truth, unit), packing)
+        yield _row(f"{comparison.label}, {_unit(unit)}", *map(_shown, cells))
+
+
+def _summary(spec: CaseSpec, root: Path | str) -> TrajectorySummary:
+    case = read_case(spec.path(root))
+    return summarise(case.trajectory, case.scene)
+
+
+def _row(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _unit(unit: str) -> str:
+    return SHOWN_AS.get(unit, (unit, 1.0))[0]
+
+
+def _shown(figure: Measured) -> str:
+    if figure.value is None:
+        return "undefined"
+    value = figure.value * SHOWN_AS.get(figure.unit, ("", 1.0))[1]
+    return f"{value:.3g}" if abs(value) >= 1 else f"{value:.2g}"
