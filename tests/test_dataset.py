@@ -1,5 +1,6 @@
 """Cases on disk: the layout keeps every bit, the name follows from the contents, damage is told."""
 
+import resource
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -247,6 +248,20 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path):
     (tmp_path / "data").write_text("a file where the folder should be")
     with pytest.raises(DatasetError, match=r"cannot be made.*dataset\.root"):
         ensure_case(SPEC, tmp_path / "data")
+
+
+def test_a_full_disk_is_told_and_leaves_nothing_behind(tmp_path: Path, made: Path):
+    SPEC.settled_path(tmp_path).parent.mkdir()
+    SPEC.settled_path(tmp_path).write_bytes(SPEC.settled_path(made.parent).read_bytes())
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))  # bytes a file may have
+    try:
+        with pytest.raises(DatasetError, match=r"cannot be made: File too large; free space"):
+            ensure_case(SPEC, tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert [path.name for path in tmp_path.iterdir() if path.is_file()] == []
+    assert ensure_case(SPEC, tmp_path).exists()
 
 
 # ---- making --------------------------------------------------------------------------------------------------

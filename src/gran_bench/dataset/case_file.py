@@ -31,7 +31,7 @@ import h5py
 import numpy as np
 import yaml
 
-from gran_bench.atomic import whole_file
+from gran_bench.atomic import write_atomically
 from gran_bench.dataset.case_spec import FORMAT_VERSION, DatasetError
 from gran_bench.dataset.scene_document import from_document
 from gran_bench.scene import Scene, SceneError
@@ -164,8 +164,9 @@ def _write(path: Path, key: dict, arrays: dict[str, np.ndarray], state_time: flo
     key_text, state_time = yaml.safe_dump(key, sort_keys=True), float(state_time)
     digest = _digest(key_text, arrays, state_time)
     attributes = attributes | {"format_version": FORMAT_VERSION, "key": key_text, "digest": digest}
-    # v110 puts checksums on HDF5's own structures too; any HDF5 since 1.10 (2016) reads it.
-    with whole_file(path) as temporary, h5py.File(temporary, "w", libver=("v110", "v110")) as file:
+    # v110 puts checksums on HDF5's own structures too; any HDF5 since 1.10 (2016) reads it. Built in memory, because
+    # HDF5 crashes the process where a disk is full.
+    with h5py.File(path.name, "w", driver="core", backing_store=False, libver=("v110", "v110")) as file:
         for name, values in arrays.items():
             options: dict[str, Any] = {}
             if values.size:  # HDF5 knows no chunk of size zero
@@ -177,6 +178,9 @@ def _write(path: Path, key: dict, arrays: dict[str, np.ndarray], state_time: flo
         for name, value in attributes.items():
             file.attrs[name] = value
         file.attrs["seal"] = _seal(dict(file.attrs))
+        file.flush()
+        image = file.id.get_file_image()
+    write_atomically(path, lambda disk: disk.write(image))
     return digest
 
 
