@@ -218,7 +218,7 @@ def see_spheres(position: Tensor, scene: Scene, time: float, radius: float, spac
         near=near,
         query=query,
         source=source,
-        relative=point[source] - position[near][query],
+        relative=point.index_select(0, source) - position[near].index_select(0, query),
         normal=torch.as_tensor(cover.normal[kept], dtype=like.dtype, device=device),
         velocity=velocity,
         moves=scene.needs.wall_motion,

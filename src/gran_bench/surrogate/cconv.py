@@ -40,7 +40,7 @@ def convolve(features: Tensor, weight: Tensor, neighborhood: Neighborhood) -> Te
     pairs = neighborhood
     slot = pairs.query * size + pairs.first
     gathered = features.new_zeros(pairs.query_count * size, channels_in)
-    source_features = features[pairs.source]
+    source_features = features.index_select(0, pairs.source)
     for corner, offset in enumerate(pairs.basis.offsets):
         weighted = source_features * pairs.coefficient[:, corner, None]
         gathered = gathered.index_add(0, slot + offset, weighted)

@@ -64,15 +64,21 @@ class RadialBasis:
         Returns:
             first function ``(M,)`` int64, values ``(M, 8)``.
         """
-        squared = (relative * relative).sum(-1)
+        x, y, z = relative.unbind(-1)
+        squared = x * x + y * y + z * z
         apart = squared > 0
         distance = torch.sqrt(torch.where(apart, squared, torch.ones_like(squared))) * apart
         direction = relative / torch.where(apart, distance, torch.ones_like(distance))[:, None]
+        # A comparison with each of the few inner nodes is faster than a search among them.
+        below = torch.zeros_like(distance, dtype=torch.int64)
+        for node in self.nodes[1:-1]:
+            below += distance.detach() >= node
         nodes = relative.new_tensor(self.nodes)
-        below = torch.bucketize(distance.detach(), nodes, right=True).sub_(1).clamp_(0, len(self.nodes) - 2)
-        upper = ((distance - nodes[below]) / (nodes[below + 1] - nodes[below])).clamp(0.0, 1.0)
-        harmonics = torch.cat((torch.ones_like(distance)[:, None], direction), dim=-1)
-        value = torch.cat(((1.0 - upper)[:, None] * harmonics, upper[:, None] * harmonics), dim=-1)
+        start, width = nodes.index_select(0, below), nodes.diff().index_select(0, below)
+        upper = ((distance - start) / width).clamp(0.0, 1.0)
+        hats = torch.stack((1.0 - upper, upper), dim=1)
+        harmonics = torch.cat((torch.ones_like(distance)[:, None], direction), dim=1)
+        value = (hats[:, :, None] * harmonics[:, None, :]).flatten(1)
         return _HARMONICS * below, value
 
     def turned(self, first: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
