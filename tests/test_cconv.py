@@ -8,6 +8,7 @@ import torch
 
 from gran_bench.neighbors import tree_neighbors
 from gran_bench.surrogate.cconv import ContinuousConvolution, convolve
+from gran_bench.surrogate.kernels import fused
 from gran_bench.surrogate.kernels.fused import convolve_fused
 from gran_bench.surrogate.kernels.lattice import LatticeBasis, ball_to_cube
 from gran_bench.surrogate.kernels.radial import RadialBasis
@@ -183,10 +184,10 @@ def test_the_fused_path_equals_the_reference(name, symmetric, dtype, features_tr
     source = query if symmetric else points(300, seed=2)
     pairs = neighborhood(query, source, BASES[name], symmetric, dtype)
     arguments = (pairs, BASES[name], dtype, features_trained)
-    for fused, reference in zip(
+    for fast, reference in zip(
         outputs_and_gradients(convolve_fused, *arguments), outputs_and_gradients(convolve, *arguments), strict=True
     ):
-        assert relative_rms(fused, reference) < (2e-6 if dtype == torch.float32 else 1e-13)
+        assert relative_rms(fast, reference) < (2e-6 if dtype == torch.float32 else 1e-13)
 
 
 @pytest.mark.parametrize("case", ["particles", "wall"])
@@ -200,6 +201,22 @@ def test_the_fused_path_equals_open3d(case):
     assert relative_rms(output, data["output"]) < 2e-6
     assert relative_rms(features.grad, data["feature_gradient"]) < 2e-6
     assert relative_rms(kernel.grad, data["kernel_gradient"].flatten(0, 2)) < 2e-6
+
+
+def test_without_onednn_the_fused_path_multiplies_with_the_blas(monkeypatch):
+    position = points(300, seed=4)
+    pairs = neighborhood(position, position, BASES["lattice"], True)
+    arguments = (convolve_fused, pairs, BASES["lattice"], torch.float32)
+    chosen = outputs_and_gradients(*arguments)
+
+    def missing(left, right):
+        raise RuntimeError("no such operator in this build")
+
+    monkeypatch.setattr(fused, "_onednn_product", missing)
+    monkeypatch.setattr(fused, "_product", fused._choose_product())
+    assert fused._product is fused._blas_product
+    for a, b in zip(outputs_and_gradients(*arguments), chosen, strict=True):
+        assert relative_rms(a, b) < 2e-6
 
 
 def test_the_fused_path_repeats_bit_for_bit(threads):
