@@ -29,7 +29,7 @@ from gran_bench.stopping import StopRequest, stop_on_signals
 from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model
 from gran_bench.surrogate.step import Surrogate
-from gran_bench.trainer import CHECKPOINT, Trainer
+from gran_bench.trainer import CHECKPOINT, Trainer, TrainingStopped
 
 MODEL = "model.pt"
 TRAINING = "training.json"
@@ -149,8 +149,12 @@ def train_stage(
     if trainer.resume():
         log.drop_after(trainer.step)
         tell(f"training goes on from update {trainer.step} of {config.trainer.steps} ({folder / CHECKPOINT})")
-    with stop.deferred():
-        result = trainer.run()
+    try:
+        with stop.deferred():
+            result = trainer.run()
+    except TrainingStopped as stopped:
+        tell(str(stopped))
+        raise KeyboardInterrupt(stop.signal_name) from None
     weights = trainer.final_weights()
     model.load_state_dict(weights)
     training = asdict(result) | {

@@ -19,12 +19,14 @@ class StopRequest:
 
     def __init__(self) -> None:
         self.requested = False
+        self.signal_name = ""
         self._deferring = False
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         again, self.requested = self.requested, True
+        self.signal_name = signal.Signals(number).name
         if again or not self._deferring:
-            raise KeyboardInterrupt(signal.Signals(number).name)
+            raise KeyboardInterrupt(self.signal_name)
 
     @contextmanager
     def deferred(self) -> Iterator[None]:
