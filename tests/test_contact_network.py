@@ -1,5 +1,7 @@
 """The contact network: what it conserves, what it sees of walls, its memory, and that the fused kernel is the same."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 import torch
@@ -109,6 +111,7 @@ class TestDefinition:
             ({"radius": 0.05}, "model.radius=0.05"),
             ({"velocity": "median"}, "model.velocity='median'"),
             ({"backend": "cuda"}, "model.backend='cuda'"),
+            ({"backend": "fused", "hidden": 24}, "model.hidden=24 .* model.backend=torch"),
         ],
     )
     def test_an_impossible_choice_is_named(self, choices, named):
@@ -370,3 +373,17 @@ class TestFusedKernel:
         for name, weight in reference.named_parameters():
             gradient = dict(fused.named_parameters())[name].grad
             assert (weight.grad - gradient).norm() < 2e-4 * weight.grad.norm(), name
+
+    def test_threads_that_work_at_once_give_the_same_bits(self):
+        scene = drum()
+        model = network(scene, backend="fused", memory=True)
+
+        def gradient(_):
+            state = with_memory(model, scene, cluster(scene, 60))
+            after = model(state, scene, 1.5)
+            return torch.autograd.grad(after.position.sum() + after.velocity.sum(), list(model.parameters()))
+
+        alone = gradient(0)
+        with ThreadPoolExecutor(2) as pool:
+            for together in pool.map(gradient, range(6)):
+                assert all(torch.equal(a, b) for a, b in zip(alone, together, strict=True))

@@ -11,7 +11,6 @@ from torch import Tensor, nn
 from gran_bench.config import ContactModelConfig
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
-from gran_bench.state import FloatArray
 from gran_bench.surrogate.contact_geometry import (
     MILLIMETRE,
     ContactList,
@@ -31,6 +30,7 @@ CHANNEL_CLAMP = 5.0
 SMALLEST_SLIP_SQUARED = 1.0e-4  # mm², keeps the direction of slip differentiable at rest
 PAIR_FADE = 0.1  # of a diameter, the last part of the reach, over which a pair's answer fades
 WALL_FADE = 0.5  # of the wall's reach
+FUSED_SIZES = (16, 4)  # hidden units and channels that the fused kernel is compiled for
 PAIR, WALL = 0, 1  # kinds of contact, each with its own weights
 SPIN_RESPONSE = 1.25  # ½ m r²/I of a solid sphere: surface speed that a unit of tangential displacement brings
 
@@ -73,11 +73,12 @@ class ContactNetwork(Surrogate):
     contacts add to D plus f a_v, f b_v, where the extra parts act on V alone.
 
     Args:
-        config: of the model.
+        config: of the model; ``backend = fused`` is for float32 on the CPU, elsewhere plain torch takes its place.
         scene: any scene with spheres of the size that the model is for.
 
     Raises:
-        ValueError: a reach that no contact fits in, or an unknown ``velocity`` or ``backend``.
+        ValueError: a reach that no contact fits in, an unknown ``velocity`` or ``backend``, or sizes that the fused
+            kernel is not compiled for.
     """
 
     uses_spin = True
@@ -138,13 +139,6 @@ class ContactNetwork(Surrogate):
     ) -> list[ContactMemory] | None:
         """The springs at each of F stored frames; exact where the first one is the settled state."""
         return list(follow_memory(scene, times, positions, angular_velocities)) if self.has_memory else None
-
-    def memories(
-        self, scene: Scene, times: FloatArray, positions: FloatArray, angular_velocities: FloatArray
-    ) -> list[ContactMemory] | None:
-        if not self.has_memory:
-            return None
-        return list(follow_memory(scene, times, positions, angular_velocities))
 
     def forward(self, state: FrameState, scene: Scene, time: float) -> FrameState:
         interval = scene.frame_interval
@@ -339,3 +333,8 @@ def _check(config: ContactModelConfig, scene: Scene) -> None:
         value = getattr(config, key)
         if value not in legal:
             raise ValueError(f"model.{key}={value!r} is unknown; choose {' or '.join(legal)}")
+    if config.backend == "fused" and (config.hidden, config.channels) != FUSED_SIZES:
+        raise ValueError(
+            f"model.hidden={config.hidden} with model.channels={config.channels} is not what model.backend=fused is "
+            f"compiled for; choose {FUSED_SIZES[0]} and {FUSED_SIZES[1]}, or model.backend=torch"
+        )

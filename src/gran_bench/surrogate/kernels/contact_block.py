@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 LANES = 32  # contacts a block: all rows stay in the first-level cache
-HIDDEN, CHANNELS, RAMPS = 16, 4, 8
+HIDDEN, CHANNELS, RAMPS = 16, 4, 8  # other sizes need the reference
 INPUTS = RAMPS + 5 + CHANNELS + 2
 OUTPUTS = 3 + CHANNELS + 3
 

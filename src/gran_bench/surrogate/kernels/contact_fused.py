@@ -88,17 +88,8 @@ def fused_solve(
     fall: Tensor,
     springs: Tensor | None,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The fused form of :func:`gran_bench.surrogate.contact.solve_contacts`; same arguments, same results.
-
-    Raises:
-        ValueError: a model whose sizes the kernel is not compiled for.
-    """
+    """The fused form of :func:`gran_bench.surrogate.contact.solve_contacts`; same arguments, same results."""
     config = model.config
-    if (config.hidden, config.channels) != (HIDDEN, CHANNELS):
-        raise ValueError(
-            f"model.backend=fused is compiled for hidden={HIDDEN} and channels={CHANNELS}, not "
-            f"hidden={config.hidden} and channels={config.channels}; choose these or model.backend=torch"
-        )
     count = len(contacts.pairs) + len(contacts.wall)
     taken_back = 0.5 * fall if config.velocity == "instantaneous" else fall
     frame = (
