@@ -60,6 +60,20 @@ def test_the_order_and_the_place_along_the_axis_do_not_matter():
     assert surface_angle(shuffled)[0] == pytest.approx(surface_angle(bed)[0], abs=1e-9)
 
 
+def test_the_centre_of_mass_weighs_spheres_by_their_volume():
+    scene, position = drum(), np.array([[[0.0, 0.0, -0.4], [-0.4, 0.0, 0.0]]])
+    angle = center_of_mass_angles(position, np.array([0.02, 0.04]), scene)[0]
+    assert np.degrees(angle) == pytest.approx(np.degrees(np.arctan(8.0)))
+
+
+@pytest.mark.parametrize("off", [-15.0, -5.0, 5.0, 15.0])
+def test_the_iteration_finds_the_surface_from_wherever_it_starts(off):
+    bed = inclined_bed(30.0)
+    start = np.radians([30.0 + off])
+    line = surface_lines(bed[None], np.full(len(bed), RADIUS), drum(), start)[0]
+    assert np.degrees(line.angle) == pytest.approx(surface_angle(bed)[0], abs=0.1)
+
+
 def test_gravity_along_another_direction_gives_the_same_angle():
     bed = inclined_bed(25.0)
     sideways = replace(drum(), gravity=(9.81, 0.0, 0.0))  # down is +x, so the bed climbs towards −z
@@ -135,6 +149,23 @@ def test_a_state_that_is_not_finite_has_no_angle_and_is_left_out_with_a_note(bad
     for series in (surface, center):
         assert np.flatnonzero(~series.valid).tolist() == [4]
         assert "1 of 20 states" in series.mean().note
+
+
+def test_a_state_whose_surface_is_invalid_has_only_the_other_angle():
+    scene, bed = drum(), inclined_bed(0.0)
+    heap = bed[(bed[:, 2] < -0.2) | (np.abs(bed[:, 0]) < 0.1)]
+    surface, center, lines = angle_series(resting(scene, heap, frames=1), scene)
+    assert np.isfinite(lines[0].angle)
+    assert not surface.valid.any()
+    assert "no straight surface" in surface.mean().note
+    assert center.valid.all()
+
+
+def test_an_infinite_centre_has_no_angle_even_where_its_arctangent_exists():
+    oblique = replace(drum(), gravity=(7.0, 0.0, -7.0))
+    position = np.array([[[0.1, 0.0, -0.3]], [[-np.inf, 0.0, -0.3]]])
+    angles = center_of_mass_angles(position, np.full(1, RADIUS), oblique)
+    assert np.isfinite(angles).tolist() == [True, False]
 
 
 def test_at_and_above_the_critical_speed_both_angles_are_undefined_whatever_the_fit_says():

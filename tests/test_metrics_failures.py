@@ -82,7 +82,7 @@ def test_values_that_are_not_finite_are_counted_and_not_taken_for_inside_or_outs
     assert count.non_finite_sphere_states == 8 + 1 + 1
     assert count.first_non_finite == pytest.approx(1.51)
     assert count.diverged
-    assert count.outside == 0
+    assert (count.outside, count.farthest) == (0, 0.0)
 
 
 def test_a_rollout_that_ended_early_has_diverged():

@@ -81,6 +81,44 @@ def test_a_diverged_rollout_fails_every_requirement_and_keeps_its_rows(replicas)
     assert len(judgement.errors) == len(judge(rotating_bed(60.0), replicas, SCENE).errors)
 
 
+def test_a_first_peak_ten_degrees_too_high_fails_and_one_below_does_not(replicas):
+    def with_peak(height):
+        summary = summarise(rotating_bed(60.0), SCENE)
+        angle = summary.series["com_angle"]
+        value = np.where(angle.time < 3.0, angle.value * height / 60.0, angle.value)
+        return replace(summary, series=summary.series | {"com_angle": replace(angle, value=value)})
+
+    assert verdicts(judge(with_peak(68.0), replicas, SCENE))["com_angle_peak"] == "pass"
+    assert verdicts(judge(with_peak(72.0), replicas, SCENE))["com_angle_peak"] == "fail"
+
+
+def test_speeds_off_by_more_than_0_08_fail(replicas):
+    def faster(by):
+        summary = summarise(rotating_bed(60.0), SCENE)
+        return replace(summary, sorted_speed=replicas[0].sorted_speed + np.float32(by))
+
+    assert verdicts(judge(faster(0.07), replicas[:1], SCENE))["speed_w1"] == "pass"
+    assert verdicts(judge(faster(0.09), replicas[:1], SCENE))["speed_w1"] == "fail"
+
+
+def test_one_sphere_outside_by_more_than_its_radius_fails(replicas):
+    escaped = rotating_bed(60.0)
+    escaped.position[20, 0] = [0.0, 0.0, -0.51]
+    judgement = judge(escaped, replicas, SCENE)
+    assert verdicts(judgement)["none_outside"] == "fail"
+    assert judgement.failures.outside_radius == 1
+
+
+def test_the_steady_part_begins_at_3_5_s_and_the_peak_ends_before_3_s():
+    summary = summarise(rotating_bed(60.0), SCENE)
+    angle = summary.series["com_angle"]
+    value = np.where(angle.time > 3.49, 7.0, np.where(angle.time > 2.99, 90.0, 5.0))
+    marked = replace(summary, series=summary.series | {"com_angle": replace(angle, value=value)})
+    figures = {row.key: row.candidate.number for row in judge(marked, [summary], SCENE).figures}
+    assert figures["com_angle_steady"] == 7.0
+    assert figures["com_angle_peak"] == 5.0
+
+
 def test_above_the_critical_speed_angle_rows_are_undefined_and_the_others_stand():
     scene = SCENE.at_speed(50.0)
     runs = [rotating_bed(60.0, 0.3, seed, scene) for seed in range(3)]

@@ -7,7 +7,7 @@ import pytest
 from beds import RADIUS, drum, flowing, inclined_bed, resting
 from scipy.stats import wasserstein_distance
 
-from gran_bench.metrics.angle_of_repose import surface_lines
+from gran_bench.metrics.angle_of_repose import SurfaceLine, surface_lines
 from gran_bench.metrics.speeds import (
     depth_profile,
     sorted_frames,
@@ -49,6 +49,13 @@ def test_one_speed_that_is_not_finite_makes_its_state_invalid(bad):
     series = wasserstein_series(TIME, sorted_frames(speed), TIME, sorted_frames(broken))
     assert np.flatnonzero(~series.valid).tolist() == [3]
     assert "1 of 20" in series.mean().note
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_state_that_is_not_finite_has_no_speeds_at_all(bad):
+    ordered = sorted_frames(np.array([[3.0, 1.0, 2.0], [1.0, bad, 0.0]]))
+    assert ordered[0].tolist() == [1.0, 2.0, 3.0]
+    assert np.isnan(ordered[1]).all()
 
 
 def test_mean_velocity_of_a_steady_motion_is_its_velocity_even_across_a_periodic_seam():
@@ -93,6 +100,16 @@ def test_layers_under_the_surface_have_their_own_speed():
     assert along[0] == pytest.approx(-0.3, abs=0.01)
     assert np.all(np.diff(along[:6]) > 0.03)
     assert np.allclose(speed[:5], np.abs(along[:5]), atol=1e-3)
+
+
+def test_a_layer_holds_what_is_near_the_middle_and_the_first_what_lies_on_the_line():
+    scene, flat = drum(), SurfaceLine(0.0, 0.0, 0.0, 1.0, True)
+    # On the line and half a diameter above it; a diameter and a half above (flying); too far along the surface.
+    position = np.array([[[0.0, 0, -0.01], [0.0, 0, 0.025], [0.0, 0, 0.08], [0.31, 0, -0.01]]])
+    velocity = np.array([[[-1.0, 0, 0], [-3.0, 0, 0], [-100.0, 0, 0], [-100.0, 0, 0]]])
+    speed, along = depth_profile(position, velocity, [flat], scene)
+    assert speed[0] == along[0] == pytest.approx(2.0)
+    assert np.isnan(speed[1:]).all()
 
 
 def test_layers_without_a_valid_surface_are_empty():
