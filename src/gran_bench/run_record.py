@@ -61,7 +61,9 @@ class RunRecord:
             with tracking.open_run(self.config.tracking, self.folder.name, self.key, asdict(self.config), tags) as run:
                 run.log_dataset(self.scene_name, self.data_digest, str(Path(self.config.dataset.root).resolve()))
                 summary = {"judged_by": self.judged_by, **work(run)}
-                run.log_artifact(write_summary(self.folder, summary))
+                run.log_artifact(write_summary(self.folder / "tracked", summary))
+            # Last of all: its presence says that the run is finished, in the tracking store too.
+            write_summary(self.folder, summary)
         print(summary_table(summary))
         tell(f"figures and summary in {self.folder}; compare runs with `make ui`")
         return summary

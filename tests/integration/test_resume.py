@@ -1,0 +1,122 @@
+"""Killed at any moment, the same command goes on and ends with the same numbers as if nothing had happened."""
+
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+# A short scene and few updates: what is tested is the way, not the result.
+COMMAND = [
+    sys.executable,
+    "-m",
+    "gran_bench.train",
+    "+experiment=smoke",
+    "scene.end_time=2.2",
+    "trainer.steps=60",
+    "trainer.checkpoint_steps=4",
+    "judge.short_horizon_starts=3",
+    "tracking.folder=resume",
+]
+ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+PATIENCE = 240.0  # s, of a test that would otherwise wait for ever
+
+
+def start(folder: Path) -> subprocess.Popen:
+    folder.mkdir(exist_ok=True)
+    return subprocess.Popen(
+        COMMAND, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+
+
+def finish(folder: Path) -> str:
+    process = start(folder)
+    output, _ = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, output
+    return output
+
+
+def stop_when(folder: Path, pattern: str, how: signal.Signals) -> int:
+    """Start the command, send it a signal as soon as a file of that pattern is there; returns its exit code."""
+    process, patience = start(folder), time.monotonic() + PATIENCE
+    while not list(folder.glob(pattern)):
+        assert process.poll() is None, f"ended before {pattern} was there: {process.communicate()[0]}"
+        assert time.monotonic() < patience, f"{pattern} never came"
+        time.sleep(0.005)
+    process.send_signal(how)
+    process.communicate(timeout=PATIENCE)
+    return process.returncode
+
+
+def run_of(folder: Path) -> Path:
+    (summary,) = folder.glob("results/runs/*/summary.json")
+    return summary.parent
+
+
+def numbers(folder: Path) -> dict:
+    """The summary without what depends on the clock and the place."""
+    summary = json.loads((run_of(folder) / "summary.json").read_text())
+    for name in ("wall_seconds", "provenance"):
+        del summary[name]
+    for name in ("seconds", "data_seconds", "model_sha256", "command"):
+        del summary["training"][name]
+    for rollout in summary["rollouts"].values():
+        for name in [name for name in rollout if "ms_per_frame" in name]:
+            del rollout[name]
+    return summary
+
+
+def weights(folder: Path) -> dict:
+    return torch.load(run_of(folder) / "model.pt", weights_only=True)["weights"]
+
+
+def statuses(folder: Path) -> list[str]:
+    with sqlite3.connect(folder / "results" / "mlflow.db") as store:
+        return [row[0] for row in store.execute("select status from runs")]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    finish(folder)
+    return folder
+
+
+def test_kill_9_during_data_training_and_rollout_changes_no_number(undisturbed, tmp_path):
+    folder = tmp_path / "killed"
+    for pattern in (
+        "data/settled/*.h5",  # the cases are being made
+        "results/runs/*/checkpoint.pt",  # in training
+        "results/runs/*/training.json",  # between training and judging
+        "results/runs/*/rollouts/*.npz",  # one rollout is done, another is not
+    ):
+        assert stop_when(folder, pattern, signal.SIGKILL) == -signal.SIGKILL
+    finish(folder)
+    ours, theirs = weights(folder), weights(undisturbed)
+    assert all(torch.equal(ours[name], theirs[name]) for name in theirs)
+    assert numbers(folder) == numbers(undisturbed)
+    assert statuses(folder) == ["FINISHED"]  # one run, reopened, not four
+
+
+def test_sigterm_leaves_a_resumable_state_and_a_killed_run(undisturbed, tmp_path):
+    folder = tmp_path / "stopped"
+    code = stop_when(folder, "results/runs/*/checkpoint.pt", signal.SIGTERM)
+    assert code == 128 + signal.SIGTERM
+    assert statuses(folder) == ["KILLED"]
+    finish(folder)
+    assert statuses(folder) == ["FINISHED"]
+    assert numbers(folder) == numbers(undisturbed)
+
+
+def test_a_finished_command_prints_its_summary_again(undisturbed):
+    before = (run_of(undisturbed) / "summary.json").stat().st_mtime_ns
+    output = finish(undisturbed)
+    assert "finished before" in output
+    assert "held out" in output
+    assert (run_of(undisturbed) / "summary.json").stat().st_mtime_ns == before

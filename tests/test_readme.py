@@ -1,0 +1,53 @@
+"""The README keeps its word: its commands compose, its targets exist, its Python runs, its links lead somewhere."""
+
+import re
+import shlex
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from gran_bench.config import EvaluateConfig, GenerateConfig, TrainConfig
+from gran_bench.entry import checked_config, compose, distinct_overrides
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text("utf-8")
+SCHEMAS = {"train": TrainConfig, "evaluate": EvaluateConfig, "generate": GenerateConfig}
+PLAIN_BLOCKS = re.findall(r"^```\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
+COMMANDS = [line.partition("#")[0].strip() for block in PLAIN_BLOCKS for line in block.splitlines()]
+SNIPPETS = re.findall(r"^```python\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
+
+
+@pytest.mark.parametrize("command", [command for command in COMMANDS if command.startswith("python -m gran_bench.")])
+def test_a_command_composes_into_a_legal_config(command):
+    _, _, module, *arguments = shlex.split(command)
+    entry = module.removeprefix("gran_bench.")
+    overrides = [argument for argument in arguments if not argument.startswith("-")]
+    for line in distinct_overrides(overrides, "-m" in arguments):
+        checked_config(compose(entry, line), SCHEMAS[entry])
+
+
+@pytest.mark.parametrize("command", [command for command in COMMANDS if command.startswith("make ")])
+def test_a_make_target_exists(command):
+    done = subprocess.run(["make", "-n", *shlex.split(command)[1:]], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_no_command_escapes_these_tests():
+    assert all(command.startswith(("python -m gran_bench.", "make ")) for command in COMMANDS if command)
+    assert len(COMMANDS) >= 8
+    assert len(SNIPPETS) == 1
+
+
+def test_the_python_of_the_readme_runs(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    exec(compile(SNIPPETS[0], "README.md", "exec"), {})
+    assert "requirements" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("page", ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "data_gen/README.md"])
+def test_links_and_pictures_lead_somewhere(page):
+    path = ROOT / page
+    for target in re.findall(r"\]\(([^)#]+)\)", path.read_text("utf-8")):
+        if "://" not in target:
+            assert (path.parent / target).exists(), f"{page} links to {target}"
