@@ -13,9 +13,9 @@ from mlflow import MlflowClient
 from mlflow.entities import Run as StoredRun
 from mlflow.exceptions import MlflowException
 
-from gran_bench import tracking
 from gran_bench.config import RolloutConfig, TrackingConfig
-from gran_bench.tracking import TrackingError, ensure_store, open_parent, open_run
+from gran_bench.tracking import TrackingError, ensure_store, open_parent, open_run, ui
+from gran_bench.tracking.store import DATABASE
 
 # SQLAlchemy's word to MLflow, which a user never sees either.
 pytestmark = pytest.mark.filterwarnings("ignore:The ``noload`` loader strategy")
@@ -36,7 +36,7 @@ def config(template: Path, request: pytest.FixtureRequest) -> TrackingConfig:
 
 
 def client(config: TrackingConfig) -> MlflowClient:
-    return MlflowClient(f"sqlite:///{Path(config.root) / tracking.DATABASE}")
+    return MlflowClient(f"sqlite:///{Path(config.root) / DATABASE}")
 
 
 def runs(config: TrackingConfig) -> list[StoredRun]:
@@ -95,7 +95,7 @@ def test_metrics_travel_in_batches(config: TrackingConfig, monkeypatch: pytest.M
         original(self, *arguments, **options)
 
     monkeypatch.setattr(MlflowClient, "log_batch", counted)
-    monkeypatch.setattr(tracking, "FLUSH_SECONDS", 1e9)
+    monkeypatch.setattr("gran_bench.tracking.run.FLUSH_SECONDS", 1e9)
     with open_run(config, "batches", "key", {}) as run:
         for step in range(100):
             run.log_metrics({"loss": 1.0}, step)
@@ -260,14 +260,14 @@ def own(template: Path, tmp_path: Path) -> TrackingConfig:
     """A store of the test's own, which it may break."""
     root = tmp_path / "results"
     root.mkdir()
-    (root / tracking.DATABASE).write_bytes((template / tracking.DATABASE).read_bytes())
+    (root / DATABASE).write_bytes((template / DATABASE).read_bytes())
     return TrackingConfig(experiment="own", root=str(root))
 
 
 def test_a_vanished_store_is_told_and_the_record_is_kept_and_sent_later(
     own: TrackingConfig, tmp_path: Path, capsys: pytest.CaptureFixture
 ):
-    database, away = Path(own.root) / tracking.DATABASE, tmp_path / "away.db"
+    database, away = Path(own.root) / DATABASE, tmp_path / "away.db"
     figure = tmp_path / "figure.png"
     figure.write_bytes(b"a picture")
 
@@ -312,7 +312,7 @@ def test_a_store_that_is_locked_for_a_while_loses_nothing(
 def test_a_failing_store_does_not_hide_why_the_run_failed(own: TrackingConfig, capsys: pytest.CaptureFixture):
     def life() -> None:
         with open_run(own, "both", "key", {}):
-            (Path(own.root) / tracking.DATABASE).unlink()
+            (Path(own.root) / DATABASE).unlink()
             raise ValueError("the real reason")
 
     with pytest.raises(ValueError, match="the real reason"):
@@ -321,7 +321,7 @@ def test_a_failing_store_does_not_hide_why_the_run_failed(own: TrackingConfig, c
 
 
 def test_a_store_that_is_no_store_is_told_before_any_work(tmp_path: Path):
-    (tmp_path / tracking.DATABASE).write_bytes(b"this is no database, however long it may be" * 100)
+    (tmp_path / DATABASE).write_bytes(b"this is no database, however long it may be" * 100)
     config = TrackingConfig(root=str(tmp_path))
     with pytest.raises(TrackingError, match=r"mlflow\.db does not answer.*tracking\.enabled=false"):
         ensure_store(config)
@@ -348,9 +348,9 @@ def test_a_missing_figure_is_told(config: TrackingConfig, tmp_path: Path):
 def test_the_ui_shows_this_store_with_few_processes(template: Path, monkeypatch: pytest.MonkeyPatch):
     became = []
     monkeypatch.setattr(os, "execve", lambda program, command, environment: became.append((command, environment)))
-    tracking.ui(template, port=50123)
+    ui(template, port=50123)
     ((command, environment),) = became
-    assert f"sqlite:///{template / tracking.DATABASE}" in command
+    assert f"sqlite:///{template / DATABASE}" in command
     assert command[command.index("--workers") + 1] == "1"
     assert command[command.index("--port") + 1] == "50123"
     assert environment["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] == "false"
@@ -364,4 +364,4 @@ def test_the_ui_says_when_its_port_is_taken(template: Path):
         taken.listen()
         port = taken.getsockname()[1]
         with pytest.raises(TrackingError, match=rf"port {port} cannot be used.*make ui PORT={port + 1}"):
-            tracking.ui(template, port)
+            ui(template, port)

@@ -1,0 +1,8 @@
+"""Runs in MLflow: recorded in batches, reopened on resume, never at the cost of a result."""
+
+from gran_bench.tracking.opening import open_parent, open_run
+from gran_bench.tracking.run import Run
+from gran_bench.tracking.store import Store, TrackingError, ensure_store
+from gran_bench.tracking.user_interface import ui
+
+__all__ = ["Run", "Store", "TrackingError", "ensure_store", "open_parent", "open_run", "ui"]

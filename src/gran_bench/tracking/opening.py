@@ -1,0 +1,120 @@
+"""Opening a run: a new one, or the one that the same key has already, and closing it with the right status."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, is_dataclass
+from typing import Any
+
+from gran_bench.config import TrackingConfig
+from gran_bench.tracking.run import Run, StoredRun, send_kept
+from gran_bench.tracking.store import Store, TrackingError
+
+ENDED_TAG = "ended_by"  # what ended a run that did not finish
+
+
+@contextmanager
+def open_run(
+    config: TrackingConfig,
+    name: str,
+    key: str,
+    params: Mapping[str, Any] | object,
+    tags: Mapping[str, object] | None = None,
+    parent: str | None = None,
+) -> Iterator[Run]:
+    """Open a run, a new one or the one that the same key has already, and close it with the right status.
+
+    ``FINISHED`` when the block ends, ``KILLED`` on Ctrl-C and SIGTERM, ``FAILED`` on any other exception. A run
+    whose process was killed stays ``RUNNING`` until the same key opens it again.
+
+    Args:
+        config: where, or that nothing is recorded.
+        name: for people.
+        key: hash of what determines the result; the same key is the same run.
+        params: nested config; recorded with dotted names. One that changed since the run began becomes a tag.
+        tags: data digest, commit, hardware, …
+        parent: id of the run that this one belongs to.
+
+    Raises:
+        TrackingError: the store cannot be opened; or, at the end, something could not be recorded.
+    """
+    if not config.enabled:
+        yield Run()
+        return
+    with _terminable():
+        run = _open(Store(config), name, key, dotted(params), dict(tags or {}), parent)
+        try:
+            yield run
+        except BaseException as error:
+            run.set_tag(ENDED_TAG, f"{type(error).__name__}: {error}")
+            try:
+                run.finish("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED")
+            except TrackingError as second:
+                # The first error matters more; the second must not hide it.
+                print(f"warning: {second}", file=sys.stderr)
+            raise
+        run.finish("FINISHED")
+
+
+def open_parent(config: TrackingConfig, name: str, key: str, params: Mapping[str, Any] | object) -> str | None:
+    """The id of a parent run (made where it is missing) that a sweep's runs belong to; None without tracking."""
+    if not config.enabled:
+        return None
+    run = _open(Store(config), name, key, dotted(params), {}, None)
+    run.finish("FINISHED")
+    return run.run_id
+
+
+def dotted(params: Mapping[str, Any] | object, prefix: str = "") -> dict[str, str]:
+    """Nested parameters by dotted name, as text."""
+    if is_dataclass(params) and not isinstance(params, type):
+        params = asdict(params)
+    flat: dict[str, str] = {}
+    for name, value in params.items():
+        if isinstance(value, Mapping) and value:
+            flat |= dotted(value, f"{prefix}{name}.")
+        else:
+            flat[f"{prefix}{name}"] = str(value)
+    return flat
+
+
+def _open(
+    store: Store, name: str, key: str, params: dict[str, str], tags: dict[str, object], parent: str | None
+) -> StoredRun:
+    # Two processes with one key must not both find nothing and make two runs.
+    with store.alone():
+        send_kept(store)
+        run_id = store.run_of(key)
+        resumed = run_id is not None
+        if run_id is None:
+            run_id = store.create_run(name, key, parent)
+        else:
+            store.reopen_run(run_id, name, without_tag=ENDED_TAG)
+        changed = store.add_params(run_id, params)
+    run = StoredRun(store, run_id, resumed)
+    for label, value in (tags | {f"resumed_with.{param}": value for param, value in changed.items()}).items():
+        run.set_tag(label, value)
+    run.flush()
+    return run
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM end the block like Ctrl-C, where nobody handles it already; or the run stays RUNNING for ever."""
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt(signal.Signals(number).name)
+
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -1,0 +1,168 @@
+"""A run as its user sees it: it takes metrics, tags and files, and the store never costs a result.
+
+What the store does not take (it is locked, or has vanished) waits in memory while the run goes on, is kept in a file
+when the run ends, is said in one clear error, and is sent when the next run opens.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gran_bench.atomic import write_text
+from gran_bench.tracking.store import MetricPoint, Store, TrackingError, legal_name
+
+UNSENT = "unsent"  # folder below the store's root
+ENDINGS = ("FINISHED", "FAILED", "KILLED")
+FLUSH_SECONDS = 5.0  # between batches of metrics; one metric costs 4 ms, a batch hardly more
+FLUSH_METRICS = 900
+RETRY_SECONDS = 60.0  # after a store that did not answer; MLflow waits 20 s for a locked one
+
+
+class Run:
+    """A run that records nothing: the interface, and what disabled tracking uses."""
+
+    run_id: str | None = None
+
+    def log_metrics(self, metrics: Mapping[str, float], step: int = 0) -> None:
+        """Record scalars of one step; they reach the store in batches, by names in which / makes groups."""
+
+    def log_artifact(self, path: Path | str, folder: str | None = None) -> None:
+        """Copy a file into the run's artifacts, into ``folder`` there."""
+
+    def log_dataset(self, name: str, digest: str, source: str, facts: Mapping[str, Any] | None = None) -> None:
+        """Record which data the run used, so that the UI shows them with their digest."""
+
+    def set_tag(self, name: str, value: object) -> None:
+        """Set a tag."""
+
+    def flush(self) -> None:
+        """Send what waits."""
+
+    def finish(self, status: str = "FINISHED") -> None:
+        """Close the run as ``FINISHED``, ``FAILED`` or ``KILLED``."""
+
+
+@dataclass
+class Backlog:
+    """What has not reached the store.
+
+    Attributes:
+        metrics: points, oldest first.
+        tags: by name.
+        artifacts: path of the file, and folder in the artifacts or None.
+        datasets: arguments of ``Store.add_dataset`` behind the run's id.
+        status: how the run ended; None while it goes on.
+    """
+
+    metrics: list[MetricPoint] = field(default_factory=list)
+    tags: dict[str, str] = field(default_factory=dict)
+    artifacts: list[tuple[str, str | None]] = field(default_factory=list)
+    datasets: list[tuple[str, str, str, dict[str, Any]]] = field(default_factory=list)
+    status: str | None = None
+
+
+class StoredRun(Run):
+    """A run in the store.
+
+    Args:
+        store: where.
+        run_id: of the run, which is open.
+        resumed: whether it had a life before this one, whose metrics must not be repeated.
+    """
+
+    def __init__(self, store: Store, run_id: str, resumed: bool) -> None:
+        self.run_id, self._store, self._resumed = run_id, store, resumed
+        self._backlog, self._finished = Backlog(), False
+        self._next_flush = time.monotonic() + FLUSH_SECONDS
+        self._history: dict[str, set[tuple[int, str]]] = {}
+
+    def log_metrics(self, metrics: Mapping[str, float], step: int = 0) -> None:
+        now = int(1000 * time.time())
+        for name, value in metrics.items():
+            self._backlog.metrics.append(MetricPoint(legal_name(name), float(value), int(step), now))
+        if time.monotonic() >= self._next_flush or len(self._backlog.metrics) >= FLUSH_METRICS:
+            self.flush()
+
+    def log_artifact(self, path: Path | str, folder: str | None = None) -> None:
+        if not Path(path).is_file():
+            raise TrackingError(f"{path} is not there to be recorded")
+        self._backlog.artifacts.append((str(Path(path).resolve()), folder))
+        self.flush()
+
+    def log_dataset(self, name: str, digest: str, source: str, facts: Mapping[str, Any] | None = None) -> None:
+        self._backlog.datasets.append((name, digest, str(source), dict(facts or {})))
+        self.flush()
+
+    def set_tag(self, name: str, value: object) -> None:
+        self._backlog.tags[name] = str(value)
+
+    def flush(self) -> None:
+        try:
+            self._send()
+            self._next_flush = time.monotonic() + FLUSH_SECONDS
+        except TrackingError as error:
+            # The run is worth more than its record: it goes on, and the record is tried again.
+            self._next_flush = time.monotonic() + RETRY_SECONDS
+            print(f"warning: {error}; will try again", file=sys.stderr)
+
+    def finish(self, status: str = "FINISHED") -> None:
+        if status not in ENDINGS:
+            raise ValueError(f"status={status!r}; choose one of {', '.join(ENDINGS)}")
+        if self._finished:
+            return
+        self._finished, self._backlog.status = True, status
+        try:
+            self._send()
+        except TrackingError as error:
+            kept = self._store.root / UNSENT / f"{self.run_id}.json"
+            write_text(kept, json.dumps(asdict(self._backlog)))
+            raise TrackingError(
+                f"{error}. The results are safe in the run's folder; what the store misses is in {kept} and is sent "
+                "when the next run opens"
+            ) from error
+
+    def _send(self) -> None:
+        """Send the backlog; what was sent leaves it, so that a failure in the middle repeats nothing."""
+        waiting, store = self._backlog, self._store
+        if self._resumed:
+            waiting.metrics = [point for point in waiting.metrics if not self._is_known(point)]
+        while waiting.metrics:
+            del waiting.metrics[: store.add_metrics(self.run_id, waiting.metrics)]
+        if waiting.tags:
+            store.add_tags(self.run_id, waiting.tags)
+            waiting.tags.clear()
+        while waiting.datasets:
+            store.add_dataset(self.run_id, *waiting.datasets[0])
+            del waiting.datasets[0]
+        while waiting.artifacts:
+            path, folder = waiting.artifacts[0]
+            if Path(path).is_file():  # a kept record may name a file that is long gone
+                store.add_artifact(self.run_id, path, folder)
+            del waiting.artifacts[0]
+        if waiting.status:
+            store.close_run(self.run_id, waiting.status)
+            waiting.status = None
+
+    def _is_known(self, point: MetricPoint) -> bool:
+        """Whether an earlier life of the run logged the same value at the same step."""
+        if point.name not in self._history:
+            history = self._store.metric_history(self.run_id, point.name)
+            self._history[point.name] = {(step, repr(value)) for step, value in history}
+        # By their text, because a NaN does not equal itself.
+        return (point.step, repr(point.value)) in self._history[point.name]
+
+
+def send_kept(store: Store) -> None:
+    """Send what earlier runs could not, and close them as they ended."""
+    for path in sorted((store.root / UNSENT).glob("*.json")):
+        kept = json.loads(path.read_text("utf-8"))
+        run = StoredRun(store, path.stem, resumed=True)
+        run._backlog = Backlog(**kept | {"metrics": [MetricPoint(*point) for point in kept["metrics"]]})
+        run._send()
+        path.unlink()

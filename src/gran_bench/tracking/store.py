@@ -1,0 +1,225 @@
+"""The tracking store: one SQLite database under the results folder, shared by any number of processes.
+
+This is the only file that imports MLflow, and it does so when a store is opened: a run without tracking never waits
+for it.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from gran_bench.atomic import locked
+from gran_bench.config import TrackingConfig
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+
+DATABASE = "mlflow.db"
+ARTIFACTS = "artifacts"
+KEY_TAG = "gran_bench.key"
+
+# MLflow reads these when it is imported. Nothing leaves the machine, and the terminal belongs to the run.
+QUIET = {"MLFLOW_DISABLE_TELEMETRY": "true", "DO_NOT_TRACK": "true", "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false"}
+
+_METRICS_A_REQUEST = 900  # MLflow takes 1000
+_PARAMS_A_REQUEST = 100
+_LONGEST_VALUE = 5000  # characters of a parameter or tag
+_LONGEST_DIGEST = 36
+_ILLEGAL = re.compile(r"[^\w\-.: /]", re.ASCII)  # in the name of a metric
+
+
+class TrackingError(RuntimeError):
+    """The tracking store cannot be used; the message names it and the remedy."""
+
+
+class MetricPoint(NamedTuple):
+    """One value of a metric: its name, value and step, and when it was logged in ms since 1970."""
+
+    name: str
+    value: float
+    step: int
+    when: int
+
+
+def legal_name(name: str) -> str:
+    """The name of a metric with _ for every character that MLflow refuses."""
+    return _ILLEGAL.sub("_", name)
+
+
+class Store:
+    """The database, its experiment and its artifacts, made by whoever comes first.
+
+    Args:
+        config: root of the store and name of the experiment.
+
+    Raises:
+        TrackingError: the store cannot be made or opened.
+    """
+
+    def __init__(self, config: TrackingConfig) -> None:
+        self.root = Path(config.root).resolve()
+        self.database = self.root / DATABASE
+        self.uri = f"sqlite:///{self.database}"
+        self.artifacts_uri = (self.root / ARTIFACTS).as_uri()
+        self._lock = self.root / ".locks" / "mlflow.lock"
+        self._identity: tuple[int, int] | None = None
+        # Several first starts at once crash each other while they make the tables.
+        with self.alone(), self._answers():
+            self._client = _client(self.uri)
+            self._experiment_id = self._experiment(config.experiment)
+            self._identity = self._file_identity()
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Hold the lock of the store, for what two processes must not do at once."""
+        try:
+            with locked(self._lock):
+                yield
+        except OSError as error:
+            raise TrackingError(self._complaint(error.strerror or str(error))) from error
+
+    # ---- runs ------------------------------------------------------------------------------------------------
+
+    def run_of(self, key: str) -> str | None:
+        """Id of the latest run that was opened under a key."""
+        with self._answers():
+            found = self._client.search_runs(
+                [self._experiment_id], filter_string=f"tags.`{KEY_TAG}` = '{key}'", max_results=1
+            )
+        return found[0].info.run_id if found else None
+
+    def create_run(self, name: str, key: str, parent: str | None) -> str:
+        """Make a run under a key; returns its id."""
+        tags = {KEY_TAG: key} | ({"mlflow.parentRunId": parent} if parent else {})
+        with self._answers():
+            return self._client.create_run(self._experiment_id, tags=tags, run_name=name).info.run_id
+
+    def reopen_run(self, run_id: str, name: str, without_tag: str) -> None:
+        """Mark a run as running again, and remove the tag that says how it ended."""
+        with self._answers():
+            self._client.update_run(run_id, status="RUNNING", name=name)
+            if without_tag in self._client.get_run(run_id).data.tags:
+                self._client.delete_tag(run_id, without_tag)
+
+    def close_run(self, run_id: str, status: str) -> None:
+        """End a run as ``FINISHED``, ``FAILED`` or ``KILLED``."""
+        with self._answers():
+            self._client.set_terminated(run_id, status)
+
+    # ---- what a run records ----------------------------------------------------------------------------------
+
+    def add_params(self, run_id: str, params: Mapping[str, str]) -> dict[str, str]:
+        """Record the parameters that are new; returns those that differ from what the run has, which MLflow keeps."""
+        from mlflow.entities import Param
+
+        wanted = {name: value[:_LONGEST_VALUE] for name, value in params.items()}
+        with self._answers():
+            there = self._client.get_run(run_id).data.params
+            new = [Param(name, value) for name, value in wanted.items() if name not in there]
+            for first in range(0, len(new), _PARAMS_A_REQUEST):
+                self._client.log_batch(run_id, params=new[first : first + _PARAMS_A_REQUEST])
+        return {name: value for name, value in wanted.items() if there.get(name, value) != value}
+
+    def add_metrics(self, run_id: str, points: Sequence[MetricPoint]) -> int:
+        """Record the first points, as many as a request takes; returns how many."""
+        from mlflow.entities import Metric
+
+        batch = points[:_METRICS_A_REQUEST]
+        with self._answers():
+            self._client.log_batch(run_id, metrics=[Metric(p.name, p.value, p.when, p.step) for p in batch])
+        return len(batch)
+
+    def metric_history(self, run_id: str, name: str) -> list[tuple[int, float]]:
+        """Steps and values of a metric."""
+        with self._answers():
+            return [(point.step, point.value) for point in self._client.get_metric_history(run_id, name)]
+
+    def add_tags(self, run_id: str, tags: Mapping[str, str]) -> None:
+        """Set tags."""
+        from mlflow.entities import RunTag
+
+        with self._answers():
+            self._client.log_batch(run_id, tags=[RunTag(name, value[:_LONGEST_VALUE]) for name, value in tags.items()])
+
+    def add_artifact(self, run_id: str, path: str, folder: str | None) -> None:
+        """Copy a file into the run's artifacts."""
+        with self._answers():
+            self._client.log_artifact(run_id, path, folder)
+
+    def add_dataset(self, run_id: str, name: str, digest: str, source: str, facts: Mapping[str, Any]) -> None:
+        """Say which data a run used."""
+        from mlflow.entities import Dataset, DatasetInput, InputTag
+
+        profile = json.dumps(dict(facts), default=str)
+        dataset = Dataset(name, digest[:_LONGEST_DIGEST], "local", json.dumps({"uri": source}), profile=profile)
+        with self._answers():
+            self._client.log_inputs(run_id, [DatasetInput(dataset, [InputTag("mlflow.data.context", "training")])])
+
+    # ---- the database ----------------------------------------------------------------------------------------
+
+    def _experiment(self, name: str) -> str:
+        experiment = self._client.get_experiment_by_name(name)
+        if experiment is None:
+            return self._client.create_experiment(name, artifact_location=self.artifacts_uri)
+        if experiment.lifecycle_stage == "deleted":
+            raise TrackingError(
+                f"the experiment {name!r} was deleted in {self.database}; choose another tracking.experiment"
+            )
+        if experiment.artifact_location != self.artifacts_uri:
+            raise TrackingError(
+                f"the experiment {name!r} in {self.database} keeps its artifacts in {experiment.artifact_location}: "
+                "the folder was moved; move it back, or choose another tracking.experiment"
+            )
+        return experiment.experiment_id
+
+    @contextmanager
+    def _answers(self) -> Iterator[None]:
+        """Talk to the database; whatever it answers wrongly becomes one clear error."""
+        if self._identity is not None and self._file_identity() != self._identity:
+            # SQLite would go on writing to a file that has no name any more.
+            raise TrackingError(self._complaint("the file is gone or was replaced since the run began"))
+        try:
+            yield
+        except TrackingError:
+            raise
+        except Exception as error:
+            # MLflow lets SQLAlchemy's errors through where it makes its tables.
+            if not (isinstance(error, OSError) or type(error).__module__.startswith(("mlflow", "sqlalchemy"))):
+                raise
+            lines = [line for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
+            raise TrackingError(self._complaint(lines[0][:300])) from error
+
+    def _complaint(self, reason: str) -> str:
+        return (
+            f"the tracking store {self.database} does not answer: {reason}; close what holds it, free space or choose "
+            "another tracking.root (tracking.enabled=false does without)"
+        )
+
+    def _file_identity(self) -> tuple[int, int] | None:
+        try:
+            found = self.database.stat()
+        except OSError:
+            return 0, 0
+        return found.st_dev, found.st_ino
+
+
+def ensure_store(config: TrackingConfig) -> None:
+    """Make database and experiment, before jobs start that will use them at once."""
+    if config.enabled:
+        Store(config)
+
+
+def _client(uri: str) -> MlflowClient:
+    os.environ.update(QUIET)
+    from mlflow import MlflowClient
+
+    for name in ("mlflow", "alembic"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    return MlflowClient(tracking_uri=uri)
