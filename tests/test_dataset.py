@@ -1,9 +1,10 @@
 """Cases on disk: the layout keeps every bit, the name follows from the contents, damage is told."""
 
+import io
 import resource
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import h5py
@@ -27,6 +28,7 @@ from gran_bench.dataset import (
     split_cases,
     to_document,
 )
+from gran_bench.dataset.progress import SimulatedTimeBar
 from gran_bench.dem.simulate import SimulationResult, settle, simulate
 from gran_bench.scene import Rotation, SceneError, build_scene
 
@@ -211,6 +213,17 @@ def test_a_file_cut_short_is_told_by_reading_and_by_making(copy: Path):
         assert copy.stat().st_size == size, "a damaged file is never remade silently"
 
 
+def test_a_damaged_bed_is_told_and_no_case_starts_from_it(tmp_path: Path, made: Path):
+    bed = SPEC.settled_path(tmp_path)
+    bed.parent.mkdir()
+    whole = bytearray(SPEC.settled_path(made.parent).read_bytes())
+    whole[len(whole) // 2] ^= 1
+    bed.write_bytes(whole)
+    with pytest.raises(DatasetError, match=rf"{bed.name} is cut short or damaged"):
+        ensure_case(SPEC, tmp_path)
+    assert not SPEC.path(tmp_path).exists()
+
+
 def test_a_flipped_bit_is_told_or_harmless(copy: Path):
     whole, sound = copy.read_bytes(), read_case(copy)
     rng = np.random.default_rng(0)
@@ -337,3 +350,46 @@ def test_the_papers_speeds_are_split_as_the_paper_did():
 def test_a_speed_is_on_one_side_only(speeds: dict, message: str):
     with pytest.raises(DatasetError, match=message):
         split_cases(SCENE, DemConfig(), DatasetConfig(**speeds))
+
+
+# ---- progress ------------------------------------------------------------------------------------------------
+
+
+class Terminal(io.StringIO):
+    """A terminal that remembers what was written to it."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@dataclass(eq=False)
+class Simulation:
+    """A job of the bar's."""
+
+    simulated_seconds: float
+
+
+def test_one_bar_counts_the_simulated_time_of_all_jobs(monkeypatch: pytest.MonkeyPatch):
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    bed, case = Simulation(1.5), Simulation(4.0)
+    with SimulatedTimeBar([bed, case], show=True) as bar:
+        bar.reached(bed, 1.0)
+        bar.reached(bed, 2.5)  # longer than expected
+        bar.finished(bed)
+        bar.reached(case, 1.0)
+        bar.waits(case)
+        bar.finished(case)
+    shown = terminal.getvalue().split("\r")
+    assert "data 0/2 files:   0%" in shown[1]
+    assert "6.5/6.5 s simulated" in shown[-1], "2.5 s of settling and 4 s of the case"
+    assert "data 2/2 files: 100%" in shown[-1]
+    assert any("waiting for another process" in line for line in shown)
+
+
+def test_the_bar_is_silent_without_a_terminal(monkeypatch: pytest.MonkeyPatch):
+    log = io.StringIO()
+    monkeypatch.setattr("sys.stderr", log)
+    with SimulatedTimeBar([job := Simulation(1.0)], show=True) as bar:
+        bar.finished(job)
+    assert log.getvalue() == ""
