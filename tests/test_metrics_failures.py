@@ -85,6 +85,15 @@ def test_values_that_are_not_finite_are_counted_and_not_taken_for_inside_or_outs
     assert (count.outside, count.farthest) == (0, 0.0)
 
 
+def test_a_sphere_that_is_not_finite_does_not_hide_another_that_is_outside():
+    scene = drum(end_time=1.51)
+    trajectory = resting(scene, np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.6]]))
+    trajectory.position[:, 0] = np.nan
+    count = count_failures(trajectory, scene)
+    assert (count.outside_radius, count.non_finite_sphere_states) == (2, 2)
+    assert count.farthest == pytest.approx(0.125, abs=1e-6)
+
+
 def test_a_rollout_that_ended_early_has_diverged():
     scene = drum()
     assert count_failures(resting(scene, inclined_bed(0.0)[:5], frames=3), scene).diverged

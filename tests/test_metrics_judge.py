@@ -81,6 +81,11 @@ def test_a_diverged_rollout_fails_every_requirement_and_keeps_its_rows(replicas)
     assert len(judgement.errors) == len(judge(rotating_bed(60.0), replicas, SCENE).errors)
 
 
+def test_a_bed_too_flat_is_as_wrong_as_one_too_steep(replicas):
+    error = judge(rotating_bed(50.0), replicas, SCENE).error("com_angle_steady").error
+    assert error.number == pytest.approx(5.0, abs=0.6)
+
+
 def test_a_first_peak_ten_degrees_too_high_fails_and_one_below_does_not(replicas):
     def with_peak(height):
         summary = summarise(rotating_bed(60.0), SCENE)
