@@ -46,6 +46,18 @@ def test_generating_prints_a_table_of_the_cases(tmp_path: Path, capsys: pytest.C
     assert lines[4].startswith("settled bed")
 
 
+def test_generating_tells_of_files_that_older_code_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+):
+    with monkeypatch.context() as older:
+        older.setattr("gran_bench.dataset.case_spec.dem_source_hash", lambda: "older")
+        older.setattr("gran_bench.dataset.generation.dem_source_hash", lambda: "older")
+        ensure_case(CaseSpec(build_scene(config(tmp_path).scene)), tmp_path)
+    (tmp_path / "damaged.h5").write_bytes(b"no HDF5")
+    generate(config(tmp_path))
+    assert "2 files (0 MB) are of older solver code and not used any more" in capsys.readouterr().out
+
+
 def test_the_cards_tables_say_what_is_undefined(tmp_path: Path, capsys: pytest.CaptureFixture):
     print_data_card(config(tmp_path))
     cases, floors = capsys.readouterr().out.split("\n\n")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from gran_bench.config import GenerateConfig
 from gran_bench.dataset.case_file import read_attributes, read_case
-from gran_bench.dataset.case_spec import Split, rotation_label, split_cases
+from gran_bench.dataset.case_spec import DatasetError, Split, dem_source_hash, rotation_label, split_cases
 from gran_bench.dataset.generation import ensure_cases
 from gran_bench.scene import build_scene
 
@@ -57,10 +58,23 @@ def generate(config: GenerateConfig) -> list[Path]:
     print(f"scene {scene.name}: {scene.needs}")
     paths = ensure_cases(split.all, config.dataset.root, config.dataset.workers)
     print(table(case_rows(split, config.dataset.root)))
-    settling = {spec.settled_path(config.dataset.root) for spec in split.all}
-    for path in sorted(path for path in settling if path.exists()):
+    beds = {spec.settled_path(config.dataset.root) for spec in split.all}
+    for path in sorted(path for path in beds if path.exists()):
         print(f"settled bed {path}: {read_attributes(path)['wall_seconds']:.1f} s")
+    if old := files_of_older_code(config.dataset.root):
+        size = sum(path.stat().st_size for path in old) / 1e6
+        print(f"{len(old)} files ({size:.0f} MB) are of older solver code and not used any more, such as {old[0]}")
     return paths
+
+
+def files_of_older_code(root: Path | str) -> list[Path]:
+    """Whole files under ``root`` that other code of the solver made, so that nothing reads them any more."""
+    found = []
+    for path in sorted(Path(root).rglob("*.h5")):
+        with suppress(DatasetError):
+            if read_attributes(path)["dem_code"] != dem_source_hash():
+                found.append(path)
+    return found
 
 
 def case_rows(split: Split, root: Path | str) -> list[CaseRow]:
