@@ -1,4 +1,4 @@
-"""Judge a trained model without training: ``python -m gran_bench.evaluate checkpoint=results/holdout30rpm/model.pt``."""
+"""Judge a trained model without training: ``python -m gran_bench.evaluate checkpoint=FILE``."""
 
 from __future__ import annotations
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -119,7 +120,7 @@ class Rotation:
             )
         if not all(map(math.isfinite, (*self.times, *self.speeds_rpm))):
             raise SceneError(f"rotation.speeds_rpm={list(self.speeds_rpm)} at {list(self.times)} s is not finite")
-        if any(b < a for a, b in zip(self.times, self.times[1:], strict=False)):
+        if any(b < a for a, b in pairwise(self.times)):
             raise SceneError(f"rotation.times={list(self.times)} must increase")
 
     def angular_speed(self, time: float) -> float:
@@ -134,7 +135,7 @@ class Rotation:
         inner = knots[(knots > start) & (knots < end)]
         edges = np.concatenate(([start], inner, [end]))
         total = 0.0
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in pairwise(edges):
             if b > self.times[0]:
                 total += self.angular_speed(0.5 * (a + b)) * (b - a)
         return total
@@ -244,7 +245,8 @@ class Scene:
             raise SceneError(f"scene.frame_interval={self.frame_interval:g} is impossible; choose a value > 0 s")
         if not self.end_time > self.start_time:
             raise SceneError(
-                f"scene.end_time={self.end_time:g} is not after scene.start_time={self.start_time:g}; choose a later end"
+                f"scene.end_time={self.end_time:g} is not after scene.start_time={self.start_time:g}; "
+                "choose a later end"
             )
         if not all(map(math.isfinite, self.gravity)):
             raise SceneError(f"scene.gravity={list(self.gravity)} is not finite")
