@@ -16,7 +16,7 @@ from gran_bench.metrics.measured import frame_at
 from gran_bench.metrics.speeds import velocities
 from gran_bench.metrics.summary import PATTERN_TIME
 from gran_bench.plots.spheres import draw_spheres, halved, shaded, view_along_axis
-from gran_bench.plots.style import QUIET, SPEED_MAP, drawing, say
+from gran_bench.plots.style import QUIET, SPEED_MAP, drawing, say, speed_label
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
 
@@ -59,7 +59,7 @@ def flow_pattern(runs: Mapping[str, Trajectory], scene: Scene, path: Path | str,
         figure.colorbar(
             ScalarMappable(norm, SPEED_MAP),
             ax=panels,
-            label="speed, m/s",
+            label=speed_label(kind),
             shrink=0.82,
             pad=0.015,
             aspect=28,

@@ -27,7 +27,7 @@ def nearest_cases(distances: Mapping[float, Mapping[float, Measured | float | No
     rows = sorted(distances)
     columns = sorted({rpm for row in distances.values() for rpm in row})
     table = np.array([[_number(distances[row].get(column)) for column in columns] for row in rows])
-    with drawing(path, 1.6 + 0.85 * len(columns), 1.7 + 0.6 * len(rows)) as figure:
+    with drawing(path, max(4.8, 1.6 + 0.85 * len(columns)), 1.7 + 0.6 * len(rows)) as figure:
         axes = figure.subplots()
         top = float(np.nanmax(table)) if np.isfinite(table).any() else 1.0
         axes.imshow(table, cmap="Blues", norm=Normalize(0.0, top), aspect="auto")

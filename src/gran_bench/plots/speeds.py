@@ -10,7 +10,7 @@ import numpy as np
 from gran_bench.metrics.measured import frame_at
 from gran_bench.metrics.speeds import speed_histogram
 from gran_bench.metrics.summary import PATTERN_TIME, TrajectorySummary
-from gran_bench.plots.style import BAND, DEM, FURTHER, SURROGATE, drawing
+from gran_bench.plots.style import BAND, DEM, FURTHER, SURROGATE, drawing, speed_label
 
 CLASS = 0.1  # m/s
 
@@ -59,7 +59,7 @@ def speed_distribution(
             note = f" ({beyond:.2g} % faster than shown)" if beyond > 0 else ""
             axes.stairs(100.0 * speed_histogram(speed, edges), edges, color=colour, linewidth=1.8, label=name + note)
         axes.set_title(f"Speeds at {time:g} s")
-        axes.set_xlabel("speed, m/s")
+        axes.set_xlabel(speed_label(replicas[0].velocity_kind))
         axes.set_ylabel(f"share of spheres in {CLASS:g} m/s, %")
         axes.set_xlim(0.0, edges[-1])
         axes.set_ylim(bottom=0.0)

@@ -59,3 +59,8 @@ def say(axes: Axes, text: str) -> None:
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color="#555555")
     axes.set_yticks([])
     axes.grid(False)
+
+
+def speed_label(velocity_kind: str) -> str:
+    """Label of an axis of speed that says which definition it uses."""
+    return "speed, m/s" if velocity_kind == "instantaneous" else "speed (mean over a frame), m/s"
