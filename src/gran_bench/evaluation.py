@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from gran_bench.atomic import whole_file
+from gran_bench.baselines import ballistic, interpolated_statistics, rigid_rotation
 from gran_bench.config import DatasetConfig, DemConfig, JudgeConfig
 from gran_bench.dataset import Case, CaseSpec, dataset_digest, ensure_cases, half_step, read_case, replicas
 from gran_bench.metrics.judge import judge, nearest_case
@@ -26,6 +27,8 @@ from gran_bench.state import FloatArray, Trajectory
 from gran_bench.surrogate.step import Surrogate
 
 Tell = Callable[[str], None]
+# The distances that stand in the short table, for the model and for the baselines.
+COMPARED = ("surface_angle", "com_angle", "speed_w1")
 
 
 @dataclass(frozen=True)
@@ -124,6 +127,7 @@ def evaluate(model: Surrogate, plan: Plan, folder: Path, tell: Tell, progress: b
     summary = {
         "holdout_rpm": plan.holdout_rpm,
         "judged": {packing: judgement.to_dict() for packing, judgement in judgements.items()},
+        "baselines": _baselines(plan, cases[rollout_name(plan.holdout_rpm)], doubles["shared"]),
         "nearest_case": _nearest(plan, rollouts, cases),
         "position_error": _short_horizon(model, cases[rollout_name(plan.holdout_rpm)], plan.judge),
         "rollouts": {name: _rollout_facts(result, cases[name]) for name, result in rollouts.items()},
@@ -176,6 +180,32 @@ def _judge_holdout(
     if not unseen:
         beside["half_step"] = summary_of(half_step(plan.case(plan.holdout_rpm)))
     return judge(candidate, doubles, scene, beside), candidate, doubles
+
+
+def _baselines(plan: Plan, case: Case, doubles: list[TrajectorySummary]) -> dict[str, Any]:
+    """What costs next to nothing, held against the same replicas: distances by baseline and name."""
+    scene, kind, root = case.scene, doubles[0].velocity_kind, plan.dataset.root
+    candidates = {
+        "rigid rotation": summarise(rigid_rotation(scene, case.settled), scene, kind),
+        "ballistic": summarise(ballistic(scene, case.settled), scene, kind),
+    }
+    below = [rpm for rpm in plan.dataset.training_speeds_rpm if rpm < plan.holdout_rpm]
+    above = [rpm for rpm in plan.dataset.training_speeds_rpm if rpm > plan.holdout_rpm]
+    if below and above:
+        low, high = max(below), min(above)
+        specs = {rpm: plan.case(rpm) for rpm in (low, high)}
+        ensure_cases(specs.values(), root, plan.dataset.workers)
+        training = {
+            rpm: summarise(read_case(spec.path(root)).trajectory, spec.scene, kind) for rpm, spec in specs.items()
+        }
+        name = f"statistics interpolated between {low:g} and {high:g} rpm"
+        candidates[name] = interpolated_statistics(plan.holdout_rpm, training)
+        candidates[f"{low:g} rpm replayed"], candidates[f"{high:g} rpm replayed"] = training[low], training[high]
+    table = {}
+    for name, candidate in candidates.items():
+        errors = judge(candidate, doubles, scene).to_dict()["errors"]
+        table[name] = {row: errors[row] for row in COMPARED}
+    return table
 
 
 def _nearest(plan: Plan, rollouts: dict[str, Rollout], cases: dict[str, Case]) -> dict[str, Any]:

@@ -86,19 +86,24 @@ def summary_table(summary: dict[str, Any]) -> str:
     )
     for packing, judged in summary["judged"].items():
         lines += ["", f"{summary['holdout_rpm']:g} rpm, held out, {packing} packing"]
-        lines.append(f"  {'':<56}{'found':>12}  verdict")
+        lines.append(f"  {'':<56}{'found':>16}  verdict")
         for row in judged["requirements"].values():
-            lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>12}  {row['verdict']}{_note(row)}")
-        lines.append(f"  {'distance from the DEM':<56}{'found':>12}  noise floor")
+            lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>16}  {row['verdict']}{_note(row)}")
+        lines.append(f"  {'distance from the DEM':<56}{'found':>16}  noise floor")
         for name in ("surface_angle", "com_angle", "speed_w1"):
             row = judged["errors"][name]
             times = "" if row["multiple_of_floor"] is None else f" (× {row['multiple_of_floor']:.2f})"
             floor = _figure(row["floor"], row["unit"])
-            lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>12}  {floor}{times}{_note(row)}")
+            lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>16}  {floor}{times}{_note(row)}")
+    lines += ["", f"baselines at {summary['holdout_rpm']:g} rpm, shared packing"]
+    lines.append(f"  {'':<56}{'angle':>16}{'speed W1':>14}")
+    for name, errors in summary["baselines"].items():
+        angle, speed = (_figure(errors[key]["value"], errors[key]["unit"]) for key in ("surface_angle", "speed_w1"))
+        lines.append(f"  {name:<56}{angle:>16}{speed:>14}")
     lines += ["", "tells speeds apart (nearest DEM case by speed W1)"]
     for name, row in summary["nearest_case"].items():
         nearest = "undefined" if row["nearest_rpm"] is None else f"{row['nearest_rpm']:g} rpm"
-        lines.append(f"  {name:<56}{nearest:>12}  {'pass' if row['is_own'] else 'fail'}")
+        lines.append(f"  {name:<56}{nearest:>16}  {'pass' if row['is_own'] else 'fail'}")
     errors = summary["position_error"].values()
     shown = ", ".join(_figure(row["m"], "m") for row in errors)
     horizons = ", ".join(name.split("_")[0] for name in summary["position_error"])
