@@ -12,6 +12,7 @@ import pytest
 
 from gran_bench.config import SceneConfig
 from gran_bench.dem.simulate import settle, simulate
+from gran_bench.metrics.angle_of_repose import angle_series
 from gran_bench.scene import build_scene
 from gran_bench.state import Trajectory
 
@@ -46,6 +47,18 @@ def test_the_angle_follows_the_reference_through_the_start_up(trajectory):
     frames = np.rint((REFERENCE["time"] - 1.5) / 0.01).astype(int)
     difference = center_of_mass_angle(trajectory)[frames] - REFERENCE["com_angle_deg"]
     assert np.abs(difference).mean() < 2.0
+
+
+def test_the_fitted_surface_follows_the_reference(trajectory):
+    surface, center, _ = angle_series(trajectory, build_scene(SceneConfig(name="drum")).at_speed(30.0))
+    frames = np.rint((REFERENCE["time"] - 1.5) / 0.01).astype(int)
+    valid = surface.valid[frames]
+    assert valid.mean() >= 0.9
+    assert np.abs(surface.value[frames] - REFERENCE["aor_surface_deg"])[valid].mean() < 2.5
+    assert surface.mean(3.5).number == pytest.approx(
+        np.mean(REFERENCE["aor_surface_deg"][REFERENCE["time"] >= 3.5]), abs=1.5
+    )
+    assert center.value == pytest.approx(center_of_mass_angle(trajectory), abs=1e-3)
 
 
 def test_the_speeds_are_distributed_as_in_the_reference(trajectory):
