@@ -24,8 +24,10 @@ lint: $(READY)
 ui: $(READY)
 	$(BIN)/python -m gran_bench.ui port=$(PORT)
 
+# benchmarks/dem_vs_lammps.py needs LAMMPS; it says how.
 bench: $(READY)
-	$(BIN)/python -m gran_bench.benchmark
+	$(BIN)/python benchmarks/contact_network.py
+	$(BIN)/python benchmarks/cconv.py
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .ruff_cache

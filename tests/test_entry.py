@@ -87,6 +87,9 @@ def refuse(monkeypatch, capsys, tmp_path):
         ("model.width=3", ["model.width=3", "model=ccnn or radial"]),
         ("scene.material.restitution=1.2", ["scene.material.restitution=1.2", "(0, 1]"]),
         ("scene.wall_material.friction=1", ["scene.wall_material is null", "+scene.wall_material.friction=1"]),
+        ("dem.time_step=0.01", ["dem.time_step=0.01", "largest safe step"]),
+        ("scene.filling.count=9999", ["scene.filling.count=9999", "do not fit"]),
+        ("scene.container.kind=none", ["no container"]),
         ("model=cnn", ["model=cnn", "did you mean ccnn?", "radial"]),
         ("optim=adam", ["optim=adam", "choose ccnn or contact or paper or radial"]),
         ("+experiment=holdout3", ["experiment=holdout3", "did you mean holdout30rpm?", "smoke"]),
@@ -165,6 +168,13 @@ def test_the_help_names_every_choice_that_there_is(entry, tmp_path):
     for group in {"train": ["scene", "model", "optim", "experiment"], "generate": ["scene", "dem", "dataset"]}[entry]:
         choices = sorted(path.stem for path in (CONF / group).glob("*.yaml"))
         assert f"{group}: {', '.join(choices)}" in done.stdout
+
+
+def test_a_multirun_that_is_asked_for_by_hydras_mode_is_one(probe):
+    code, out, said, _ = probe("hydra.mode=MULTIRUN", "seed=1,2")
+    assert (code, said) == (0, "")
+    assert "ran default,seed=1 contact" in out
+    assert "ran default,seed=2 contact" in out
 
 
 # ---- parts -----------------------------------------------------------------------------------------------

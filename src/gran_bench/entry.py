@@ -23,7 +23,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from gran_bench.config import TrainConfig
+from gran_bench.config import GenerateConfig, TrainConfig
 from gran_bench.config_check import read_config
 from gran_bench.config_rules import ConfigError
 from gran_bench.override_errors import explain
@@ -56,13 +56,15 @@ def run(task: Callable[[Any], object], config_name: str, schema: type) -> NoRetu
     # Makes Hydra raise its errors instead of printing them, also in the processes that a launcher starts.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     arguments = get_args_parser().parse_args()
+    multirun = arguments.multirun or "hydra.mode=MULTIRUN" in arguments.overrides
     try:
         if _starts_work(arguments):
-            for overrides in distinct_overrides(arguments.overrides, arguments.multirun):
+            for overrides in distinct_overrides(arguments.overrides, multirun):
                 composed = compose(config_name, overrides, arguments.config_dir, arguments.config_path)
                 checked_config(composed, schema)
     except Exception as error:
-        sys.exit(complain(error, schema))
+        complain(error, schema)
+        sys.exit(FAILED if explain(error, schema) is None else REFUSED)
 
     failures: list[Exception] = []
 
@@ -91,23 +93,30 @@ def run(task: Callable[[Any], object], config_name: str, schema: type) -> NoRetu
         failures.append(error)
     if not failures:
         sys.exit(0)
-    if arguments.multirun:  # said already, where it happened
+    if multirun:  # said already, where it happened
         print("error: at least one job of the multirun failed; its message is above", file=sys.stderr)
         sys.exit(FAILED)
     sys.exit(complain(failures[0], schema))
 
 
 def checked_config(composed: DictConfig, schema: type[Config]) -> Config:
-    """The config that Hydra composed, read into ``schema``; its scene can be built.
+    """The config that Hydra composed, read into ``schema``; its scene can be built, filled and resolved in time.
 
     Raises:
-        ConfigError, SceneError: what cannot be, in one line.
+        ConfigError, SceneError, TimeStepError: what cannot be, in one line.
     """
     values = OmegaConf.to_container(composed, resolve=True)
     assert isinstance(values, dict)
     config = read_config(schema, values)
-    if hasattr(config, "scene"):
-        build_scene(config.scene)
+    if isinstance(config, TrainConfig | GenerateConfig):
+        # Imported here, so that a typo need not wait for SciPy.
+        from gran_bench.dem.time_step import choose_time_step
+
+        scene = build_scene(config.scene)
+        scene.fresh_filling(seed=0)
+        data = config.dataset
+        fastest = max(data.training_speeds_rpm + data.validation_speeds_rpm + data.holdout_speeds_rpm, default=0.0)
+        choose_time_step(scene.at_speed(fastest), config.dem.time_step, config.dem.allow_unsafe_step)
     return config
 
 
@@ -172,7 +181,7 @@ def complain(error: Exception, schema: type, prefix: str = "") -> int:
     """Say an error on stderr, in one line where the house or Hydra foresaw it, and give the exit code."""
     message = explain(error, schema)
     if message is None:
-        print(f"error: {prefix}unexpected", file=sys.stderr)
+        print(f"error: {prefix}nothing that was foreseen, so here is the whole way to it:", file=sys.stderr)
         traceback.print_exception(error)
         return FAILED
     print(f"error: {prefix}{message}", file=sys.stderr)
