@@ -35,8 +35,6 @@ FLOOR_ROWS = (
     "speed_w1",
     "speed_w1_pattern",
     "speed_w1_steady",
-    "position_10",
-    "position_30",
 )
 SHOWN_AS = {"m": ("mm", 1e3), "deg": ("°", 1.0)}  # unit of a figure: for people, times
 
