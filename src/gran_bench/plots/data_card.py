@@ -6,13 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 from tqdm import tqdm
 
 from gran_bench.config import GenerateConfig
 from gran_bench.dataset import CaseSpec, ensure_cases, half_step, read_case, replicas, rotation_label, split_cases
 from gran_bench.metrics.comparisons import COMPARISONS, FIGURES
-from gran_bench.metrics.measured import Measured
+from gran_bench.metrics.measured import Measured, mean_of
 from gran_bench.metrics.noise_floor import noise_floor, score
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.plots.case_card import case_card
@@ -104,9 +103,7 @@ def floor_table(
         metric, unit = comparison.distance, comparison.unit
         floor = noise_floor(metric, truth, unit)
         away = [score(metric, other, truth, unit) for other in others]
-        values = [figure.value for figure in away if figure.value is not None]
-        packing = Measured(float(np.mean(values)), unit) if len(values) == len(away) else away[0]
-        cells = (floor, score(metric, fine, truth, unit), packing)
+        cells = (floor, score(metric, fine, truth, unit), mean_of(away, unit))
         yield _row(f"{comparison.label}, {_unit(unit)}", *map(_shown, cells))
 
 
@@ -126,5 +123,4 @@ def _unit(unit: str) -> str:
 def _shown(figure: Measured) -> str:
     if figure.value is None:
         return "undefined"
-    value = figure.value * SHOWN_AS.get(figure.unit, ("", 1.0))[1]
-    return f"{value:.3g}" if abs(value) >= 1 else f"{value:.2g}"
+    return f"{figure.value * SHOWN_AS.get(figure.unit, ('', 1.0))[1]:.3g}"
