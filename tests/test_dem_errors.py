@@ -136,7 +136,7 @@ def test_a_period_too_short_for_the_spheres_is_refused():
     thin = build_scene(
         SceneConfig(
             name="thin",
-            container=ContainerConfig(length=0.11, periodic_axis=True),
+            container=ContainerConfig(length=0.1, periodic_axis=True),
             filling=FillingConfig(count=5),
         )
     )

@@ -151,8 +151,8 @@ def _wrapped(position: FloatArray, period: float) -> FloatArray:
 def bin_cells(sphere, edge, period):
     """Counting sort of N centres into cells of at least ``edge`` m, x running fastest.
 
-    Returns the ``(N,)`` particle order, the ``(C + 1,)`` first rank of each cell, the ``(N,)`` cell of each rank,
-    and the numbers of cells along x, y and z.
+    Returns the ``(N,)`` particle of each rank, the ``(C + 1,)`` first rank of each cell, the ``(N,)`` cell of each
+    rank, and the numbers of cells along x, y and z.
     """
     count = len(sphere)
     low, high = np.empty(3), np.empty(3)
@@ -214,51 +214,82 @@ def list_pairs(sphere, margin, period):
     largest = 0.0
     for i in range(count):
         largest = max(largest, sphere[i, 3])
-    order, start, cell_of_rank, cells = bin_cells(sphere, 2.0 * largest + margin, period)
-    sorted_sphere = np.empty((count, 4))
-    for rank in range(count):
-        for k in range(4):
-            sorted_sphere[rank, k] = sphere[order[rank], k]
-    nx, ny, nz = cells[0], cells[1], cells[2]
+    order, start, _, cells = bin_cells(sphere, 2.0 * largest + margin, period)
+    # What a cell may meet lies side by side in memory, so that one particle is held against all of it in SIMD.
+    name, hit, excess = np.empty(count, np.uint32), np.empty(count, np.uint32), np.empty(count)
+    x, y, z, r = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     first, second = np.empty(8 * count + 64, np.uint32), np.empty(8 * count + 64, np.uint32)
     found = 0
-    for rank in range(count):
-        cell = cell_of_rank[rank]
-        x, y, z = cell % nx, (cell // nx) % ny, cell // (nx * ny)
-        left, right = max(0, x - 1), min(nx - 1, x + 1)
-        xi, yi, zi = sorted_sphere[rank, 0], sorted_sphere[rank, 1], sorted_sphere[rank, 2]
-        ri, i = sorted_sphere[rank, 3] + margin, order[rank]
-        # Half of the 27 cells: the rest of this row, the next row, and the three rows of the layer above;
-        # three cells of a row are one run of ranks.
-        for row in range(5):
-            if row == 0:
-                begin, end = rank + 1, start[cell - x + right + 1]
-            else:
-                layer = z if row == 1 else z + 1
-                line = y + 1 if row == 1 else y + row - 3
-                if layer >= nz:
-                    continue
-                if line < 0 or line >= ny:
-                    if period == 0.0 or ny == 1:
-                        continue
-                    line = (line + ny) % ny
-                base = (layer * ny + line) * nx
-                begin, end = start[base + left], start[base + right + 1]
-            if found + end - begin > len(first):
-                room = 2 * (len(first) + end - begin)
-                first, second = _enlarged(first, room), _enlarged(second, room)
-            for other in range(begin, end):
-                dx = sorted_sphere[other, 0] - xi
-                dy = sorted_sphere[other, 1] - yi
-                dz = sorted_sphere[other, 2] - zi
-                if period > 0.0:
-                    dy -= period * np.rint(dy / period)
-                reach = ri + sorted_sphere[other, 3]
-                j = order[other]
+    for cell in range(len(start) - 1):
+        own = start[cell + 1] - start[cell]
+        if own == 0:
+            continue
+        met = _gather_half_shell(cell, cells, start, order, sphere, period, name, x, y, z, r)
+        if found + own * met > len(first):
+            room = 2 * (len(first) + own * met)
+            first, second = _enlarged(first, room), _enlarged(second, room)
+        for a in range(own):
+            _excess_over_reach(x, y, z, r, a, met, margin, period, excess)
+            hits = 0
+            for b in range(a + 1, met):
                 # Written always, kept only if near: no branch to mispredict.
+                hit[hits] = b
+                hits += excess[b] < 0.0
+            i = name[a]
+            for h in range(hits):
+                j = name[hit[h]]
                 first[found], second[found] = min(i, j), max(i, j)
-                found += dx * dx + dy * dy + dz * dz < reach * reach
+                found += 1
     return first[:found].copy(), second[:found].copy()
+
+
+@njit(cache=True, error_model="numpy")
+def _excess_over_reach(x, y, z, r, a, met, margin, period, excess):
+    """Squared distance of point a from the first ``met`` points, less the squared reach, into ``excess``."""
+    xa, ya, za, ra = x[a], y[a], z[a], r[a] + margin
+    if period > 0.0:
+        for b in range(met):
+            dx, dy, dz = x[b] - xa, y[b] - ya, z[b] - za
+            dy -= period * np.rint(dy / period)
+            reach = ra + r[b]
+            excess[b] = dx * dx + dy * dy + dz * dz - reach * reach
+    else:
+        for b in range(met):
+            dx, dy, dz = x[b] - xa, y[b] - ya, z[b] - za
+            reach = ra + r[b]
+            excess[b] = dx * dx + dy * dy + dz * dz - reach * reach
+
+
+@njit(cache=True, error_model="numpy")
+def _gather_half_shell(cell, cells, start, order, sphere, period, name, x, y, z, r):
+    """The particles of a cell, then those of the 13 of its 26 neighbours that come after it; returns their number.
+
+    Three cells of a row are one run of ranks, so the half shell is five runs: the rest of the row, the next row, and
+    three rows of the layer above.
+    """
+    nx, ny, nz = cells[0], cells[1], cells[2]
+    column, line, layer = cell % nx, (cell // nx) % ny, cell // (nx * ny)
+    left, right = max(0, column - 1), min(nx - 1, column + 1)
+    met = 0
+    for row in range(5):
+        if row == 0:
+            begin, end = start[cell], start[cell - column + right + 1]
+        else:
+            to_layer = layer if row == 1 else layer + 1
+            to_line = line + 1 if row == 1 else line + row - 3
+            if to_layer >= nz:
+                continue
+            if to_line < 0 or to_line >= ny:
+                if period == 0.0 or ny == 1:
+                    continue
+                to_line = (to_line + ny) % ny
+            base = (to_layer * ny + to_line) * nx
+            begin, end = start[base + left], start[base + right + 1]
+        for rank in range(begin, end):
+            i = order[rank]
+            name[met], x[met], y[met], z[met], r[met] = i, sphere[i, 0], sphere[i, 1], sphere[i, 2], sphere[i, 3]
+            met += 1
+    return met
 
 
 @njit(cache=True, error_model="numpy")

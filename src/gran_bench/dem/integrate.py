@@ -20,9 +20,9 @@ from gran_bench.neighbors import check_period
 from gran_bench.scene import Scene, Wall
 from gran_bench.state import FloatArray
 
-# Verlet skin in diameters of the largest sphere: wide enough for ten steps and more between searches, narrow
-# enough that most listed pairs touch.
-SKIN_DIAMETERS = 0.2
+# Verlet skin in diameters of the largest sphere: wide enough for tens of steps between searches, narrow enough that
+# pruning its list stays cheap.
+SKIN_DIAMETERS = 0.5
 
 
 class Divergence(ArithmeticError):
@@ -79,12 +79,16 @@ class Physics:
         Args:
             scene: materials, walls, motion, gravity.
             largest_radius: of the particles, m.
-            skin: m; 0.2 diameters of the largest sphere where None.
+            skin: m; where None half a diameter of the largest sphere, or less if the period is short.
 
         Raises:
             ValueError: a skin that is not positive, a period that is too short, or a wall that cannot turn.
         """
-        skin = SKIN_DIAMETERS * 2.0 * largest_radius if skin is None else skin
+        if skin is None:
+            skin = SKIN_DIAMETERS * 2.0 * largest_radius
+            if scene.period:
+                # At least a tenth of that: a period that leaves no more is refused below.
+                skin = max(0.1 * skin, min(skin, 0.5 * scene.period - 2.0 * largest_radius))
         if not (np.isfinite(skin) and skin > 0):
             raise ValueError(f"dem.skin={skin:g} is impossible; choose a value > 0 m, or null")
         check_period(scene.period, 2.0 * largest_radius + skin)

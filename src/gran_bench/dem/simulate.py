@@ -282,7 +282,7 @@ def _first_contacts(
 
 
 @contextmanager
-def _compiling_notice(patience: float = 1.5) -> Iterator[None]:
+def _compiling_notice(patience: float = 3.0) -> Iterator[None]:
     """Says on stderr what a user waits for when the kernels are not in Numba's cache."""
     # A cached load takes less than the patience, so nothing has to be known of how Numba caches.
     notice = threading.Timer(patience, lambda: print("compiling the DEM kernels (once) …", file=sys.stderr, flush=True))
