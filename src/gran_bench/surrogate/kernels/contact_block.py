@@ -3,19 +3,28 @@
 A block is one flat float32 array; row ``R`` of its ``LANES`` contacts is ``block[R * LANES : (R + 1) * LANES]``. One
 array with offsets known at compile time is what lets LLVM prove that rows do not overlap, and turn each loop over
 lanes into SIMD; separate or two-dimensional arrays keep it scalar. The equations are those of
-:func:`gran_bench.surrogate.contact.solve_contacts`, the reference that the tests hold this file to.
+:func:`gran_bench.surrogate.contact_solver.solve_contacts`, which the tests hold this file to.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
 
+from gran_bench.surrogate.contact_solver import (
+    INPUT_CLAMP,
+    INPUT_SCALE,
+    RAMP_NODES,
+    SMALLEST_SLIP_SQUARED,
+    VISCOUS_SHARE,
+)
+
 LANES = 32  # contacts a block: all rows stay in the first-level cache
-HIDDEN, CHANNELS, RAMPS = 16, 4, 8  # other sizes need the reference
+HIDDEN, CHANNELS = 16, 4  # other sizes need the reference
+RAMPS = len(RAMP_NODES) - 1
 INPUTS = RAMPS + 5 + CHANNELS + 2
 OUTPUTS = 3 + CHANNELS + 3
 
@@ -45,10 +54,10 @@ D_STIFFNESS, D_SHARE = D_NORMAL + 18, D_NORMAL + 19  # each lane's part
 ROWS = D_NORMAL + 20
 
 ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
-CLAMP, SCALE, SMALLEST = np.float32(8.0), np.float32(0.3), np.float32(1.0e-4)
-NODES = (-4.0, -1.5, -0.6, -0.2, 0.2, 0.6, 1.5, 4.0, 10.0)
-RAMP_START = tuple(np.float32(low) for low in NODES[:-1])
-RAMP_SLOPE = tuple(np.float32(1.0 / (high - low)) for low, high in itertools.pairwise(NODES))
+CLAMP, SCALE, SMALLEST = np.float32(INPUT_CLAMP), np.float32(INPUT_SCALE), np.float32(SMALLEST_SLIP_SQUARED)
+VISCOUS = np.float32(VISCOUS_SHARE)  # of c
+RAMP_START = tuple(np.float32(low) for low in RAMP_NODES[:-1])
+RAMP_SLOPE = tuple(np.float32(1.0 / (high - low)) for low, high in pairwise(RAMP_NODES))
 
 # Sums may be reordered and multiply-adds contracted; infinities and NaN keep their meaning.
 block_jit = njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "arcp"})
@@ -137,7 +146,7 @@ def answer(b, strength, share):  # pragma: no cover - jitted
         a = b[ANSWER * LANES + c] + strength * max(-b[GAP * LANES + c], ZERO)
         b[ANSWER * LANES + c] = a
         size = b[SLIP_SIZE * LANES + c]
-        drag = b[(ANSWER + 1) * LANES + c] / size + SCALE * b[(ANSWER + 2) * LANES + c]
+        drag = b[(ANSWER + 1) * LANES + c] / size + VISCOUS * b[(ANSWER + 2) * LANES + c]
         pull = b[(ANSWER + 3 + CHANNELS) * LANES + c]
         away = b[(ANSWER + 4 + CHANNELS) * LANES + c]
         extra = b[(ANSWER + 5 + CHANNELS) * LANES + c] / size
@@ -174,7 +183,7 @@ def answer_adjoint(b, strength, share, slope):  # pragma: no cover - jitted
         t0, t1, t2 = b[D_TURN * LANES + c], b[(D_TURN + 1) * LANES + c], b[(D_TURN + 2) * LANES + c]
         inverse = ONE / b[SLIP_SIZE * LANES + c]
         a, friction = b[ANSWER * LANES + c], b[(ANSWER + 1) * LANES + c]
-        drag = friction * inverse + SCALE * b[(ANSWER + 2) * LANES + c]
+        drag = friction * inverse + VISCOUS * b[(ANSWER + 2) * LANES + c]
         pull = b[(ANSWER + 3 + CHANNELS) * LANES + c]
         g0 = p0 + share * (t1 * n2 - t2 * n1)
         g1 = p1 + share * (t2 * n0 - t0 * n2)
@@ -215,7 +224,7 @@ def answer_adjoint(b, strength, share, slope):  # pragma: no cover - jitted
         b[D_GAP * LANES + c] = -strength * d_a if overlap > ZERO else ZERO
         b[D_ANSWER * LANES + c] = d_a
         b[(D_ANSWER + 1) * LANES + c] = d_b
-        b[(D_ANSWER + 2) * LANES + c] = SCALE * along_slip
+        b[(D_ANSWER + 2) * LANES + c] = VISCOUS * along_slip
         b[(D_ANSWER + 3 + CHANNELS) * LANES + c] = g0 * x0 + g1 * x1 + g2 * x2
         b[(D_ANSWER + 4 + CHANNELS) * LANES + c] = -(q0 * n0 + q1 * n1 + q2 * n2)
         b[(D_ANSWER + 5 + CHANNELS) * LANES + c] = extra_along * inverse
