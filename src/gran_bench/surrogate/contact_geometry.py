@@ -62,21 +62,17 @@ def find_contacts(scene: Scene, position: FloatArray, reach: float, wall_reach: 
         near = np.flatnonzero(wall_distance(wall, position) - scene.filling.radius < wall_reach)
         particles.append(near)
         walls.append(np.full(len(near), index, np.int64))
-    pairs = _sorted_pairs(position, reach, scene.period)
+    sphere = np.zeros((len(position), 4))
+    sphere[:, :3] = position
+    if scene.period > 0.0:
+        sphere[:, 1] %= scene.period
+    pairs = _in_order(*list_pairs(sphere, reach, scene.period), len(position))
     return ContactList(pairs, np.concatenate(particles), np.concatenate(walls))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sorted_pairs(position, reach, period):  # pragma: no cover - jitted
-    """Pairs of the cell list in order: counted by i, then each particle's few j by insertion."""
-    count = len(position)
-    sphere = np.zeros((count, 4))
-    for i in range(count):
-        for m in range(3):
-            sphere[i, m] = position[i, m]
-        if period > 0.0:
-            sphere[i, 1] -= period * np.floor(sphere[i, 1] / period)
-    first, second = list_pairs(sphere, reach, period)
+def _in_order(first, second, count):  # pragma: no cover - jitted
+    """Pairs sorted by i, then j, ``(M, 2)`` int64: counted by i, then each particle's few j by insertion."""
     start = np.zeros(count + 1, np.int64)
     for i in first:
         start[i + 1] += 1
@@ -86,12 +82,12 @@ def _sorted_pairs(position, reach, period):  # pragma: no cover - jitted
     for c in range(len(first)):
         i, j = np.int64(first[c]), np.int64(second[c])
         place = fill[i]
-        fill[i] += 1
         while place > start[i] and pairs[place - 1, 1] > j:
             pairs[place, 1] = pairs[place - 1, 1]
             place -= 1
         pairs[place, 1] = j
-        pairs[fill[i] - 1, 0] = i
+        pairs[fill[i], 0] = i
+        fill[i] += 1
     return pairs
 
 

@@ -60,7 +60,7 @@ RAMP_START = tuple(np.float32(low) for low in RAMP_NODES[:-1])
 RAMP_SLOPE = tuple(np.float32(1.0 / (high - low)) for low, high in pairwise(RAMP_NODES))
 
 # Sums may be reordered and multiply-adds contracted; infinities and NaN keep their meaning.
-block_jit = njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "arcp"})
+block_jit = njit(nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "arcp"})
 
 
 @block_jit

@@ -7,12 +7,15 @@ interpreter lock is released.
 
 from __future__ import annotations
 
+import hashlib
 import math
+from pathlib import Path
 
 import numpy as np
 from numba import njit
 
 from gran_bench.surrogate import contact_solver
+from gran_bench.surrogate.kernels import contact_block
 from gran_bench.surrogate.kernels.contact_block import (
     ANSWER,
     CHANNELS,
@@ -182,8 +185,8 @@ def _respond(b, slope, reach, strength, share, w1, b1, w2, b2):  # pragma: no co
     answer(b, strength, share)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def frame_forward(
+@njit(nogil=True, error_model="numpy")
+def _forward(
     pairs, near, wall_start, walls, springs, limits, period, gravity, position, guess, spin,
     w1, b1, w2, b2, stiffness, spin_share, mix_weight, mix_bias, states, messages, sums, outcome,
 ):  # fmt: skip  # pragma: no cover - jitted
@@ -262,7 +265,7 @@ def frame_forward(
             outcome[2, i, m], outcome[3, i, m] = extra[i, m], extra[i, 3 + m]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _mix(now, extra, gravity, weight, bias):  # pragma: no cover - jitted
     """Gravity taken back and channels mixed, for all particles; ``gravity``: what D takes, what the velocity more."""
     held = np.empty(CHANNELS, np.float32)
@@ -281,7 +284,7 @@ def _mix(now, extra, gravity, weight, bias):  # pragma: no cover - jitted
             now[i, CHANNEL + out] += HALF * max(mixed, ZERO)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _mix_adjoint(messages, adjoint, gravity, weight, bias, d_weight, d_bias):  # pragma: no cover - jitted
     """Adjoint of :func:`_mix`; ``messages`` are the channels before it, ``adjoint`` the particles' rows."""
     held, d_held = np.empty(CHANNELS, np.float32), np.empty(CHANNELS, np.float32)
@@ -357,13 +360,13 @@ def _respond_adjoint(
         d_sums[0, first + c], d_sums[1, first + c] = b[D_SUM_A * LANES + c], b[D_SUM_B * LANES + c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def frame_adjoint(
+@njit(nogil=True, error_model="numpy")
+def _adjoint(
     pairs, near, wall_start, walls, springs, limits, period, gravity,
     w1, b1, w2, b2, stiffness, spin_share, mix_weight, mix_bias, states, messages, sums, adjoint, d_position,
     d_w1, d_b1, d_w2, d_b2, d_stiffness, d_spin_share, d_mix_weight, d_mix_bias,
 ):  # fmt: skip  # pragma: no cover - jitted
-    """Adjoint of :func:`frame_forward`; ``adjoint`` is its seed and its result.
+    """Adjoint of :func:`_forward`; ``adjoint`` is its seed and its result.
 
     A row of it is (D, q, h, extra translation, extra spin). The extra parts are only ever added to, so their adjoint
     stays what it was seeded with.
@@ -431,3 +434,31 @@ def frame_adjoint(
                     for m in range(CHANNELS):
                         channel = b[(D_TOGETHER + m) * LANES + c]
                         adjoint[i, 6 + m] += channel + channel
+
+
+def _keyed_entries(sources: str):
+    """The two entries, cached on disk under the digest of everything that they are compiled from.
+
+    Numba keys its cache by the file of the function alone, and a change of another file would go unnoticed. The
+    variables of a closure are part of the key.
+    """
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def forward(*arguments):  # pragma: no cover - jitted
+        sources  # noqa: B018 (the key)
+        _forward(*arguments)
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def adjoint(*arguments):  # pragma: no cover - jitted
+        sources  # noqa: B018 (the key)
+        _adjoint(*arguments)
+
+    return forward, adjoint
+
+
+def _digest_of_sources() -> str:
+    files = (__file__, contact_block.__file__, contact_solver.__file__)
+    return hashlib.sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()
+
+
+frame_forward, frame_adjoint = _keyed_entries(_digest_of_sources())
