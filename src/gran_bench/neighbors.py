@@ -334,5 +334,6 @@ def _list_neighbors(point, query_count, reach, period):
 @njit(cache=True)
 def _enlarged(array, room):
     larger = np.empty(room, array.dtype)
-    larger[: len(array)] = array
+    for k in range(len(array)):  # a slice would take longer to compile than all the rest
+        larger[k] = array[k]
     return larger

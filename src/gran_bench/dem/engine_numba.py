@@ -111,7 +111,7 @@ def _advance(
     first, second, known = _renamed(first, second, known, rank)
 
     pair_i, pair_j, pair_slot, pair_touched, wall_i, wall_w, wall_slot, wall_touched = list_contacts(
-        sphere, walls, skin, period, first, second, known, 0, rolling
+        sphere, walls, skin, period, first, second, known, np.int64(0), rolling
     )
     searched_at, pruned_at, travelled = sphere.copy(), sphere.copy(), 0.0
     near, active, geometry = _room(pair_i, wall_i)
@@ -147,9 +147,9 @@ def _advance(
                             sphere, walls, skin, period, first, second, known, evaluation - 1, rolling
                         )  # fmt: skip
                         near, active, geometry = _room(pair_i, wall_i)
-                        searched_at[:] = sphere
+                        searched_at = sphere.copy()
                     near_count = prune(sphere, pair_i, pair_j, inner, period, near)
-                    pruned_at[:] = sphere
+                    pruned_at = sphere.copy()
                     travelled = 0.0
             load[:] = 0.0
         pair_forces(
@@ -179,18 +179,22 @@ def _advance(
 @njit(error_model="numpy")
 def _order_in_space(position, radius, skin, period):
     """Particles cell by cell, and the rank of each, ``(N,)`` both."""
-    sphere = np.empty((len(position), 4))
-    sphere[:, :3] = position
-    order = bin_cells(sphere, 2.0 * radius.max() + skin, period)[0]
+    # Loops, not slices: they compile in a fraction of the time.
+    sphere, largest = np.empty((len(position), 4)), 0.0
+    for i in range(len(position)):
+        sphere[i, 0], sphere[i, 1], sphere[i, 2] = position[i, 0], position[i, 1], position[i, 2]
+        largest = max(largest, radius[i])
+    order = bin_cells(sphere, 2.0 * largest + skin, period)[0]
     rank = np.empty(len(order), np.int64)
-    rank[order] = np.arange(len(order))
+    for row in range(len(order)):
+        rank[order[row]] = row
     return order, rank
 
 
 @njit(error_model="numpy")
 def _packed(position, velocity, spin, radius, density, order):
     """Rows (x, y, z, r) and (v, 1/m, ω, 1/I) in the given order, and the smallest radius."""
-    sphere, motion = np.empty((len(order), 4)), np.empty((len(order), 8))
+    sphere, motion, smallest = np.empty((len(order), 4)), np.empty((len(order), 8)), np.inf
     for row in range(len(order)):
         i = order[row]
         mass = 4.0 / 3.0 * math.pi * density * radius[i] ** 3
@@ -198,7 +202,8 @@ def _packed(position, velocity, spin, radius, density, order):
             sphere[row, k], motion[row, k], motion[row, 4 + k] = position[i, k], velocity[i, k], spin[i, k]
         sphere[row, 3] = radius[i]
         motion[row, 3], motion[row, 7] = 1.0 / mass, 1.0 / (0.4 * mass * radius[i] ** 2)
-    return sphere, motion, radius.min()
+        smallest = min(smallest, radius[i])
+    return sphere, motion, smallest
 
 
 @njit(error_model="numpy")

@@ -132,15 +132,13 @@ def _pair_loads(
         overlap_before=old.overlap,
         time_step=time_step,
     )
-    np.add.at(force, i, contact.force)
-    np.add.at(force, j, -contact.force)
-    np.add.at(torque, i, arm[:, None] * contact.twist)
-    np.add.at(torque, j, (distance - arm)[:, None] * contact.twist)
+    force += _sums(i, contact.force, len(force)) - _sums(j, contact.force, len(force))
+    torque += _sums(i, arm[:, None] * contact.twist, len(torque))
+    torque += _sums(j, (distance - arm)[:, None] * contact.twist, len(torque))
     moment = old.rolling_moment
     if physics.rolling:
         moment = _moment(physics, contact, moment, bodies.spin[i] - bodies.spin[j], False, time_step)
-        np.add.at(torque, i, moment)
-        np.add.at(torque, j, -moment)
+        torque += _sums(i, moment, len(torque)) - _sums(j, moment, len(torque))
     return ContactHistory(i, j, contact.history, contact.overlap, moment)
 
 
@@ -198,6 +196,12 @@ def _moment(
         law.rolling_friction,
         time_step,
     )
+
+
+def _sums(index: np.ndarray, values: FloatArray, count: int) -> FloatArray:
+    """Sum of the ``(M, 3)`` values of each particle, ``(count, 3)``."""
+    # Several times as fast as np.add.at.
+    return np.stack([np.bincount(index, values[:, axis], count) for axis in range(3)], axis=1)
 
 
 def _recall(history: ContactHistory, first: np.ndarray, second: np.ndarray) -> ContactHistory:
