@@ -64,7 +64,7 @@ def numbers(folder: Path) -> dict:
     summary = json.loads((run_of(folder) / "summary.json").read_text())
     for name in ("wall_seconds", "provenance"):
         del summary[name]
-    for name in ("seconds", "data_seconds", "model_sha256", "command"):
+    for name in ("seconds", "data_seconds", "model_sha256", "command", "commit", "code_digest"):
         del summary["training"][name]
     for rollout in summary["rollouts"].values():
         for name in [name for name in rollout if "ms_per_frame" in name]:
