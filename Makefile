@@ -16,7 +16,7 @@ data: $(READY)
 	$(BIN)/python -m gran_bench.generate
 
 test: lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: $(READY)
 	$(BIN)/ruff check .
