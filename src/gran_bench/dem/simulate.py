@@ -14,9 +14,9 @@ from tqdm import tqdm
 
 from gran_bench.config import DemConfig
 from gran_bench.dem import engine_numba, engine_numpy
-from gran_bench.dem.contact import sphere_mass
 from gran_bench.dem.initial_checks import check_initial_state
 from gran_bench.dem.integrate import Divergence, Physics
+from gran_bench.dem.record import FrameRecord, SimulationError
 from gran_bench.dem.time_step import TimeStepError, choose_time_step, dividing_step
 from gran_bench.dem.walls import largest_excess
 from gran_bench.scene import Rotation, Scene
@@ -32,18 +32,6 @@ ENGINES: dict[str, Callable[[ParticleState, Physics, float, FloatArray], Particl
 }
 # Longest stretch between two looks at a bed that settles: short enough not to overshoot rest by much.
 SETTLING_LOOK = 0.01  # s
-
-
-class SimulationError(RuntimeError):
-    """A run that cannot go on; the message names particle and time.
-
-    Attributes:
-        trajectory: the frames up to the failure, the failed one last. Its values may not be finite.
-    """
-
-    def __init__(self, message: str, trajectory: Trajectory) -> None:
-        super().__init__(message)
-        self.trajectory = trajectory
 
 
 @dataclass(frozen=True)
@@ -101,7 +89,7 @@ def simulate(
     substeps = round(scene.frame_interval / time_step)
     physics, advance = Physics.of(scene, largest, dem.skin), _engine(dem)
     state = _as_float64(state)
-    record = _Record(scene, state.radius)
+    record = FrameRecord(scene, state.radius)
     record.add(_first_contacts(advance, state, physics, scene, time_step), state.time)
     times = _frame_times(scene, state.time, frames)
     started = clock.perf_counter()
@@ -171,62 +159,6 @@ def settle(
     return replace(state, time=scene.start_time, history=_sorted_history(state.history))
 
 
-def contact_diagnostics(state: ParticleState, density: float) -> dict[str, float]:
-    """Energies and overlaps of a state whose history lists its touching contacts.
-
-    ½ Σ m v² and ½ Σ I ω² in J; mean and largest overlap of touching pairs and walls in m, 0 where none touch.
-
-    Args:
-        state: as an engine leaves it.
-        density: of the particles, kg/m³.
-    """
-    mass = sphere_mass(density, state.radius)
-    inertia = 0.4 * mass * state.radius**2
-    touching_wall = state.history.second < 0
-    figures = {
-        "kinetic_energy_translational": 0.5 * float(mass @ np.square(state.velocity).sum(axis=1)),
-        "kinetic_energy_rotational": 0.5 * float(inertia @ np.square(state.angular_velocity).sum(axis=1)),
-    }
-    for prefix, overlap in (
-        ("", state.history.overlap[~touching_wall]),
-        ("wall_", state.history.overlap[touching_wall]),
-    ):
-        figures[f"{prefix}overlap_mean"] = float(overlap.mean()) if len(overlap) else 0.0
-        figures[f"{prefix}overlap_max"] = float(overlap.max()) if len(overlap) else 0.0
-        figures[f"{prefix}contact_count"] = float(len(overlap))
-    return figures
-
-
-class _Record:
-    """Frames and diagnostics as they come."""
-
-    def __init__(self, scene: Scene, radius: FloatArray) -> None:
-        self.density, self.radius = scene.material.density, radius
-        self.time: list[float] = []
-        self.frames: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-        self.figures: list[dict[str, float]] = []
-
-    def add(self, state: ParticleState, time: float) -> None:
-        self.time.append(time)
-        self.frames.append((state.position, state.velocity, state.angular_velocity))
-        self.figures.append(contact_diagnostics(state, self.density))
-
-    def trajectory(self, *failed: tuple[float, FloatArray, FloatArray, FloatArray]) -> Trajectory:
-        """All frames, and a failed one that has no diagnostics."""
-        frames = self.frames + [frame[1:] for frame in failed]
-        nothing = dict.fromkeys(self.figures[0], np.nan) if self.figures else {}
-        figures = self.figures + [nothing for _ in failed]
-        position, velocity, spin = (np.stack([frame[k] for frame in frames]) for k in range(3))
-        return Trajectory(
-            time=np.array(self.time + [frame[0] for frame in failed]),
-            position=position,
-            velocity=velocity,
-            angular_velocity=spin,
-            radius=self.radius,
-            diagnostics={name: np.array([f[name] for f in figures]) for name in figures[0]},
-        )
-
-
 def _advance_checked(
     advance: Callable[..., ParticleState],
     state: ParticleState,
@@ -235,7 +167,7 @@ def _advance_checked(
     time_step: float,
     substeps: int,
     time: float,
-    record: _Record | None,
+    record: FrameRecord | None,
 ) -> ParticleState:
     """One frame on; a failure leaves as a SimulationError that carries the frames so far and its own."""
 
