@@ -11,7 +11,8 @@ from gran_bench.neighbors import tree_pairs
 from gran_bench.scene import Plane, Scene, build_scene
 from gran_bench.surrogate.contact import ContactNetwork
 from gran_bench.surrogate.contact_geometry import find_contacts, wall_displacement_matrix, wall_surfaces
-from gran_bench.surrogate.contact_memory import SPRING_CAP, ContactMemory, follow_memory, springs_of, warm_memory
+from gran_bench.surrogate.contact_memory import ContactMemory, follow_memory, warm_memory
+from gran_bench.surrogate.kernels.contact_springs import SPRING_CAP
 from gran_bench.surrogate.step import FrameState
 
 DIAMETER = 0.05
@@ -280,25 +281,19 @@ class TestMemory:
         spins = np.tile(np.array([[0.0, 0.0, 3.0], [0.0, 0.0, -3.0]]), (3, 1, 1))
         assert np.abs(warm_memory(scene, 0.01 * np.arange(3), positions, spins).spring).max() < 1e-6
 
-    def test_a_spring_turns_with_its_contact(self):
+    def test_a_spring_turns_with_its_contact_and_keeps_its_length(self):
         scene = nowhere()
-        memory = ContactMemory(np.array([1]), np.array([[0.0, 0.1, 0.0]], np.float32))
-        angle, distance = 0.3, 0.0495
-        positions = np.zeros((2, 2, 3))
-        positions[0, 1] = distance, 0.0, 0.0
-        positions[1, 1] = distance * np.cos(angle), distance * np.sin(angle), 0.0
-        # Both spheres turn rigidly with the pair: no slip, only the turning of the plane.
-        spins = np.zeros((2, 2, 3))
-        spins[:, :, 2] = angle / scene.frame_interval
-        contacts = find_contacts(scene, positions[1], DIAMETER, 0.0)
-        from gran_bench.surrogate.contact_memory import _gather
-
-        held = springs_of(memory, contacts, 2).numpy()
-        spring = _gather(scene, 0.0, positions, spins, contacts, held).spring[0]
-        normal = positions[1, 1] / distance
-        assert abs(spring @ normal) < 1e-6
-        # Chord against arc of the finite rotation is all that the length may change by.
-        assert np.linalg.norm(spring) == pytest.approx(0.1, abs=50.0 * angle**3)
+        angle, distance, slip = 0.3, 0.0495, 0.0001
+        positions, spins = np.zeros((3, 2, 3)), np.zeros((3, 2, 3))
+        positions[:2, 1, 0] = distance
+        positions[2, 1] = distance * np.cos(angle), distance * np.sin(angle), 0.0
+        # First the spheres turn on the spot and slip along y; then the pair turns, and they roll with it.
+        frame = 0.5 * DIAMETER * scene.frame_interval  # of a mean of two spins
+        spins[1, :, 2] = -slip / frame
+        spins[2, :, 2] = (slip + distance * np.sin(angle)) / frame
+        _, before, after = follow_memory(scene, 0.01 * np.arange(3), positions, spins)
+        assert before.spring[0] == pytest.approx([0.0, 0.1, 0.0], abs=1e-5)
+        assert after.spring[0] == pytest.approx([-0.1 * np.sin(angle), 0.1 * np.cos(angle), 0.0], abs=1e-4)
 
     def test_a_sphere_carried_by_the_drum_gathers_nothing_and_one_that_stays_behind_does(self):
         scene = drum(count=1)
