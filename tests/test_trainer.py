@@ -2,7 +2,7 @@
 
 import itertools
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -10,6 +10,8 @@ import torch
 from torch import nn
 
 from gran_bench.config import (
+    BoundaryConfig,
+    CconvModelConfig,
     ContactModelConfig,
     LossConfig,
     OptimConfig,
@@ -19,6 +21,7 @@ from gran_bench.config import (
     TrainerConfig,
 )
 from gran_bench.scene import build_scene
+from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.step import FrameState, Surrogate
 from gran_bench.trainer import (
     CHECKPOINT,
@@ -53,7 +56,7 @@ class FakeWindow:
     position: np.ndarray
     velocity: np.ndarray
     angular_velocity: np.ndarray
-    overlap_per_particle: np.ndarray
+    mean_overlap: np.ndarray
 
     def velocity_at(self, k: int, kind: str) -> np.ndarray:
         return self.velocity[k]
@@ -69,6 +72,16 @@ class FakeWindows:
         velocity = speed * (2.0 / 3.0) ** k
         position = start + SCENE.frame_interval * (np.cumsum(velocity, axis=0) - velocity[0])
         return FakeWindow(SCENE, 1.5, position, velocity, velocity * 0, np.zeros(frames + 1))
+
+
+class CrowdedWindows(FakeWindows):
+    """The same in a box of half a metre, so that spheres have neighbours and walls."""
+
+    def draw(self, draw: int, frames: int) -> FakeWindow:
+        window = super().draw(draw, frames)
+        crowd = np.random.default_rng((6, draw)).uniform(-0.25, 0.25, (frames + 1, 400, 3)).astype(np.float32)
+        zeros = np.zeros_like(crowd)
+        return replace(window, position=crowd - [0.0, 0.0, 0.2], velocity=zeros, angular_velocity=zeros)
 
 
 def config(**changes) -> TrainConfig:
@@ -171,6 +184,38 @@ def test_the_time_cap_counts_across_resumes(tmp_path):
     result = capped.run(progress=False)
     assert (result.stopped_by, result.steps) == ("time", 4)
     assert result.seconds == pytest.approx(trainer.seconds)
+
+
+def test_a_training_stopped_after_its_last_update_knows_its_loss(tmp_path):
+    whole, _ = train(tmp_path / "whole")
+    (tmp_path / "late").mkdir()
+    late = Trainer(Network(), FakeWindows(), config(), tmp_path / "late", should_stop=lambda: late.step == 12)
+    with pytest.raises(TrainingStopped):
+        late.run(progress=False)
+    again = Trainer(Network(), FakeWindows(), config(), tmp_path / "late").run(progress=False)
+    assert again.loss == whole.last_loss
+    assert again.stopped_by == "steps"
+
+
+def test_the_fused_convolution_trains_to_the_same_bits_on_any_number_of_threads(tmp_path):
+    settings = dict(
+        model=CconvModelConfig(width=8, layers=1),
+        rollout=RolloutConfig(frames=1),
+        loss=LossConfig(position_l2=1.0),
+        optim=OptimConfig(accumulate=2),
+        trainer=TrainerConfig(steps=2),
+    )
+
+    def weights(threads: int) -> dict:
+        torch.manual_seed(0)
+        folder = tmp_path / str(threads)
+        folder.mkdir()
+        model = build_model(settings["model"], BoundaryConfig(), SCENE)
+        trainer = Trainer(model, CrowdedWindows(), config(threads=threads, **settings), folder)
+        trainer.run(progress=False)
+        return trainer.final_weights()
+
+    assert same(weights(1), weights(2))
 
 
 def test_a_loss_that_is_not_finite_stops_and_keeps_what_led_there(tmp_path):

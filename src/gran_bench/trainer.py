@@ -27,6 +27,7 @@ from gran_bench.atomic import write_atomically
 from gran_bench.config import OptimConfig, RolloutConfig, TrainConfig
 from gran_bench.dataset import Window, Windows
 from gran_bench.losses import Target, WindowLoss
+from gran_bench.provenance import code_digest
 from gran_bench.surrogate.step import FrameState, Surrogate
 
 CHECKPOINT = "checkpoint.pt"
@@ -50,7 +51,7 @@ class TrainingResult:
         steps: optimiser updates in all.
         seconds: wall time in all, across resumes, s.
         stopped_by: ``steps`` or ``time``.
-        loss: last logged loss (mean over windows of Σ over frames).
+        loss: of the last update (mean over windows of Σ over frames).
         parameters: of the model, number of scalars.
     """
 
@@ -122,9 +123,10 @@ class Trainer:
         self.parameters = list(model.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, lr=config.optim.learning_rate)
         self.average = [p.detach().clone() for p in self.parameters] if config.optim.weight_average else None
-        self.step, self.seconds = 0, 0.0
+        self.step, self.seconds, self.last_loss = 0, 0.0, math.nan
         on_cpu = self.parameters[0].device.type == "cpu"
         self.workers = min(config.threads, config.optim.accumulate) if on_cpu else 1
+        self.resumed_from_other_code = False
         self._memories: dict[int, list[Any]] = {}
         self._following = threading.Lock()
         self.replicas = [model] + [self._sharing_copy() for _ in range(self.workers - 1)]
@@ -146,6 +148,8 @@ class Trainer:
             "average": self.average,
             "step": self.step,
             "seconds": self.seconds,
+            "loss": self.last_loss,
+            "code_digest": code_digest(),
         }
         write_atomically(self.folder / CHECKPOINT, lambda file: torch.save(state, file))
 
@@ -160,7 +164,8 @@ class Trainer:
         if self.average is not None:
             for kept, saved in zip(self.average, state["average"], strict=True):
                 kept.copy_(saved)
-        self.step, self.seconds = state["step"], state["seconds"]
+        self.step, self.seconds, self.last_loss = state["step"], state["seconds"], state["loss"]
+        self.resumed_from_other_code = state["code_digest"] != code_digest()
         return True
 
     # ---- one update --------------------------------------------------------------------------------------
@@ -236,7 +241,7 @@ class Trainer:
             self._tensor(window.position[k]),
             self._tensor(window.velocity_at(k, model.velocity_kind)),
             self._tensor(window.angular_velocity[k]),
-            float(window.overlap_per_particle[k]),
+            float(window.mean_overlap[k]),
         )
 
     def _tensor(self, array: np.ndarray) -> Tensor:
@@ -306,11 +311,11 @@ class Trainer:
         self.resume()
         budget = self.config.trainer
         cap = math.inf if budget.minutes is None else 60.0 * budget.minutes
-        last_saved, loss = time.monotonic(), math.nan
+        last_saved = time.monotonic()
         before, began = self.seconds, time.monotonic()
         threads = torch.get_num_threads()
-        # Threads run whole windows; a second layer of threads inside each operation would only fight them.
-        torch.set_num_threads(1 if self.workers > 1 else threads)
+        # Threads run whole windows. Threads inside an operation would fight them, and would sum in another order.
+        torch.set_num_threads(1)
         bar = tqdm(
             total=budget.steps, initial=self.step, desc="training", unit="update", disable=None if progress else True
         )
@@ -320,9 +325,9 @@ class Trainer:
                 while self.step < budget.steps and self.seconds < cap:
                     metrics = self.update(pool)
                     self.seconds = before + time.monotonic() - began
-                    loss = metrics["loss"]
+                    self.last_loss = metrics["loss"]
                     bar.update()
-                    bar.set_postfix(loss=f"{loss:.4f}", refresh=False)
+                    bar.set_postfix(loss=f"{self.last_loss:.4f}", refresh=False)
                     if self.step % budget.log_every == 0 or self.step == budget.steps:
                         self.log(metrics | {"seconds": self.seconds}, self.step)
                     due = budget.checkpoint_steps and self.step % budget.checkpoint_steps == 0
@@ -337,7 +342,8 @@ class Trainer:
             bar.close()
         self.save()
         stopped_by = "steps" if self.step >= budget.steps else "time"
-        return TrainingResult(self.step, self.seconds, stopped_by, loss, sum(p.numel() for p in self.parameters))
+        count = sum(p.numel() for p in self.parameters)
+        return TrainingResult(self.step, self.seconds, stopped_by, self.last_loss, count)
 
     def final_weights(self) -> dict[str, Tensor]:
         """The weights to judge: the running average where there is one, else the last."""
