@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gran_bench.config import LossConfig, SceneConfig
-from gran_bench.losses import TERMS, LossError, Target, WindowLoss, frame_weights, total_overlap
+from gran_bench.losses import TERMS, LossError, Target, WindowLoss, contact_overlaps, frame_weights
 from gran_bench.scene import build_scene
 from gran_bench.surrogate.step import FrameState
 
@@ -60,7 +60,7 @@ def test_errors_that_cancel_within_a_cell_leave_the_flow_right():
     assert TERMS["cell_displacement"](predicted, target, SCENE).item() == pytest.approx(0.001 / D, rel=1e-4)
 
 
-def test_overlap_sums_pairs_and_walls():
+def test_overlaps_are_those_of_pairs_and_walls():
     r, big_r, half = 0.5 * D, 0.5, 0.5
     position = torch.tensor(
         [
@@ -71,16 +71,38 @@ def test_overlap_sums_pairs_and_walls():
         ],
         dtype=torch.float64,
     )
-    assert total_overlap(position, SCENE).item() == pytest.approx(0.1 * D + 0.005, rel=1e-9)
+    assert contact_overlaps(position, SCENE).tolist() == pytest.approx([0.1 * D, 0.002, 0.003], rel=1e-9)
 
 
-def test_overlap_that_the_dem_has_too_is_free():
-    position = torch.tensor([[0.0, 0.0, 0.0], [0.9 * D, 0.0, 0.0]], dtype=torch.float64)
+def test_only_overlap_deeper_than_the_dems_mean_costs_contact_by_contact():
+    # A pair 0.1 d deep and a pair 0.01 d deep: four spheres, of which the shallow two cannot pay for the deep.
+    position = torch.zeros(4, 3, dtype=torch.float64)
+    position[:, 0] = torch.tensor([-4.0, -3.1, 2.0, 2.99], dtype=torch.float64) * D
     predicted = FrameState(position, torch.zeros_like(position))
-    target = Target(position, position, position, overlap_per_particle=0.05 * D)
-    assert TERMS["overlap"](predicted, target, SCENE).item() == pytest.approx(0.0, abs=1e-9)
-    stricter = replace(target, overlap_per_particle=0.02 * D)
-    assert TERMS["overlap"](predicted, stricter, SCENE).item() == pytest.approx(0.03, rel=1e-9)
+
+    def cost(mean_overlap: float) -> float:
+        return TERMS["overlap"](predicted, Target(position, position, position, mean_overlap), SCENE).item()
+
+    assert cost(0.1 * D) == pytest.approx(0.0, abs=1e-9)
+    assert cost(0.055 * D) == pytest.approx(0.045 / 4, rel=1e-9)
+    assert cost(0.0) == pytest.approx(0.11 / 4, rel=1e-9)
+
+
+def test_a_wall_is_a_contact_too():
+    position = torch.tensor([[0.0, 0.0, -0.475 - 0.002]], dtype=torch.float64)  # 2 mm into the cylinder
+    predicted = FrameState(position, torch.zeros_like(position))
+    target = Target(position, position, position, mean_overlap=0.0005)
+    assert TERMS["overlap"](predicted, target, SCENE).item() == pytest.approx(0.0015 / D, rel=1e-9)
+
+
+@pytest.mark.parametrize("broken", [np.nan, np.inf])
+def test_overlap_of_a_position_that_is_not_finite_is_not_finite_and_no_crash(broken: float):
+    predicted, target = bed()
+    predicted.position[3, 1] = broken
+    predicted.position.requires_grad_(True)
+    found = TERMS["overlap"](predicted, target, SCENE)
+    assert torch.isnan(found)
+    found.backward()  # attached to the graph, like every other term
 
 
 @pytest.mark.parametrize("name", TERMS)

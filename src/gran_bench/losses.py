@@ -6,6 +6,7 @@ which has frame weights of its own (a spin error grows faster with the horizon t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
@@ -33,13 +34,13 @@ class Target:
         position: ``(N, 3)`` m.
         velocity: ``(N, 3)`` m/s, of the same kind (mean or instantaneous) as the model's.
         angular_velocity: ``(N, 3)`` rad/s.
-        overlap_per_particle: the DEM's own sum of pair and wall overlaps of this frame divided by N, m.
+        mean_overlap: the DEM's own mean overlap of a contact of this frame, pairs and walls together, m.
     """
 
     position: Tensor
     velocity: Tensor
     angular_velocity: Tensor
-    overlap_per_particle: float = 0.0
+    mean_overlap: float = 0.0
 
 
 def frame_weights(kind: str, frames: int, discount: float = 0.8) -> list[float]:
@@ -94,23 +95,28 @@ def spin(predicted: FrameState, target: Target, scene: Scene) -> Tensor:
 
 
 def overlap(predicted: FrameState, target: Target, scene: Scene) -> Tensor:
-    """(Σ overlaps of pairs and walls − the DEM's own, if positive) / N d.
+    """Σ_contacts max(0, overlap − the DEM's own mean overlap of a contact) / N d, over pairs and walls.
 
-    The sum over contacts is compared with the DEM's sum at the same frame, so that soft contacts that the
-    DEM itself has cost nothing.
+    Contacts as soft as the DEM's cost nothing, and one that is too deep is not paid for by others that are shallow.
+    NaN where a predicted position is not finite.
     """
-    total = total_overlap(predicted.position, scene)
-    excess = torch.relu(total / len(predicted.position) - target.overlap_per_particle)
-    return excess / scene.filling.diameter
+    excess = torch.relu(contact_overlaps(predicted.position, scene) - target.mean_overlap)
+    return excess.sum() / len(predicted.position) / scene.filling.diameter
 
 
-def total_overlap(position: Tensor, scene: Scene) -> Tensor:
-    """Sum of all pair and wall overlaps, m; differentiable in ``position`` ``(N, 3)``."""
+def contact_overlaps(position: Tensor, scene: Scene) -> Tensor:
+    """Overlaps of the contacts of pairs and walls, ``(C,)`` m; differentiable in ``position`` ``(N, 3)``.
+
+    A position that is not finite has no neighbours: the result is then one NaN, attached to the graph, so that the
+    loss is seen to diverge where all other terms are.
+    """
+    if not torch.isfinite(position).all():
+        return (position.sum() * math.nan).reshape(1)
     diameter, radius = scene.filling.diameter, scene.filling.radius
     found = tree_pairs(position.detach().cpu().double().numpy(), diameter, scene.period)
     pairs = torch.from_numpy(np.ascontiguousarray(found)).to(position.device)
     apart = minimum_image(position[pairs[:, 0]] - position[pairs[:, 1]], scene.period)
-    total = torch.relu(diameter - torch.sqrt(apart.square().sum(dim=1) + 1e-24)).sum()
+    overlaps = [diameter - torch.sqrt(apart.square().sum(dim=1) + 1e-24)]
     for wall in scene.walls:
         from_point = position - position.new_tensor(wall.point)
         if isinstance(wall, Cylinder):
@@ -119,8 +125,8 @@ def total_overlap(position: Tensor, scene: Scene) -> Tensor:
             gap = wall.radius - torch.sqrt(across.square().sum(dim=1) + 1e-24) - radius
         else:
             gap = from_point @ position.new_tensor(wall.normal) - radius
-        total = total + torch.relu(-gap).sum()
-    return total
+        overlaps.append(-gap[gap < 0])
+    return torch.cat(overlaps)
 
 
 def cell_displacement(predicted: FrameState, target: Target, scene: Scene) -> Tensor:

@@ -13,7 +13,7 @@ from gran_bench.dataset.case_spec import (
 from gran_bench.dataset.generation import ensure_case, ensure_cases
 from gran_bench.dataset.scene_document import from_document, to_document
 from gran_bench.dataset.summary import CaseRow, case_rows, generate, table
-from gran_bench.dataset.windows import Statistics, Window, Windows, dataset_digest, statistics
+from gran_bench.dataset.windows import Window, Windows, dataset_digest
 
 __all__ = [
     "Case",
@@ -21,7 +21,6 @@ __all__ = [
     "CaseSpec",
     "DatasetError",
     "Split",
-    "Statistics",
     "Window",
     "Windows",
     "case_rows",
@@ -37,7 +36,6 @@ __all__ = [
     "replicas",
     "rotation_label",
     "split_cases",
-    "statistics",
     "table",
     "to_document",
 ]

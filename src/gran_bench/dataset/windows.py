@@ -28,7 +28,7 @@ class Window:
         velocity: ``(A + 1, N, 3)`` float32, instantaneous, m/s.
         angular_velocity: ``(A + 1, N, 3)`` float32, rad/s.
         previous_position: ``(N, 3)`` float32, one frame before the start, m; None at the settled state.
-        overlap_per_particle: ``(A + 1,)`` the DEM's sum of pair and wall overlaps over N, m.
+        mean_overlap: ``(A + 1,)`` the DEM's mean overlap of a contact, pairs and walls together, m; 0 without contacts.
     """
 
     scene: Scene
@@ -39,7 +39,7 @@ class Window:
     velocity: FloatArray
     angular_velocity: FloatArray
     previous_position: FloatArray | None
-    overlap_per_particle: FloatArray
+    mean_overlap: FloatArray
 
     def velocity_at(self, frame: int, kind: str) -> FloatArray:
         """Velocity at a frame of the window, ``(N, 3)`` float32, m/s.
@@ -58,10 +58,6 @@ class Window:
         if self.scene.period:
             moved[:, 1] -= self.scene.period * np.round(moved[:, 1] / self.scene.period)
         return (moved / self.scene.frame_interval).astype(np.float32)
-
-    def start_velocity(self, kind: str) -> FloatArray:
-        """Velocity at the start frame, as :meth:`velocity_at`."""
-        return self.velocity_at(0, kind)
 
     def mirrored(self) -> Window:
         """The window reflected along the drum's axis, y → −y; spin, an axial vector, keeps its y component."""
@@ -100,7 +96,7 @@ class Windows:
             raise DatasetError(f"cases have frame intervals of {sorted(intervals)} s; train on one interval")
         self.cases, self.seed = list(cases), seed
         self.startup_fraction, self.startup_seconds = startup_fraction, startup_seconds
-        self._overlap = [_overlap_per_particle(case) for case in cases]
+        self._overlap = [_mean_overlap(case) for case in cases]
 
     def draw(self, number: int, frames_ahead: int) -> Window:
         """Window ``number`` of an endless, seeded sequence; a pure function of the seed and the arguments.
@@ -137,7 +133,7 @@ class Windows:
             velocity=trajectory.velocity[span],
             angular_velocity=trajectory.angular_velocity[span],
             previous_position=trajectory.position[start - 1] if start else None,
-            overlap_per_particle=self._overlap[case][span],
+            mean_overlap=self._overlap[case][span],
         )
 
     @property
@@ -146,56 +142,18 @@ class Windows:
         return dataset_digest(self.cases)
 
 
-@dataclass(frozen=True)
-class Statistics:
-    """Root mean squares over all frames and particles of the training cases, in SI.
-
-    Attributes:
-        speed: √⟨‖v‖²⟩, m/s.
-        spin: √⟨‖ω‖²⟩, rad/s.
-        displacement: √⟨‖x_{k+1} − x_k‖²⟩, m a frame.
-        velocity_change: √⟨‖v_{k+1} − v_k‖²⟩, m/s a frame.
-        overlap_per_particle: mean over frames of the sum of overlaps over N, m.
-    """
-
-    speed: float
-    spin: float
-    displacement: float
-    velocity_change: float
-    overlap_per_particle: float
-
-
-def statistics(windows: Windows) -> Statistics:
-    """Statistics of the training cases, and of nothing else: a :class:`Windows` has no other."""
-    period = windows.cases[0].scene.period
-    sums = {name: [] for name in Statistics.__dataclass_fields__}
-    for case, overlap in zip(windows.cases, windows._overlap, strict=True):
-        motion = case.trajectory
-        moved = np.diff(motion.position, axis=0)
-        if period:
-            moved[..., 1] -= period * np.round(moved[..., 1] / period)
-        for name, vectors in (
-            ("speed", motion.velocity),
-            ("spin", motion.angular_velocity),
-            ("displacement", moved),
-            ("velocity_change", np.diff(motion.velocity, axis=0)),
-        ):
-            sums[name].append(np.einsum("fni,fni->", vectors, vectors, dtype=np.float64) / vectors[..., 0].size)
-        sums["overlap_per_particle"].append(overlap.mean() ** 2)
-    return Statistics(**{name: float(np.sqrt(np.mean(values))) for name, values in sums.items()})
-
-
 def dataset_digest(cases: Iterable[Case | Path | str]) -> str:
     """16 hex digits over the digests of cases, whatever their order."""
     digests = sorted(c.digest if isinstance(c, Case) else read_attributes(c)["digest"] for c in cases)
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()[:16]
 
 
-def _overlap_per_particle(case: Case) -> FloatArray:
-    """Sum of pair and wall overlaps over N, ``(F,)`` m, from the engine's float64 figures."""
+def _mean_overlap(case: Case) -> FloatArray:
+    """Mean overlap of a contact, pairs and walls, ``(F,)`` m, from the engine's float64 figures; 0 without contacts."""
     figures = case.trajectory.diagnostics
-    total = np.zeros(case.trajectory.frame_count)
+    total, count = np.zeros((2, case.trajectory.frame_count))
     for contacts, mean in (("contact_count", "overlap_mean"), ("wall_contact_count", "wall_overlap_mean")):
         # No contact has no mean overlap, which an engine may store as NaN.
         total += np.where(figures[contacts] > 0, figures[contacts] * figures[mean], 0.0)
-    return total / max(case.settled.count, 1)
+        count += figures[contacts]
+    return total / np.maximum(count, 1)
