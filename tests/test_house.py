@@ -23,7 +23,7 @@ ROOMS = [
     *("atomic", "provenance", "stopping"),
     *("config", "config_rules", "config_consistency", "config_check"),
     *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses", "rollout", "metrics"),
-    *("baselines", "trainer", "evaluation", "plots", "export", "tracking", "report", "run_record", "experiment"),
+    *("baselines", "trainer", "evaluation_plan", "evaluation", "plots", "export", "tracking", "report", "run_record", "experiment"),
     *("override_errors", "entry", "shipped", "result_page"),
 ]
 ENTRIES = ["train", "generate", "verify", "evaluate", "benchmark", "stress", "ui"]

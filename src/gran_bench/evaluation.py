@@ -5,7 +5,9 @@ A hybrid has no place here: between the settled state and the last frame nothing
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,64 +17,20 @@ import torch
 
 from gran_bench.atomic import whole_file
 from gran_bench.baselines import ballistic, interpolated_statistics, rigid_rotation
-from gran_bench.config import DatasetConfig, DemConfig, JudgeConfig
-from gran_bench.dataset import Case, CaseSpec, dataset_digest, ensure_cases, half_step, read_case, replicas
+from gran_bench.config import JudgeConfig
+from gran_bench.dataset import Case, CaseSpec, dataset_digest, ensure_cases, read_case
+from gran_bench.evaluation_plan import Plan, rollout_name
 from gran_bench.metrics.judge import judge, nearest_case
 from gran_bench.metrics.judgement import Judgement
 from gran_bench.metrics.position_error import HORIZONS, short_horizon_errors, spread_starts
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.rollout import Rollout, rollout
-from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
 from gran_bench.surrogate.step import Surrogate
 
 Tell = Callable[[str], None]
 # The distances that stand in the short table, for the model and for the baselines.
 COMPARED = ("surface_angle", "com_angle", "speed_w1")
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What is rolled out and what it is held against.
-
-    Attributes:
-        scene: without a speed of its own.
-        dem: the solver's settings.
-        dataset: speeds, packings, replicas.
-        judge: speeds to roll out.
-    """
-
-    scene: Scene
-    dem: DemConfig
-    dataset: DatasetConfig
-    judge: JudgeConfig
-
-    @property
-    def holdout_rpm(self) -> float:
-        """The speed that decides, rpm."""
-        return float(self.dataset.holdout_speeds_rpm[0])
-
-    def case(self, rpm: float, unseen: bool = False) -> CaseSpec:
-        """The DEM's case at a speed, from the shared or the unseen packing."""
-        seed = self.dataset.unseen_packing_seed if unseen else self.dataset.packing_seed
-        return CaseSpec(self.scene.at_speed(rpm), self.dem, seed)
-
-    def replicas(self, unseen: bool) -> list[CaseSpec]:
-        """The nudged runs of the held-out case that give the noise floor."""
-        return replicas(self.case(self.holdout_rpm, unseen), self.dataset.replicas)
-
-    @property
-    def packings(self) -> list[bool]:
-        """Which packings are judged: the shared one, and the unseen one where it is asked for."""
-        return [False, True] if self.judge.unseen_packing else [False]
-
-    @property
-    def cases(self) -> list[CaseSpec]:
-        """Every run of the DEM that judging needs."""
-        held = [self.case(self.holdout_rpm, unseen) for unseen in (False, True)]
-        speeds = [self.case(rpm) for rpm in self.judge.speeds_rpm]
-        doubles = [spec for unseen in self.packings for spec in self.replicas(unseen)]
-        return [*speeds, *held, half_step(held[0]), *doubles]
 
 
 @dataclass(frozen=True)
@@ -111,53 +69,62 @@ def evaluate(model: Surrogate, plan: Plan, folder: Path, tell: Tell, progress: b
     """
     tell("DEM runs to judge against: cases, replicas, another packing, half the time step")
     ensure_cases(plan.cases, plan.dataset.root, plan.dataset.workers, progress)
-    jobs = {rollout_name(rpm): plan.case(rpm) for rpm in plan.judge.speeds_rpm}
+    jobs = {rollout_name(rpm): plan.case(rpm) for rpm in plan.speeds_rpm}
     for unseen in plan.packings:
-        jobs[rollout_name(plan.holdout_rpm, unseen)] = plan.case(plan.holdout_rpm, unseen)
+        jobs[rollout_name(plan.judged_rpm, unseen)] = plan.case(plan.judged_rpm, unseen)
     cases = {name: read_case(spec.path(plan.dataset.root)) for name, spec in jobs.items()}
     rollouts = {}
-    for name, case in cases.items():
-        tell(f"rollout of {case.trajectory.frame_count} frames, {name}")
-        rollouts[name] = _kept_rollout(model, case, folder / "rollouts" / f"{name}.npz", progress)
+    with _one_thread():
+        for name, case in cases.items():
+            tell(f"rollout of {case.trajectory.frame_count} frames, {name}")
+            rollouts[name] = _kept_rollout(model, case, folder / "rollouts" / f"{name}.npz", progress)
     judgements, candidates, doubles = {}, {}, {}
     for unseen in plan.packings:
         packing = "unseen" if unseen else "shared"
-        tell(f"judging {rollout_name(plan.holdout_rpm, unseen)} against {plan.dataset.replicas} replicas")
-        judgements[packing], candidates[packing], doubles[packing] = _judge_holdout(plan, rollouts, unseen)
+        tell(f"judging {rollout_name(plan.judged_rpm, unseen)} against {plan.dataset.replicas} replicas")
+        judgements[packing], candidates[packing], doubles[packing] = _judge_packing(plan, rollouts, unseen)
     summary = {
-        "holdout_rpm": plan.holdout_rpm,
+        "judged_rpm": plan.judged_rpm,
+        "judged_as": "validation" if plan.validates else "held out",
         "judged": {packing: judgement.to_dict() for packing, judgement in judgements.items()},
-        "baselines": _baselines(plan, cases[rollout_name(plan.holdout_rpm)], doubles["shared"]),
+        "baselines": _baselines(plan, cases[rollout_name(plan.judged_rpm)], doubles["shared"]),
         "nearest_case": _nearest(plan, rollouts, cases),
-        "position_error": _short_horizon(model, cases[rollout_name(plan.holdout_rpm)], plan.judge),
+        "position_error": _short_horizon(model, cases[rollout_name(plan.judged_rpm)], plan.judge),
         "rollouts": {name: _rollout_facts(result, cases[name]) for name, result in rollouts.items()},
         "data_digest": dataset_digest(list(cases.values())),
     }
     return Evaluation(judgements, rollouts, cases, candidates, doubles, summary)
 
 
-def rollout_name(rpm: float, unseen: bool = False) -> str:
-    """``30rpm``, or ``30rpm_unseen`` from the unseen packing."""
-    return f"{rpm:g}rpm_unseen" if unseen else f"{rpm:g}rpm"
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """One thread in torch's operations, so that a surrogate's time stands beside one core of the DEM."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def _kept_rollout(model: Surrogate, case: Case, path: Path, progress: bool) -> Rollout:
-    """The rollout of a case, computed once and kept whole in a file."""
-    if not path.exists():
+    """The rollout of a case, computed once and kept whole in a file; another case or other weights compute it anew."""
+    made_of = f"{case.digest} {weights_digest(model)}"
+    if not path.exists() or _made_of(path) != made_of:
         result = rollout(model, case.scene, case.settled, case.trajectory.frame_count, progress)
         arrays = {"position": result.trajectory.position, "velocity": result.trajectory.velocity}
         if result.trajectory.angular_velocity is not None:
             arrays["angular_velocity"] = result.trajectory.angular_velocity
         failed = -1 if result.failed_frame is None else result.failed_frame
+        facts = {"seconds_per_frame": result.seconds_per_frame, "failed_frame": failed, "made_of": made_of}
         with whole_file(path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, seconds_per_frame=result.seconds_per_frame, failed_frame=failed, **arrays)
+            np.savez(file, **facts, **arrays)
     with np.load(path) as kept:
-        spin = kept["angular_velocity"] if model.uses_spin else None
         trajectory = Trajectory(
             case.settled.time + case.scene.frame_interval * np.arange(len(kept["position"])),
             kept["position"],
             kept["velocity"],
-            spin,
+            kept["angular_velocity"] if model.uses_spin else None,
             np.asarray(case.settled.radius),
             velocity_kind=model.velocity_kind,
         )
@@ -165,54 +132,69 @@ def _kept_rollout(model: Surrogate, case: Case, path: Path, progress: bool) -> R
         return Rollout(trajectory, None if failed < 0 else failed, kept["seconds_per_frame"])
 
 
-def _judge_holdout(
+def _made_of(path: Path) -> str:
+    with np.load(path) as kept:
+        return str(kept["made_of"])
+
+
+def weights_digest(model: Surrogate) -> str:
+    """16 hex digits over a model's weights."""
+    digest = hashlib.sha256()
+    for name, value in model.state_dict().items():
+        digest.update(name.encode())
+        digest.update(value.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:16]
+
+
+def _judge_packing(
     plan: Plan, rollouts: dict[str, Rollout], unseen: bool
 ) -> tuple[Judgement, TrajectorySummary, list[TrajectorySummary]]:
-    """The held-out speed from one packing, against its replicas; another packing and half the step beside them."""
-    scene, root = plan.scene.at_speed(plan.holdout_rpm), plan.dataset.root
-    candidate = summarise(rollouts[rollout_name(plan.holdout_rpm, unseen)].trajectory, scene)
+    """The judged speed from one packing, against its replicas; another packing and half the step beside them."""
+    scene, root = plan.scene.at_speed(plan.judged_rpm), plan.dataset.root
+    candidate = summarise(rollouts[rollout_name(plan.judged_rpm, unseen)].trajectory, scene)
 
     def summary_of(spec: CaseSpec) -> TrajectorySummary:
         return summarise(read_case(spec.path(root)).trajectory, scene, candidate.velocity_kind)
 
     doubles = [summary_of(spec) for spec in plan.replicas(unseen)]
-    beside = {"other_packing": summary_of(plan.case(plan.holdout_rpm, not unseen))}
+    beside = {"other_packing": summary_of(plan.case(plan.judged_rpm, not unseen))}
     if not unseen:
-        beside["half_step"] = summary_of(half_step(plan.case(plan.holdout_rpm)))
+        beside["half_step"] = summary_of(plan.finer)
     return judge(candidate, doubles, scene, beside), candidate, doubles
 
 
 def _baselines(plan: Plan, case: Case, doubles: list[TrajectorySummary]) -> dict[str, Any]:
     """What costs next to nothing, held against the same replicas: distances by baseline and name."""
     scene, kind, root = case.scene, doubles[0].velocity_kind, plan.dataset.root
+
+    def summary_of(spec: CaseSpec) -> TrajectorySummary:
+        return summarise(read_case(spec.path(root)).trajectory, spec.scene, kind)
+
     candidates = {
         "rigid rotation": summarise(rigid_rotation(scene, case.settled), scene, kind),
         "ballistic": summarise(ballistic(scene, case.settled), scene, kind),
     }
-    below = [rpm for rpm in plan.dataset.training_speeds_rpm if rpm < plan.holdout_rpm]
-    above = [rpm for rpm in plan.dataset.training_speeds_rpm if rpm > plan.holdout_rpm]
-    if below and above:
-        low, high = max(below), min(above)
-        specs = {rpm: plan.case(rpm) for rpm in (low, high)}
-        ensure_cases(specs.values(), root, plan.dataset.workers)
-        training = {
-            rpm: summarise(read_case(spec.path(root)).trajectory, spec.scene, kind) for rpm, spec in specs.items()
-        }
+    if plan.neighbours_rpm is not None:
+        low, high = plan.neighbours_rpm
+        training = {rpm: summary_of(plan.case(rpm)) for rpm in (low, high)}
         name = f"statistics interpolated between {low:g} and {high:g} rpm"
-        candidates[name] = interpolated_statistics(plan.holdout_rpm, training)
-        candidates[f"{low:g} rpm replayed"], candidates[f"{high:g} rpm replayed"] = training[low], training[high]
+        candidates[name] = interpolated_statistics(plan.judged_rpm, training)
+        candidates |= {f"{rpm:g} rpm replayed": training[rpm] for rpm in (low, high)}
+    step = f"DEM, steps of {1e3 * plan.coarser.dem.time_step:g} ms"
+    candidates[step] = summary_of(plan.coarser)
     table = {}
     for name, candidate in candidates.items():
         errors = judge(candidate, doubles, scene).to_dict()["errors"]
         table[name] = {row: errors[row] for row in COMPARED}
+    table[step]["ms_per_frame"] = _dem_ms_per_frame(read_case(plan.coarser.path(root)))
     return table
 
 
 def _nearest(plan: Plan, rollouts: dict[str, Rollout], cases: dict[str, Case]) -> dict[str, Any]:
     """For each judged speed: the DEM case with the nearest speeds, and the distances to all, m/s."""
-    truth = {rpm: cases[rollout_name(rpm)].trajectory for rpm in plan.judge.speeds_rpm}
+    truth = {rpm: cases[rollout_name(rpm)].trajectory for rpm in plan.speeds_rpm}
     table = {}
-    for rpm in plan.judge.speeds_rpm:
+    for rpm in plan.speeds_rpm:
         nearest, distances = nearest_case(rollouts[rollout_name(rpm)].trajectory, truth, plan.scene.period)
         table[rollout_name(rpm)] = {
             "own_rpm": rpm,
@@ -273,10 +255,14 @@ def predict_from(model: Surrogate, case: Case, start: int, frames: int) -> Float
 def _rollout_facts(result: Rollout, case: Case) -> dict[str, Any]:
     """How fast a rollout was, beside the DEM's own time for the same frames, and where it failed."""
     computed = result.seconds_per_frame[np.isfinite(result.seconds_per_frame)]
-    frames = case.trajectory.frame_count - 1
     return {
         "failed_frame": result.failed_frame,
         "ms_per_frame_median": 1e3 * float(np.median(computed)) if len(computed) else None,
         "ms_per_frame_90th": 1e3 * float(np.percentile(computed, 90)) if len(computed) else None,
-        "dem_ms_per_frame": 1e3 * float(case.attributes["wall_seconds"]) / frames,
+        "dem_ms_per_frame": _dem_ms_per_frame(case),
     }
+
+
+def _dem_ms_per_frame(case: Case) -> float:
+    """Wall time of the DEM for a frame, ms: one core, while another case was made on the other."""
+    return 1e3 * float(case.attributes["wall_seconds"]) / (case.trajectory.frame_count - 1)

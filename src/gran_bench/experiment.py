@@ -18,8 +18,11 @@ from gran_bench import tracking
 from gran_bench.atomic import write_text
 from gran_bench.config import EvaluateConfig, SceneConfig, TrainConfig
 from gran_bench.config_check import read_config
+from gran_bench.config_rules import ConfigError
 from gran_bench.dataset import Split, Windows, ensure_cases, read_case, split_cases
-from gran_bench.evaluation import Plan, evaluate
+from gran_bench.dataset.case_spec import key_hash
+from gran_bench.evaluation import evaluate
+from gran_bench.evaluation_plan import Plan
 from gran_bench.plots import draw_evaluation, loss_curves
 from gran_bench.provenance import provenance
 from gran_bench.report import flat_metrics, headline
@@ -66,15 +69,16 @@ def run_experiment(config: TrainConfig) -> dict[str, Any]:
             windows = training_windows(config, split)
         key = hash_of(_deciding(config), windows.digest)
         folder = Path(config.tracking.root) / "runs" / f"{config.tracking.folder or config.experiment}-{key[:8]}"
-        record = RunRecord(folder, key, _judged_by(config), config, scene.name, windows.digest, clock)
+        plan = Plan(scene, config.dem, config.dataset, config.judge)
+        record = RunRecord(folder, key, _judged_by(plan), config, scene.name, windows.digest, clock)
 
         def work(run: tracking.Run) -> dict[str, Any]:
             model = make_model(config, scene)
             with record.clock.stage("training"):
                 training = train_stage(config, model, windows, folder, run, stop)
-            return judge_stage(record, model, scene, asdict(config.model), training, run)
+            return judge_stage(record, model, plan, asdict(config.model), training, run)
 
-        return record.carry_out(work)
+        return record.carry_out(work, lambda finished: wants_more(config, finished["training"]))
 
 
 def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
@@ -94,11 +98,15 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
     model, card = load_model(path, device_named(config.device))
     scene, digest = build_scene(read_config(SceneConfig, card.scene)), file_digest(path)
     tell(f"model {card.model['name']}: {model.parameter_count} parameters from {path}, made for scene {scene.name}")
-    key = hash_of(digest, _judged_by(config))
+    _refuse_unfair(config, card.origin)
+    plan = Plan(scene, config.dem, config.dataset, config.judge)
+    key = hash_of(digest, _judged_by(plan))
     folder = Path(config.tracking.root) / "evaluations" / f"{path.parent.name}-{key[:8]}"
-    record = RunRecord(folder, key, _judged_by(config), config, scene.name, card.origin["data_digest"], Clock())
+    record = RunRecord(folder, key, _judged_by(plan), config, scene.name, card.origin["data_digest"], Clock())
     with stop_on_signals():
-        return record.carry_out(lambda run: judge_stage(record, model, scene, card.model, card.origin, run))
+        return record.carry_out(
+            lambda run: judge_stage(record, model, plan, card.model, card.origin, run), lambda finished: False
+        )
 
 
 # ---- stages ----------------------------------------------------------------------------------------------
@@ -136,9 +144,12 @@ def train_stage(
         What ``training.json`` says: steps, seconds, what stopped it, last loss, parameters, provenance, digest.
     """
     if (folder / TRAINING).exists():
-        _, weights = load_card(folder / MODEL)
-        model.load_state_dict(weights)
-        return json.loads((folder / TRAINING).read_text("utf-8"))
+        training = json.loads((folder / TRAINING).read_text("utf-8"))
+        if not wants_more(config, training):
+            _, weights = load_card(folder / MODEL)
+            model.load_state_dict(weights)
+            return training
+        (folder / TRAINING).unlink()
     log = LossLog(folder / LOSSES)
 
     def keep(metrics: dict[str, float], step: int) -> None:
@@ -147,8 +158,12 @@ def train_stage(
 
     trainer = Trainer(model, windows, config, folder, keep, lambda: stop.requested)
     if trainer.resume():
-        log.drop_after(trainer.step)
         tell(f"training goes on from update {trainer.step} of {config.trainer.steps} ({folder / CHECKPOINT})")
+        if trainer.resumed_from_other_code:
+            tell(f"the code has changed since that checkpoint; to train anew, move {folder} away")
+    log.drop_after(trainer.step)
+    for row in log.rows:  # what the store missed when the process was killed
+        run.log_metrics({f"training/{name}": row[name] for name in row if name != "step"}, int(row["step"]))
     try:
         with stop.deferred():
             result = trainer.run()
@@ -160,6 +175,9 @@ def train_stage(
     training = asdict(result) | {
         "seed": config.seed,
         "experiment": config.experiment,
+        "training_speeds_rpm": list(config.dataset.training_speeds_rpm),
+        "validation_speeds_rpm": list(config.dataset.validation_speeds_rpm),
+        "packing_seed": config.dataset.packing_seed,
         "data_digest": windows.digest,
         "data_seconds": sum(float(case.attributes["wall_seconds"]) for case in windows.cases),
         **provenance(),
@@ -168,27 +186,32 @@ def train_stage(
     training["model_sha256"] = save_model(folder / MODEL, weights, card)
     run.log_artifact(folder / MODEL, "model")
     # Written last: its presence says that model and losses are whole.
-    write_text(folder / TRAINING, json.dumps(training, indent=1) + "\n")
+    write_text(folder / TRAINING, json.dumps(training, indent=1, allow_nan=False) + "\n")
     return training
+
+
+def wants_more(config: TrainConfig, training: dict[str, Any]) -> bool:
+    """Whether a training that its time cap stopped has a larger cap now."""
+    minutes = config.trainer.minutes
+    return training["stopped_by"] == "time" and (minutes is None or 60.0 * minutes > training["seconds"])
 
 
 def judge_stage(
     record: RunRecord,
     model: Surrogate,
-    scene: Scene,
+    plan: Plan,
     model_keys: dict[str, Any],
     training: dict[str, Any],
     run: tracking.Run,
 ) -> dict[str, Any]:
     """Roll out, judge, draw and record; returns the summary."""
     config, folder = record.config, record.folder
-    plan = Plan(scene, config.dem, config.dataset, config.judge)
     with record.clock.stage("judging"):
         evaluation = evaluate(model, plan, folder, tell)
     with record.clock.stage("figures"):
         tell("figures")
         place = folder / "figures"
-        figures = draw_evaluation(evaluation, plan.holdout_rpm, place, config.judge.gif, model_keys["name"])
+        figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, model_keys["name"])
         if (folder / LOSSES).exists():
             figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
     summary = {
@@ -196,7 +219,7 @@ def judge_stage(
         "provenance": provenance(),
         "model": model_keys,
         "training": training,
-        "frame_ms": 1e3 * scene.frame_interval,
+        "frame_ms": 1e3 * plan.scene.frame_interval,
         "wall_seconds": record.clock.seconds,
         **evaluation.summary,
     }
@@ -220,7 +243,22 @@ def _deciding(config: TrainConfig) -> dict[str, Any]:
     return values
 
 
-def _judged_by(config: TrainConfig | EvaluateConfig) -> str:
-    """Hash of the config keys that determine what a model is judged on."""
-    dataset = {name: value for name, value in asdict(config.dataset).items() if name not in ("root", "workers")}
-    return hash_of(asdict(config.judge), dataset, asdict(config.dem))
+def _judged_by(plan: Plan) -> str:
+    """Hash of what a model is judged on: the config keys, and every run of the DEM that it is held against."""
+    return hash_of(asdict(plan.judge), [key_hash(spec.key) for spec in plan.cases])
+
+
+def _refuse_unfair(config: EvaluateConfig, origin: dict[str, Any]) -> None:
+    """Refuse to call a speed or a packing unseen that the model was trained on."""
+    dataset = config.dataset
+    speeds = dataset.validation_speeds_rpm or dataset.holdout_speeds_rpm
+    seen = sorted({*speeds} & {*origin["training_speeds_rpm"]})
+    if seen:
+        raise ConfigError(
+            f"dataset.holdout_speeds_rpm={speeds}: this model was trained on {seen[0]:g} rpm; judge another speed"
+        )
+    if config.judge.unseen_packing and dataset.unseen_packing_seed == origin["packing_seed"]:
+        raise ConfigError(
+            f"dataset.unseen_packing_seed={dataset.unseen_packing_seed}: this model was trained on that packing; "
+            "choose another seed"
+        )

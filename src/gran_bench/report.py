@@ -30,7 +30,7 @@ def headline(summary: dict[str, Any]) -> dict[str, float]:
     A figure that is undefined is absent here; why, says the summary.
     """
     shared = summary["judged"]["shared"]
-    rollout = summary["rollouts"][f"{summary['holdout_rpm']:g}rpm"]
+    rollout = summary["rollouts"][f"{summary['judged_rpm']:g}rpm"]
     verdicts = [row["verdict"] for judged in summary["judged"].values() for row in judged["requirements"].values()]
     strangers = sum(not row["is_own"] for row in summary["nearest_case"].values())
     found = {
@@ -85,7 +85,7 @@ def summary_table(summary: dict[str, Any]) -> str:
         f"(stopped by {summary['training']['stopped_by']})"
     )
     for packing, judged in summary["judged"].items():
-        lines += ["", f"{summary['holdout_rpm']:g} rpm, held out, {packing} packing"]
+        lines += ["", f"{summary['judged_rpm']:g} rpm, {summary['judged_as']}, {packing} packing"]
         lines.append(f"  {'':<56}{'found':>16}  verdict")
         for row in judged["requirements"].values():
             lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>16}  {row['verdict']}{_note(row)}")
@@ -95,7 +95,7 @@ def summary_table(summary: dict[str, Any]) -> str:
             times = "" if row["multiple_of_floor"] is None else f" (× {row['multiple_of_floor']:.2f})"
             floor = _figure(row["floor"], row["unit"])
             lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>16}  {floor}{times}{_note(row)}")
-    lines += ["", f"baselines at {summary['holdout_rpm']:g} rpm, shared packing"]
+    lines += ["", f"baselines at {summary['judged_rpm']:g} rpm, shared packing"]
     lines.append(f"  {'':<56}{'angle':>16}{'speed W1':>14}")
     for name, errors in summary["baselines"].items():
         angle, speed = (_figure(errors[key]["value"], errors[key]["unit"]) for key in ("surface_angle", "speed_w1"))
@@ -108,7 +108,7 @@ def summary_table(summary: dict[str, Any]) -> str:
     shown = ", ".join(_figure(row["m"], "m") for row in errors)
     horizons = ", ".join(name.split("_")[0] for name in summary["position_error"])
     lines += ["", f"position error after {horizons} frames: {shown}"]
-    rollout = summary["rollouts"][f"{summary['holdout_rpm']:g}rpm"]
+    rollout = summary["rollouts"][f"{summary['judged_rpm']:g}rpm"]
     lines.append(
         f"time for a frame of {summary['frame_ms']:g} ms: surrogate {_figure(rollout['ms_per_frame_median'], 'ms')}, "
         f"this DEM {_figure(rollout['dem_ms_per_frame'], 'ms')} (one core; other work on the machine counts)"

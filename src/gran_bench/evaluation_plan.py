@@ -1,0 +1,95 @@
+"""What a model is judged on: speeds, packings, and the runs of the DEM that it is held against."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from gran_bench.config import DatasetConfig, DemConfig, JudgeConfig
+from gran_bench.dataset import CaseSpec, half_step, replicas
+from gran_bench.dem.simulate import choose_time_step
+from gran_bench.scene import Scene
+
+COARSER = 2.0  # the large step of the DEM as a rival, in production steps
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is rolled out and what it is held against.
+
+    Where the data set has a validation speed, that one is judged, and the held-out speed is neither rolled out nor
+    opened: whoever chooses must not see it.
+
+    Attributes:
+        scene: without a speed of its own.
+        dem: the solver's settings.
+        dataset: speeds, packings, replicas.
+        judge: speeds to roll out.
+    """
+
+    scene: Scene
+    dem: DemConfig
+    dataset: DatasetConfig
+    judge: JudgeConfig
+
+    @property
+    def validates(self) -> bool:
+        """Whether the judged speed is a validation speed."""
+        return bool(self.dataset.validation_speeds_rpm)
+
+    @property
+    def judged_rpm(self) -> float:
+        """The speed that is judged against replicas, rpm."""
+        speeds = self.dataset.validation_speeds_rpm if self.validates else self.dataset.holdout_speeds_rpm
+        return float(speeds[0])
+
+    @property
+    def speeds_rpm(self) -> list[float]:
+        """Every speed that is rolled out from the shared packing, rpm."""
+        hidden = set(self.dataset.holdout_speeds_rpm) if self.validates else set()
+        return sorted({*self.judge.speeds_rpm, self.judged_rpm} - hidden)
+
+    @property
+    def packings(self) -> list[bool]:
+        """Which packings are judged: the shared one, and the unseen one (True) where it is asked for."""
+        return [False, True] if self.judge.unseen_packing else [False]
+
+    def case(self, rpm: float, unseen: bool = False) -> CaseSpec:
+        """The DEM's case at a speed, from the shared or the unseen packing."""
+        seed = self.dataset.unseen_packing_seed if unseen else self.dataset.packing_seed
+        return CaseSpec(self.scene.at_speed(rpm), self.dem, seed)
+
+    def replicas(self, unseen: bool) -> list[CaseSpec]:
+        """The nudged runs of the judged case that give the noise floor."""
+        return replicas(self.case(self.judged_rpm, unseen), self.dataset.replicas)
+
+    @property
+    def finer(self) -> CaseSpec:
+        """The judged case with half the time step."""
+        return half_step(self.case(self.judged_rpm))
+
+    @property
+    def coarser(self) -> CaseSpec:
+        """The judged case with twice the time step: the DEM as a rival in speed."""
+        spec = self.case(self.judged_rpm)
+        step, _ = choose_time_step(spec.scene, self.dem.time_step, self.dem.allow_unsafe_step)
+        return replace(spec, dem=replace(self.dem, time_step=COARSER * step), settling_dem=self.dem)
+
+    @property
+    def neighbours_rpm(self) -> tuple[float, float] | None:
+        """The training speeds below and above the judged one, rpm; None where a side has none."""
+        below = [rpm for rpm in self.dataset.training_speeds_rpm if rpm < self.judged_rpm]
+        above = [rpm for rpm in self.dataset.training_speeds_rpm if rpm > self.judged_rpm]
+        return (max(below), min(above)) if below and above else None
+
+    @property
+    def cases(self) -> list[CaseSpec]:
+        """Every run of the DEM that judging needs."""
+        judged = [self.case(self.judged_rpm, unseen) for unseen in (False, True)]
+        speeds = [self.case(rpm) for rpm in {*self.speeds_rpm, *(self.neighbours_rpm or ())}]
+        doubles = [spec for unseen in self.packings for spec in self.replicas(unseen)]
+        return [*speeds, *judged, self.finer, self.coarser, *doubles]
+
+
+def rollout_name(rpm: float, unseen: bool = False) -> str:
+    """``30rpm``, or ``30rpm_unseen`` from the unseen packing."""
+    return f"{rpm:g}rpm_unseen" if unseen else f"{rpm:g}rpm"
