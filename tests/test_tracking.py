@@ -14,7 +14,7 @@ from mlflow.entities import Run as StoredRun
 from mlflow.exceptions import MlflowException
 
 from gran_bench.config import RolloutConfig, TrackingConfig
-from gran_bench.tracking import TrackingError, ensure_store, open_parent, open_run, ui
+from gran_bench.tracking import Store, TrackingError, open_parent, open_run, ui
 from gran_bench.tracking.store import DATABASE
 
 # SQLAlchemy's word to MLflow, which a user never sees either.
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:The ``noload`` loader strategy")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The root of a store; making its tables takes a second, so the tests of this module share it."""
     root = tmp_path_factory.mktemp("results")
-    ensure_store(TrackingConfig(root=str(root)))
+    Store(TrackingConfig(root=str(root)))
     return root
 
 
@@ -210,6 +210,51 @@ def test_a_resumed_run_logs_a_repeated_step_once_and_a_changed_param_as_a_tag(co
     assert found.data.tags["resumed_with.minutes"] == "2"
 
 
+def test_a_replayed_step_stays_as_it_is_and_a_lost_one_is_filled_in(
+    config: TrackingConfig, monkeypatch: pytest.MonkeyPatch
+):
+    def rows(steps: range, pace: float) -> list[tuple[int, dict[str, float]]]:
+        return [(step, {"training/loss": 1.0 / (1 + step), "training/seconds": pace * step}) for step in steps]
+
+    with open_run(config, "killed", "key", {}) as run:
+        # Steps 3 to 5 were never sent: the process was killed between two flushes.
+        for step, metrics in (*rows(range(3), 1.0), *rows(range(6, 8), 1.0)):
+            run.log_metrics(metrics, step)
+    asked = []
+    original = MlflowClient.get_metric_history
+
+    def counted(self: MlflowClient, run_id: str, name: str, *arguments: object) -> list:
+        asked.append(name)
+        return original(self, run_id, name, *arguments)
+
+    monkeypatch.setattr(MlflowClient, "get_metric_history", counted)
+    with open_run(config, "killed", "key", {}) as run:
+        # All rows that survived on disk, then the steps after the checkpoint anew, at another pace.
+        for step, metrics in (*rows(range(5), 1.0), *rows(range(5, 10), 2.0)):
+            run.log_metrics(metrics, step)
+            if step % 3 == 0:
+                run.flush()
+        run.log_metrics({"training/loss": 0.0}, 9)  # within one life, too, a step is logged once
+    assert sorted(asked) == ["training/loss", "training/seconds"]
+    store, run_id = client(config), only_run(config).info.run_id
+    loss, seconds = (
+        {m.step: m.value for m in original(store, run_id, f"training/{name}")} for name in ("loss", "seconds")
+    )
+    assert len(original(store, run_id, "training/seconds")) == len(original(store, run_id, "training/loss")) == 10
+    assert loss == pytest.approx({step: 1.0 / (1 + step) for step in range(10)})
+    assert seconds == {step: (1.0 if step in (0, 1, 2, 3, 4, 6, 7) else 2.0) * step for step in range(10)}
+
+
+def test_figures_found_anew_take_the_place_of_the_old(config: TrackingConfig):
+    for angle in (30.0, 31.0, 31.0, 30.0):
+        with open_run(config, "judged anew", "key", {}) as run:
+            run.log_metrics({"angle": angle, "nan": float("nan")}, 100, supersede=True)
+        assert only_run(config).data.metrics["angle"] == angle
+    store, run_id = client(config), only_run(config).info.run_id
+    assert len(store.get_metric_history(run_id, "angle")) == 3
+    assert len(store.get_metric_history(run_id, "nan")) == 1
+
+
 def test_another_key_is_another_run(config: TrackingConfig):
     for key in ("one", "two", "one"):
         with open_run(config, key, key, {}):
@@ -324,22 +369,55 @@ def test_a_store_that_is_no_store_is_told_before_any_work(tmp_path: Path):
     (tmp_path / DATABASE).write_bytes(b"this is no database, however long it may be" * 100)
     config = TrackingConfig(root=str(tmp_path))
     with pytest.raises(TrackingError, match=r"mlflow\.db does not answer.*tracking\.enabled=false"):
-        ensure_store(config)
+        Store(config)
     (tmp_path / "file").write_text("")
     with pytest.raises(TrackingError, match=r"tracking\.root"):
-        ensure_store(TrackingConfig(root=str(tmp_path / "file" / "results")))
+        Store(TrackingConfig(root=str(tmp_path / "file" / "results")))
 
 
 def test_a_moved_results_folder_is_told(own: TrackingConfig, tmp_path: Path):
-    ensure_store(own)
+    Store(own)
     Path(own.root).rename(tmp_path / "moved")
     with pytest.raises(TrackingError, match="the folder was moved"):
-        ensure_store(TrackingConfig(experiment="own", root=str(tmp_path / "moved")))
+        Store(TrackingConfig(experiment="own", root=str(tmp_path / "moved")))
 
 
-def test_a_missing_figure_is_told(config: TrackingConfig, tmp_path: Path):
-    with open_run(config, "missing", "key", {}) as run, pytest.raises(TrackingError, match=r"none\.png is not there"):
+def test_a_missing_figure_is_told_and_costs_nothing(
+    config: TrackingConfig, tmp_path: Path, capsys: pytest.CaptureFixture
+):
+    with open_run(config, "missing", "key", {}) as run:
         run.log_artifact(tmp_path / "none.png")
+    assert "none.png is not there" in capsys.readouterr().err
+    assert only_run(config).info.status == "FINISHED"
+
+
+@pytest.mark.parametrize("content", ['{"metrics": [["loss", 1.0, 0, 0]]}', "no record at all"])
+def test_a_kept_record_of_no_run_is_told_and_stops_nobody(
+    own: TrackingConfig, capsys: pytest.CaptureFixture, content: str
+):
+    kept = Path(own.root) / "unsent" / "0123456789abcdef.json"
+    kept.parent.mkdir()
+    kept.write_text(content)
+    with open_run(own, "later", "key", {}):
+        pass
+    assert only_run(own).info.status == "FINISHED"
+    assert "0123456789abcdef.json could not be sent" in capsys.readouterr().err
+    assert kept.exists()
+
+
+def test_where_nothing_can_be_kept_either_the_error_is_still_one_of_tracking(own: TrackingConfig):
+    finished = []
+
+    def life() -> None:
+        with open_run(own, "nowhere", "key", {}) as run:
+            (Path(own.root) / DATABASE).unlink()
+            (Path(own.root) / "unsent").write_text("a file where the folder should be")
+            run.log_metrics({"loss": 1.0}, 0)
+            finished.append(True)
+
+    with pytest.raises(TrackingError, match="could not be kept"):
+        life()
+    assert finished
 
 
 # ---- the UI --------------------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from gran_bench.tracking.opening import open_parent, open_run
 from gran_bench.tracking.run import Run
-from gran_bench.tracking.store import Store, TrackingError, ensure_store
+from gran_bench.tracking.store import Store, TrackingError
 from gran_bench.tracking.user_interface import ui
 
-__all__ = ["Run", "Store", "TrackingError", "ensure_store", "open_parent", "open_run", "ui"]
+__all__ = ["Run", "Store", "TrackingError", "open_parent", "open_run", "ui"]

@@ -29,11 +29,19 @@ class Run:
 
     run_id: str | None = None
 
-    def log_metrics(self, metrics: Mapping[str, float], step: int = 0) -> None:
-        """Record scalars of one step; they reach the store in batches, by names in which / makes groups."""
+    def log_metrics(self, metrics: Mapping[str, float], step: int = 0, supersede: bool = False) -> None:
+        """Record scalars of one step; they reach the store in batches.
+
+        Args:
+            metrics: by names in which / makes groups.
+            step: that they belong to. In a run that goes on, a step that the store has already is left as it is, so
+                that all that should be there can be logged again and fills what a kill has left out.
+            supersede: a value that differs from the one at the same step takes its place (in what the UI shows; the
+                history holds both): for figures that were found anew.
+        """
 
     def log_artifact(self, path: Path | str, folder: str | None = None) -> None:
-        """Copy a file into the run's artifacts, into ``folder`` there."""
+        """Copy a file into the run's artifacts, into ``folder`` there; one that is missing is a warning."""
 
     def log_dataset(self, name: str, digest: str, source: str, facts: Mapping[str, Any] | None = None) -> None:
         """Record which data the run used, so that the UI shows them with their digest."""
@@ -80,18 +88,19 @@ class StoredRun(Run):
         self.run_id, self._store, self._resumed = run_id, store, resumed
         self._backlog, self._finished = Backlog(), False
         self._next_flush = time.monotonic() + FLUSH_SECONDS
-        self._history: dict[str, set[tuple[int, str]]] = {}
+        self._history: dict[str, dict[int, str]] = {}
 
-    def log_metrics(self, metrics: Mapping[str, float], step: int = 0) -> None:
+    def log_metrics(self, metrics: Mapping[str, float], step: int = 0, supersede: bool = False) -> None:
         now = int(1000 * time.time())
         for name, value in metrics.items():
-            self._backlog.metrics.append(MetricPoint(legal_name(name), float(value), int(step), now))
+            self._backlog.metrics.append(MetricPoint(legal_name(name), float(value), int(step), now, supersede))
         if time.monotonic() >= self._next_flush or len(self._backlog.metrics) >= FLUSH_METRICS:
             self.flush()
 
     def log_artifact(self, path: Path | str, folder: str | None = None) -> None:
         if not Path(path).is_file():
-            raise TrackingError(f"{path} is not there to be recorded")
+            print(f"warning: {path} is not there to be recorded", file=sys.stderr)
+            return
         self._backlog.artifacts.append((str(Path(path).resolve()), folder))
         self.flush()
 
@@ -121,7 +130,13 @@ class StoredRun(Run):
             self._send()
         except TrackingError as error:
             kept = self._store.root / UNSENT / f"{self.run_id}.json"
-            write_text(kept, json.dumps(asdict(self._backlog)))
+            try:
+                write_text(kept, json.dumps(asdict(self._backlog)))
+            except OSError as second:
+                raise TrackingError(
+                    f"{error}. The results are safe in the run's folder, but what the store misses could not be kept "
+                    f"in {kept} either: {second}"
+                ) from error
             raise TrackingError(
                 f"{error}. The results are safe in the run's folder; what the store misses is in {kept} and is sent "
                 "when the next run opens"
@@ -133,7 +148,10 @@ class StoredRun(Run):
         if self._resumed:
             waiting.metrics = [point for point in waiting.metrics if not self._is_known(point)]
         while waiting.metrics:
-            del waiting.metrics[: store.add_metrics(self.run_id, waiting.metrics)]
+            sent = waiting.metrics[: store.add_metrics(self.run_id, waiting.metrics)]
+            del waiting.metrics[: len(sent)]
+            for point in sent if self._resumed else ():
+                self._history[point.name][point.step] = repr(point.value)
         if waiting.tags:
             store.add_tags(self.run_id, waiting.tags)
             waiting.tags.clear()
@@ -150,19 +168,25 @@ class StoredRun(Run):
             waiting.status = None
 
     def _is_known(self, point: MetricPoint) -> bool:
-        """Whether an earlier life of the run logged the same value at the same step."""
+        """Whether the store has the point's step already, from an earlier life or this one; one query a metric."""
         if point.name not in self._history:
             history = self._store.metric_history(self.run_id, point.name)
-            self._history[point.name] = {(step, repr(value)) for step, value in history}
-        # By their text, because a NaN does not equal itself.
-        return (point.step, repr(point.value)) in self._history[point.name]
+            self._history[point.name] = {step: repr(value) for step, value in history}
+        there = self._history[point.name].get(point.step)
+        # By its text, because a NaN does not equal itself.
+        return there is not None and not (point.supersedes and there != repr(point.value))
 
 
 def send_kept(store: Store) -> None:
-    """Send what earlier runs could not, and close them as they ended."""
+    """Send what earlier runs could not, and close them as they ended; what can't be sent is told and stays."""
     for path in sorted((store.root / UNSENT).glob("*.json")):
-        kept = json.loads(path.read_text("utf-8"))
-        run = StoredRun(store, path.stem, resumed=True)
-        run._backlog = Backlog(**kept | {"metrics": [MetricPoint(*point) for point in kept["metrics"]]})
-        run._send()
+        try:
+            kept = json.loads(path.read_text("utf-8"))
+            run = StoredRun(store, path.stem, resumed=True)
+            run._backlog = Backlog(**kept | {"metrics": [MetricPoint(*point) for point in kept["metrics"]]})
+            run._send()
+        except (TrackingError, ValueError, TypeError, KeyError) as error:
+            # Its run may be gone with an older store; that must not keep all later runs from being recorded.
+            print(f"warning: {path} could not be sent ({error}); delete it if its run is gone", file=sys.stderr)
+            continue
         path.unlink()

@@ -40,12 +40,21 @@ class TrackingError(RuntimeError):
 
 
 class MetricPoint(NamedTuple):
-    """One value of a metric: its name, value and step, and when it was logged in ms since 1970."""
+    """One value of a metric.
+
+    Attributes:
+        name: of the metric.
+        value: of any kind, NaN included.
+        step: at which it was found.
+        when: it was logged, ms since 1970.
+        supersedes: whether it takes the place of another value at the same step; else the first one stays.
+    """
 
     name: str
     value: float
     step: int
     when: int
+    supersedes: bool = False
 
 
 def legal_name(name: str) -> str:
@@ -137,9 +146,10 @@ class Store:
         return len(batch)
 
     def metric_history(self, run_id: str, name: str) -> list[tuple[int, float]]:
-        """Steps and values of a metric."""
+        """Steps and values of a metric, in the order in which they were logged."""
         with self._answers():
-            return [(point.step, point.value) for point in self._client.get_metric_history(run_id, name)]
+            history = sorted(self._client.get_metric_history(run_id, name), key=lambda point: point.timestamp)
+        return [(point.step, point.value) for point in history]
 
     def add_tags(self, run_id: str, tags: Mapping[str, str]) -> None:
         """Set tags."""
@@ -190,9 +200,7 @@ class Store:
         except TrackingError:
             raise
         except Exception as error:
-            # MLflow lets SQLAlchemy's errors through where it makes its tables.
-            if not (isinstance(error, OSError) or type(error).__module__.startswith(("mlflow", "sqlalchemy"))):
-                raise
+            # Of any kind: MLflow lets those of SQLAlchemy and of its own lookups through, and none may cost a result.
             lines = [line for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
             raise TrackingError(self._complaint(lines[0][:300])) from error
 
@@ -208,12 +216,6 @@ class Store:
         except OSError:
             return 0, 0
         return found.st_dev, found.st_ino
-
-
-def ensure_store(config: TrackingConfig) -> None:
-    """Make database and experiment, before jobs start that will use them at once."""
-    if config.enabled:
-        Store(config)
 
 
 def _client(uri: str) -> MlflowClient:
