@@ -23,7 +23,7 @@ def loss_curves(losses: pd.DataFrame, path: Path | str) -> Path:
     Returns:
         The path.
     """
-    with drawing(path, 7.6, 4.6) as figure:
+    with drawing(path, 8.8, 4.6) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1.0))
         upper.set_title("Training loss")
         upper.set_ylabel("loss, dimensionless")
@@ -43,7 +43,7 @@ def loss_curves(losses: pd.DataFrame, path: Path | str) -> Path:
             )
         upper.set_yscale("log")
         _mark_longer_windows(upper, losses)
-        upper.legend(loc="upper right")
+        upper.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
         if "learning_rate" in losses:
             lower.plot(step, losses["learning_rate"], color=DEM, linewidth=1.2)
             lower.set_ylim(bottom=0.0)
