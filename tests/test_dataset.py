@@ -31,6 +31,7 @@ from gran_bench.dataset import (
 from gran_bench.dataset.progress import SimulatedTimeBar
 from gran_bench.dem.simulate import SimulationResult, settle, simulate
 from gran_bench.scene import Rotation, SceneError, build_scene
+from gran_bench.source_digest import bare_code
 
 CONFIG = SceneConfig(
     name="drum_tiny",
@@ -161,8 +162,8 @@ def test_new_solver_code_makes_new_names_and_new_comments_do_not(monkeypatch: py
     old = SPEC.path(".")
     monkeypatch.setattr(case_spec, "dem_source_hash", lambda: "other")
     assert SPEC.path(".") != old
-    assert case_spec._bare_code('"""Doc."""\nx = 1  # why\n') == case_spec._bare_code('"""Other."""\n\nx = 1\n')
-    assert case_spec._bare_code("x = 1") != case_spec._bare_code("x = 2")
+    assert bare_code('"""Doc."""\nx = 1  # why\n') == bare_code('"""Other."""\n\nx = 1\n')
+    assert bare_code("x = 1") != bare_code("x = 2")
 
 
 def test_cases_that_differ_after_settling_share_the_bed():

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-import hashlib
+import functools
 import os
 import platform
+import shlex
 import subprocess
 import sys
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import psutil
 
 import gran_bench
+from gran_bench.source_digest import source_digest
 
 # Whatever decides a figure: the libraries whose numerics a run goes through.
 LIBRARIES = ("numpy", "scipy", "numba", "torch")
-# The rooms that a trained model and its rollout depend on.
-RESULT_ROOMS = ("state.py", "scene.py", "neighbors.py", "dem", "dataset", "surrogate", "losses.py", "rollout.py")
+# The rooms that a trained model, its rollout and its judgement depend on.
+RESULT_ROOMS = (
+    *("state.py", "scene.py", "neighbors.py", "dem", "dataset", "surrogate", "losses.py", "rollout.py"),
+    *("metrics", "baselines.py", "trainer.py", "evaluation_plan.py", "evaluation.py"),
+)
+
+_remembered: str | None = None
 
 
 def hardware() -> str:
@@ -54,23 +62,27 @@ def commit() -> str:
     return head + ("+" if git("status", "--porcelain", "--untracked-files=no") else "")
 
 
-def command() -> str:
-    """The command line as a user would type it."""
+def program() -> list[str]:
+    """The first words of this process's command line, before its arguments."""
     spec = getattr(sys.modules.get("__main__"), "__spec__", None)
-    program = f"python -m {spec.name}" if spec is not None else f"python {Path(sys.argv[0]).name}"
-    return " ".join([program, *sys.argv[1:]])
+    return ["python", "-m", spec.name] if spec is not None else ["python", Path(sys.argv[0]).name]
 
 
+def remember_command(words: Sequence[str]) -> None:
+    """Let `command` say ``words`` from now on: in a worker process the process's own command line is another."""
+    global _remembered
+    _remembered = shlex.join(words)
+
+
+def command() -> str:
+    """The command line as a user would type it, quoted for a shell: the remembered one, or this process's own."""
+    return _remembered if _remembered is not None else shlex.join([*program(), *sys.argv[1:]])
+
+
+@functools.cache
 def code_digest() -> str:
-    """SHA-256 (12 digits) of the source of the rooms that a result depends on."""
-    root, digest = Path(gran_bench.__file__).parent, hashlib.sha256()
-    for room in RESULT_ROOMS:
-        place = root / room
-        files = sorted(place.rglob("*.py")) if place.is_dir() else [place] if place.exists() else []
-        for file in files:
-            digest.update(file.relative_to(root).as_posix().encode())
-            digest.update(file.read_bytes())
-    return digest.hexdigest()[:12]
+    """Hash (12 digits) of the source that a result depends on; comments, docstrings and layout don't count."""
+    return source_digest(RESULT_ROOMS)[:12]
 
 
 def provenance() -> dict[str, str]:

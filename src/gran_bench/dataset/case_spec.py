@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import functools
 import hashlib
 import json
@@ -15,12 +14,13 @@ from gran_bench.config import DatasetConfig, DemConfig
 from gran_bench.dataset.scene_document import to_document
 from gran_bench.dem.simulate import choose_time_step
 from gran_bench.scene import Scene
+from gran_bench.source_digest import source_digest
 
 FORMAT_VERSION = 1  # of the files; a change makes every case anew
 NUDGE = 1.0e-9  # m, of a replica's settled state
 
-# Code outside dem/ that decides where particles go.
-_FURTHER_SOURCES = ("neighbors.py", "scene.py")
+# The code that decides where particles go.
+_DEM_ROOMS = ("dem", "neighbors.py", "scene.py")
 
 
 class DatasetError(RuntimeError):
@@ -185,18 +185,4 @@ def _dem_key(scene: Scene, dem: DemConfig) -> dict[str, Any]:
 @functools.cache
 def dem_source_hash() -> str:
     """Hash of the code that moves particles; comments, docstrings and layout don't count."""
-    package = Path(__file__).parent.parent
-    sources = sorted((package / "dem").glob("**/*.py")) + [package / name for name in _FURTHER_SOURCES]
-    digest = hashlib.sha256()
-    for path in sources:
-        digest.update(f"{path.relative_to(package).as_posix()}\n{_bare_code(path.read_text('utf-8'))}\n".encode())
-    return digest.hexdigest()[:16]
-
-
-def _bare_code(source: str) -> str:
-    """Python source without comments, docstrings and layout."""
-    tree = ast.parse(source)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
-            node.body[0] = ast.Pass()
-    return ast.unparse(tree)
+    return source_digest(_DEM_ROOMS)[:16]
