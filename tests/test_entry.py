@@ -21,6 +21,7 @@ PROBE = """
 import gran_bench.conf
 from gran_bench.config import TrainConfig
 from gran_bench.entry import run
+from gran_bench.provenance import command
 from gran_bench.state import StateError
 
 def task(config):
@@ -31,6 +32,8 @@ def task(config):
     if config.seed == 15:
         raise KeyboardInterrupt("SIGTERM")
     print(f"ran {config.tracking.folder} {config.model.name}")
+    if config.seed >= 20:
+        print(command())
 
 if __name__ == "__main__":
     run(task, "train", TrainConfig)
@@ -126,6 +129,17 @@ def test_a_job_runs_with_the_checked_config_and_hydra_leaves_no_folder_of_its_ow
     assert probe("+experiment=smoke", "model=ccnn") == (0, "ran smoke,model=ccnn ccnn\n", "", [])
 
 
+def test_a_job_knows_its_own_command_quoted_for_a_shell(probe):
+    _, out, _, _ = probe("seed=20", "tracking.root=a b")
+    assert out.splitlines()[-1] == "python probe.py seed=20 'tracking.root=a b'"
+
+
+def test_a_job_of_a_multirun_knows_the_command_that_would_run_it_alone(probe):
+    _, out, said, _ = probe("-m", "seed=20,21", "hydra/launcher=local")
+    told = sorted(line for line in out.splitlines() if line.startswith("python"))
+    assert told == [f"python probe.py seed={seed}" for seed in (20, 21)], said
+
+
 def test_a_failure_that_the_house_foresees_is_one_line_and_a_bug_shows_its_traceback(probe):
     assert probe("seed=7") == (FAILED, "", "error: sphere 7 is nowhere; put it somewhere\n", [])
     code, _, said, left = probe("seed=13")
@@ -202,6 +216,7 @@ def test_every_value_of_every_sweep_is_seen_once():
         (["seed=1", "model=ccnn"], "smoke,model=ccnn,seed=1"),
         (["model=ccnn", "seed=1"], "smoke,model=ccnn,seed=1"),
         (["tracking.root=/else", "dataset.root=x", "hydra/launcher=local", "trainer.minutes=3"], "smoke"),
+        (["judge=quick", "judge.gif=false", "threads=1", "dataset.unseen_packing_seed=2"], "smoke"),
         (["++experimental=1"], "smoke,experimental=1"),
         (
             ["dataset=small", "+scene.wall_material.friction=0.1"],

@@ -25,17 +25,18 @@ from omegaconf import DictConfig, OmegaConf
 
 from gran_bench.config import GenerateConfig, TrainConfig
 from gran_bench.config_check import read_config
+from gran_bench.config_identity import UNDECIDING
 from gran_bench.config_rules import ConfigError
 from gran_bench.override_errors import explain
+from gran_bench.provenance import program, remember_command
 from gran_bench.scene import SceneError, build_scene
 
 CONFIG_MODULE = "gran_bench.conf"
 VERSION_BASE = "1.3"
 FAILED, REFUSED = 1, 2  # exit codes
 
-# What a run computes does not depend on these, so they do not name its folder.
-UNNAMED = ("hydra", "experiment", "tracking", "dataset.root", "dataset.workers", "trainer.minutes",
-           "trainer.checkpoint_every", "trainer.checkpoint_steps", "trainer.log_every")  # fmt: skip
+# Two commands that differ in these alone train the same weights, so they share a folder.
+UNNAMED = UNDECIDING | {"hydra"}
 LONGEST_FOLDER = 150  # characters; file systems end at 255 bytes
 
 Config = TypeVar("Config")
@@ -67,11 +68,15 @@ def run(task: Callable[[Any], object], config_name: str, schema: type) -> NoRetu
         sys.exit(FAILED if explain(error, schema) is None else REFUSED)
 
     failures: list[Exception] = []
+    folders = {"--config-dir": arguments.config_dir, "--config-path": arguments.config_path}
+    # Found here: a job of a multirun may run in a process that a launcher started.
+    typed = [*program(), *(f"{flag}={folder}" for flag, folder in folders.items() if folder is not None)]
 
     def job(composed: DictConfig) -> None:
         settings = HydraConfig.get()
         try:
             config = checked_config(composed, schema)
+            remember_command([*typed, *settings.overrides.task])
             if isinstance(config, TrainConfig):
                 name = run_folder(config.experiment, settings.overrides.task)
                 config.tracking.folder = config.tracking.folder or name

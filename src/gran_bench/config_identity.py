@@ -1,0 +1,31 @@
+"""Which config keys decide the weights of a trained model: they give a run its key, and its folder a name."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from gran_bench.config import TrainConfig
+
+# Sections and dotted keys that say where, when, how fast or against what, and leave every bit of the weights as it is.
+# ``device`` is not among them: a GPU adds in another order.
+UNDECIDING = frozenset(
+    {
+        *("experiment", "threads", "judge", "tracking"),
+        *("dataset.root", "dataset.workers"),
+        *("dataset.holdout_speeds_rpm", "dataset.unseen_packing_seed", "dataset.replicas"),
+        *("trainer.minutes", "trainer.checkpoint_every", "trainer.checkpoint_steps", "trainer.log_every"),
+    }
+)
+
+
+def deciding_keys(config: TrainConfig) -> dict[str, Any]:
+    """The config as nested plain values, without what does not decide the trained weights.
+
+    The contact network has walls of its own, so ``boundary`` decides nothing there.
+    """
+    values = asdict(config)
+    for key in UNDECIDING | ({"boundary"} if config.model.name == "contact" else set()):
+        section, _, name = key.rpartition(".")
+        del (values[section] if section else values)[name]
+    return values
