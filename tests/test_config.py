@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -11,19 +11,25 @@ import yaml
 
 import gran_bench.conf
 from gran_bench import config as schemas
+from gran_bench import config_consistency
 from gran_bench.config import (
     MODEL_SCHEMAS,
     CconvModelConfig,
     ContactModelConfig,
+    EvaluateConfig,
     GenerateConfig,
     SceneConfig,
     TrainConfig,
     UiConfig,
 )
 from gran_bench.config_check import dotted_keys, nearest_key, read_config, validate
+from gran_bench.config_identity import UNDECIDING, deciding_keys
 from gran_bench.config_rules import RULES, ConfigError, Range
 from gran_bench.entry import checked_config, compose
+from gran_bench.metrics.position_error import HORIZONS
 from gran_bench.scene import build_scene
+from gran_bench.surrogate import contact
+from gran_bench.surrogate.kernels import contact_fused
 
 CONF = Path(gran_bench.conf.__path__[0])
 GROUPS = [path for path in sorted(CONF.iterdir()) if path.is_dir() and path.name not in ("hydra", "__pycache__")]
@@ -59,6 +65,7 @@ def test_every_choice_of_every_group_composes(group):
         # A speed must belong to one split: the judge's choices need the data set that has their speeds.
         with_it = ["dataset=small"] if path.stem == "quick" and group == "judge" else []
         with_it += ["judge=quick"] if path.stem == "small" and group == "dataset" else []
+        with_it += ["model=ccnn"] if group == "boundary" else []  # the contact network takes one choice only
         train_config(f"{group}={path.stem}", *with_it)
 
 
@@ -172,7 +179,14 @@ def test_every_value_of_the_schema_has_a_rule():
         ("dataset.replicas=1", ["dataset.replicas=1", "≥ 2"]),
         ("judge.speeds_rpm=[31]", ["judge.speeds_rpm=[31.0]", "30.0"]),
         ("model.radius=0.04", ["model.radius=0.04", "0.05"]),
+        ("model.radius=0.055", ["model.radius=0.055", "0.055 m", "1.1 particle diameters"]),
+        ("model.hidden=8", ["model.hidden=8", "16 and 4", "model.backend=torch"]),
+        ("model.channels=8", ["model.channels=8", "16 and 4", "model.backend=torch"]),
         ("model.backend=cuda", ["model.backend=cuda", "fused or torch"]),
+        ("boundary=none", ["boundary.kind=none", "model=contact", "model=ccnn"]),
+        ("boundary.normal=false", ["boundary.normal=false", "model=contact", "model=ccnn"]),
+        ("dataset.packing_seed=1", ["dataset.unseen_packing_seed=1", "dataset.packing_seed", "another"]),
+        ("scene.end_time=1.55 rollout=paper", ["scene.end_time=1.55", "5 frames", "10 frames"]),
         ("loss=paper loss.position_l2=0", ["loss.position_l2=0", "weight"]),
         ("model=ccnn loss.spin=0.2", ["loss.spin=0.2", "model=contact"]),
         ("model=ccnn model.width=63", ["model.width=63", "even"]),
@@ -200,6 +214,26 @@ def test_an_impossible_value_is_refused_in_one_line(override, words):
     message = str(refusal.value)
     assert [word for word in words if word not in message] == [], message
     assert "\n" not in message
+
+
+def test_what_the_config_says_of_rooms_further_on_is_what_they_say():
+    assert config_consistency.FUSED_SIZES == contact_fused.FUSED_SIZES
+    assert config_consistency.PAIR_FADE == contact.PAIR_FADE
+    assert max(HORIZONS) == config_consistency.LONGEST_HORIZON
+
+
+def test_sizes_that_the_fused_kernel_lacks_are_fine_in_torch():
+    assert train_config("model.backend=torch", "model.hidden=8", "model.channels=2").model.hidden == 8
+
+
+@pytest.mark.parametrize(("name", "schema"), [("train", TrainConfig), ("evaluate", EvaluateConfig)])
+def test_a_gpu_that_is_not_there_is_refused(name, schema, monkeypatch):
+    composed = compose(name, ["device=cuda"])
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    with pytest.raises(ConfigError, match=r"device=cuda needs a CUDA device.*device=cpu"):
+        checked_config(composed, schema)
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    assert checked_config(composed, schema).device == "cuda"
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 0.0, -1.0])
@@ -240,6 +274,13 @@ def test_a_whole_number_is_a_number_and_null_is_allowed_where_the_schema_says_so
     assert config.scene.wall_material.friction == 0.9
 
 
+def test_a_wall_material_takes_from_the_particles_what_it_leaves_out():
+    scene = train_config("scene.material.density=1000", "+scene.wall_material.friction=0.9").scene
+    assert scene.wall_material == replace(scene.material, friction=0.9)
+    with pytest.raises(ConfigError, match=r"scene\.wall_material\.frction=0\.9: no such key"):
+        train_config("+scene.wall_material.frction=0.9")
+
+
 def test_a_config_built_in_python_is_held_against_the_same_rules():
     config = TrainConfig(scene=SceneConfig(name="drum"))
     validate(config)
@@ -261,3 +302,40 @@ def test_a_config_built_in_python_is_held_against_the_same_rules():
 )
 def test_the_nearest_key_is_the_one_that_was_meant(typed, meant):
     assert nearest_key(typed, list(dotted_keys(TrainConfig))) == meant
+
+
+# ---- what decides the weights ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        *("threads=1", "judge.speeds_rpm=[30]", "judge.gif=false", "tracking.root=/else"),
+        *("dataset.root=x", "dataset.workers=1", "dataset.replicas=3", "dataset.unseen_packing_seed=2"),
+        *("trainer.minutes=3", "trainer.checkpoint_every=1", "trainer.checkpoint_steps=1", "trainer.log_every=1"),
+    ],
+)
+def test_a_key_that_leaves_the_weights_as_they_are_is_not_among_those_that_decide(override):
+    assert deciding_keys(train_config(override)) == deciding_keys(train_config())
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        *("seed=1", "device=cpu", "model.iterations=4", "loss.spin=0.1", "rollout.noise=0", "optim.accumulate=3"),
+        *("trainer.steps=10", "trainer.startup_fraction=0", "dataset.packing_seed=3", "dem.time_step=1e-4"),
+        *("dataset.training_speeds_rpm=[20]", "scene.material.friction=0.4", "model=ccnn"),
+    ],
+)
+def test_a_key_that_changes_the_weights_decides(override):
+    assert deciding_keys(train_config(override, "judge.speeds_rpm=[]")) != deciding_keys(train_config())
+
+
+def test_walls_decide_where_the_model_looks_at_them():
+    assert "boundary" not in deciding_keys(train_config())
+    seen, unseen = (deciding_keys(train_config("model=ccnn", f"boundary={kind}")) for kind in ("spheres", "none"))
+    assert seen != unseen
+
+
+def test_every_undeciding_key_is_a_key():
+    assert set(dotted_keys(TrainConfig)) >= UNDECIDING

@@ -61,7 +61,7 @@ class SceneConfig:
     container: ContainerConfig = field(default_factory=ContainerConfig)
     filling: FillingConfig = field(default_factory=FillingConfig)
     material: MaterialConfig = field(default_factory=MaterialConfig)
-    wall_material: MaterialConfig | None = None  # null: the particles' material
+    wall_material: MaterialConfig | None = None  # null: the particles' material, as is each key left out
     gravity: list[float] = field(default_factory=lambda: [0.0, 0.0, -9.81])  # m/s²
     rotation: RotationConfig = field(default_factory=RotationConfig)
     start_time: float = 1.5  # s, label of the settled state
@@ -135,7 +135,7 @@ MODEL_SCHEMAS: dict[str, type] = {
 
 @dataclass
 class BoundaryConfig:
-    """How a convolutional model sees the walls."""
+    """How a convolutional model sees the walls; the contact network has a way of its own and takes no other."""
 
     kind: str = "spheres"  # none | spheres | analytic
     spacing: float = 0.5  # of wall spheres, in particle diameters
@@ -214,7 +214,7 @@ class TrackingConfig:
 
     experiment: str = "gran-bench"
     root: str = "results"  # folder of the database, the artifacts and the run folders
-    folder: str | None = None  # of this run, below root; null: the recipe's name, then what was changed in it
+    folder: str | None = None  # name of this run in <root>/runs/, before its key; null: the recipe, what was changed
     enabled: bool = True
 
 
@@ -222,7 +222,7 @@ class TrackingConfig:
 class TrainConfig:
     """Everything that `python -m gran_bench.train` reads."""
 
-    experiment: str = "default"  # name of the run's folder and of its MLflow run
+    experiment: str = "default"  # first word of the run's folder and of its MLflow run
     seed: int = 0
     device: str = "auto"  # auto | cpu | cuda
     threads: int = 2  # CPU threads of the surrogate
@@ -252,7 +252,7 @@ class GenerateConfig:
 class EvaluateConfig:
     """Everything that `python -m gran_bench.evaluate` reads; the scene is the one that the model was made for."""
 
-    checkpoint: str = MISSING  # model file
+    checkpoint: str = MISSING  # model file; `shipped`: the one in the package
     device: str = "auto"  # auto | cpu | cuda
     dem: DemConfig = field(default_factory=DemConfig)
     dataset: DatasetConfig = field(default_factory=DatasetConfig)

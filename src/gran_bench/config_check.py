@@ -13,7 +13,7 @@ from dataclasses import fields, is_dataclass
 from difflib import SequenceMatcher
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from gran_bench.config import MISSING, MODEL_SCHEMAS
+from gran_bench.config import MISSING, MODEL_SCHEMAS, SceneConfig
 from gran_bench.config_consistency import check_consistency
 from gran_bench.config_rules import ConfigError, hold_values
 
@@ -103,6 +103,8 @@ def _read_section(schema: type, values: Any, path: str, root: type) -> Any:
     if not isinstance(values, Mapping):
         names = ", ".join(get_type_hints(schema))
         raise ConfigError(f"{path[:-1]}={values} is no section; give it the keys {names}")
+    if schema is SceneConfig:
+        values = _with_whole_wall_material(values)
     hints = get_type_hints(schema)
     for name in values:
         if name not in hints:
@@ -113,6 +115,14 @@ def _read_section(schema: type, values: Any, path: str, root: type) -> Any:
         if (entry.name not in given and not has_default) or given.get(entry.name, entry.default) == MISSING:
             raise ConfigError(f"{path}{entry.name} is missing; give it a value")
     return schema(**given)
+
+
+def _with_whole_wall_material(scene: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A scene whose ``wall_material`` takes what it leaves out from ``material``, as a null one takes everything."""
+    material, wall = scene.get("material"), scene.get("wall_material")
+    if not isinstance(material, Mapping) or not isinstance(wall, Mapping):
+        return scene
+    return {**scene, "wall_material": {**material, **wall}}
 
 
 def _read(hint: Any, value: Any, key: str, root: type) -> Any:

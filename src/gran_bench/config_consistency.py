@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import fields
 
 from gran_bench.config import (
+    BoundaryConfig,
     CconvModelConfig,
+    ContactModelConfig,
     DatasetConfig,
     EvaluateConfig,
     GenerateConfig,
@@ -14,6 +16,11 @@ from gran_bench.config import (
     TrainConfig,
 )
 from gran_bench.config_rules import ConfigError
+
+# What rooms further on can do, said here because a config is refused before they are loaded; a test holds them equal.
+FUSED_SIZES = (16, 4)  # model.hidden and model.channels that the contact network's kernel is compiled for
+PAIR_FADE = 0.1  # of a diameter: the last part of the contact network's reach, over which an answer fades
+LONGEST_HORIZON = 10  # frames ahead that the short-horizon errors look
 
 
 def check_consistency(config: object) -> None:
@@ -34,6 +41,7 @@ def check_consistency(config: object) -> None:
         _check_training(config)
     if isinstance(config, TrainConfig | EvaluateConfig):
         _check_judge(config.judge, config.dataset)
+        _check_device(config.device)
 
 
 def _require(holds: bool, message: str) -> None:
@@ -106,6 +114,17 @@ def _check_judge(judge: JudgeConfig, dataset: DatasetConfig) -> None:
         )
 
 
+def _check_device(device: str) -> None:
+    if device != "cuda":
+        return
+    import torch  # only here: it loads for seconds
+
+    _require(
+        torch.cuda.is_available(),
+        "device=cuda needs a CUDA device that PyTorch can use, and there is none; choose device=cpu or device=auto",
+    )
+
+
 def _check_model(config: TrainConfig) -> None:
     model, diameter = config.model, config.scene.filling.diameter
     _require(
@@ -125,6 +144,29 @@ def _check_model(config: TrainConfig) -> None:
             f"loss.spin={config.loss.spin:g} needs a model that predicts spin, and model={model.name} does not; "
             "choose loss.spin=0 or model=contact",
         )
+    else:
+        _check_contact(model, diameter)
+        for entry in fields(BoundaryConfig):
+            value = getattr(config.boundary, entry.name)
+            _require(
+                value == entry.default,
+                f"boundary.{entry.name}={str(value).lower() if isinstance(value, bool) else value} changes nothing for "
+                "model=contact, which has walls of its own; leave boundary as it is, or choose model=ccnn",
+            )
+
+
+def _check_contact(model: ContactModelConfig, diameter: float) -> None:
+    reach = (1.0 + PAIR_FADE) * diameter
+    _require(
+        model.radius > reach,
+        f"model.radius={model.radius:g} leaves no room for a contact to fade; choose more than {reach:g} m, "
+        f"{1.0 + PAIR_FADE:g} particle diameters",
+    )
+    _require(
+        model.backend != "fused" or (model.hidden, model.channels) == FUSED_SIZES,
+        f"model.hidden={model.hidden} with model.channels={model.channels} is not what model.backend=fused is compiled "
+        f"for; choose {FUSED_SIZES[0]} and {FUSED_SIZES[1]}, or model.backend=torch",
+    )
 
 
 def _check_training(config: TrainConfig) -> None:
@@ -141,6 +183,11 @@ def _check_training(config: TrainConfig) -> None:
     longest = max(rollout.frames, rollout.final_frames or 0)
     available = round((config.scene.end_time - config.scene.start_time) / config.scene.frame_interval)
     name = "frames" if longest == rollout.frames else "final_frames"
+    _require(
+        available >= LONGEST_HORIZON,
+        f"scene.end_time={config.scene.end_time:g} makes cases of {available} frames; judging looks {LONGEST_HORIZON} "
+        "frames ahead, so choose a later end",
+    )
     _require(longest <= available, f"rollout.{name}={longest} is longer than a case; choose at most {available} frames")
     _require(
         optim.final_learning_rate <= optim.learning_rate,
