@@ -1,15 +1,21 @@
-"""The scenes that ship with the package, by name, for use from Python."""
+"""The scenes and the model that ship with the package, by name."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 from omegaconf import OmegaConf
 
+import gran_bench
 from gran_bench.config import SceneConfig
 from gran_bench.config_check import read_config
+from gran_bench.config_rules import ConfigError
 from gran_bench.entry import compose
 from gran_bench.scene import Scene, build_scene
+
+SHIPPED = "shipped"  # the word for the default model where a model file is asked for
+DEFAULT_MODEL = "holdout30rpm"
 
 
 def shipped_scene(name: str, changes: Mapping[str, object] | None = None) -> Scene:
@@ -29,3 +35,21 @@ def shipped_scene(name: str, changes: Mapping[str, object] | None = None) -> Sce
     values = OmegaConf.to_container(composed.scene, resolve=True)
     assert isinstance(values, dict)
     return build_scene(read_config(SceneConfig, values))
+
+
+def shipped_model(name: str = DEFAULT_MODEL) -> Path:
+    """The file of a trained model in the package, to be read with `surrogate.checkpoint.load_model`.
+
+    Args:
+        name: of the recipe that trained it.
+
+    Raises:
+        ConfigError: no such model; names those there are.
+    """
+    models = Path(gran_bench.__file__).parent / "models"
+    path = models / name / "model.pt"
+    if not path.is_file():
+        there = sorted(found.parent.name for found in models.glob("*/model.pt"))
+        remedy = f"choose {' or '.join(there)}" if there else "give the file of a model of your own"
+        raise ConfigError(f"model {name}: none of that name ships with the package; {remedy}")
+    return path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -61,9 +62,20 @@ def test_the_wheel_has_every_module_and_every_config(wheel):
     with zipfile.ZipFile(wheel) as archive:
         packed = set(archive.namelist())
     for folder, place in ((ROOT / "src" / "gran_bench", "gran_bench"), (ROOT / "conf", "gran_bench/conf")):
-        for pattern in ("*.py", "*.yaml"):
+        for pattern in ("*.py", "*.yaml", "*.pt"):
             for path in folder.rglob(pattern):
                 assert f"{place}/{path.relative_to(folder).as_posix()}" in packed
+
+
+def test_the_wheel_judges_the_model_that_it_ships(python, tmp_path):
+    # The step is refused where the DEM would begin, after the model has been found, read and built.
+    done = run(python, tmp_path, "gran_bench.evaluate", "dem.time_step=1e-2", "tracking=off")
+    model, *_, error = done.stderr.splitlines()
+    assert re.search(r"model contact: \d+ parameters from .*gran_bench/models/holdout30rpm/model\.pt", model), (
+        done.stderr
+    )
+    assert str(ROOT) not in model
+    assert "dem.time_step=0.01" in error
 
 
 def test_the_wheel_runs_from_its_own_files(python, tmp_path):
