@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from gran_bench.atomic import write_text
+from gran_bench.metrics.judgement import shown_multiple
+from gran_bench.metrics.outside import FailureCount
 
 SUMMARY = "summary.json"
 
@@ -27,7 +29,8 @@ def read_summary(folder: Path) -> dict[str, Any] | None:
 def headline(summary: dict[str, Any]) -> dict[str, float]:
     """The figures that a person looks at first, by the names that they have in MLflow.
 
-    A figure that is undefined is absent here; why, says the summary.
+    A figure that is undefined is absent here; why, says the summary. A requirement fails for each row of the table
+    that says so: the judged ones, a speed that is not told apart, a rollout that broke down.
     """
     shared = summary["judged"]["shared"]
     rollout = summary["rollouts"][f"{summary['judged_rpm']:g}rpm"]
@@ -41,9 +44,15 @@ def headline(summary: dict[str, Any]) -> dict[str, float]:
         "position error 10 frames mm": _scaled(summary["position_error"]["10_frames"]["m"], 1e3),
         "rollout ms per frame": rollout["ms_per_frame_median"],
         "training minutes": summary["training"]["seconds"] / 60.0,
-        "requirements failed": float(verdicts.count("fail") + strangers),
+        "requirements failed": float(verdicts.count("fail") + strangers + len(_broken_rollouts(summary))),
     }
     return {name: float(value) for name, value in found.items() if value is not None}
+
+
+def _broken_rollouts(summary: dict[str, Any]) -> dict[str, int]:
+    """The frame at which each rollout that broke down did so, by the rollout's name."""
+    frames = {name: row["failed_frame"] for name, row in summary["rollouts"].items()}
+    return {name: frame for name, frame in frames.items() if frame is not None}
 
 
 def _scaled(value: float | None, factor: float) -> float | None:
@@ -92,9 +101,11 @@ def summary_table(summary: dict[str, Any]) -> str:
         lines.append(f"  {'distance from the DEM':<56}{'found':>16}  noise floor")
         for name in ("surface_angle", "com_angle", "speed_w1"):
             row = judged["errors"][name]
-            times = "" if row["multiple_of_floor"] is None else f" (× {row['multiple_of_floor']:.2f})"
+            times = "" if row["multiple_of_floor"] is None else f" (× {shown_multiple(row['multiple_of_floor'])})"
             floor = _figure(row["floor"], row["unit"])
             lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>16}  {floor}{times}{_note(row)}")
+        if judged["failures"]:
+            lines += [f"  {line}" for line in FailureCount(**judged["failures"]).lines()]
     lines += ["", f"baselines at {summary['judged_rpm']:g} rpm, shared packing"]
     lines.append(f"  {'':<56}{'angle':>16}{'speed W1':>14}")
     for name, errors in summary["baselines"].items():
@@ -104,6 +115,8 @@ def summary_table(summary: dict[str, Any]) -> str:
     for name, row in summary["nearest_case"].items():
         nearest = "undefined" if row["nearest_rpm"] is None else f"{row['nearest_rpm']:g} rpm"
         lines.append(f"  {name:<56}{nearest:>16}  {'pass' if row['is_own'] else 'fail'}")
+    for name, frame in _broken_rollouts(summary).items():
+        lines.append(f"  {'rollout ' + name:<56}{f'failed at frame {frame}':>16}  fail")
     errors = summary["position_error"].values()
     shown = ", ".join(_figure(row["m"], "m") for row in errors)
     horizons = ", ".join(name.split("_")[0] for name in summary["position_error"])

@@ -1,6 +1,6 @@
 """Judging: metrics with validity flags, the noise floor of the physics, and the judge."""
 
-from gran_bench.metrics.judge import judge, nearest_case, replica_spread
+from gran_bench.metrics.judge import judge, nearest_case
 from gran_bench.metrics.judgement import Judgement
 from gran_bench.metrics.measured import Measured, Series, UndefinedMetricError
 from gran_bench.metrics.position_error import divergence_horizon, short_horizon_errors, spread_starts
@@ -15,7 +15,6 @@ __all__ = [
     "divergence_horizon",
     "judge",
     "nearest_case",
-    "replica_spread",
     "short_horizon_errors",
     "spread_starts",
     "summarise",

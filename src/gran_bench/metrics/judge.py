@@ -11,7 +11,6 @@ from gran_bench.metrics.comparisons import COMPARISONS, FIGURES, Figure
 from gran_bench.metrics.judgement import ErrorRow, FigureRow, Judgement
 from gran_bench.metrics.measured import Measured, mean_of
 from gran_bench.metrics.noise_floor import noise_floor, prediction_interval, score
-from gran_bench.metrics.position_error import mean_spread
 from gran_bench.metrics.speeds import sorted_frames, velocities, wasserstein_series
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.scene import Scene
@@ -85,11 +84,6 @@ def nearest_case(
     if not all(distance.defined for distance in distances.values()):
         return None, distances
     return min(distances, key=lambda rpm: distances[rpm].number), distances
-
-
-def replica_spread(replicas: Sequence[Trajectory], period: float = 0.0) -> FloatArray:
-    """Mean distance of two replicas in each state, ``(F,)`` m: the divergence horizon is where it reaches 0.1 d."""
-    return mean_spread([replica.position for replica in replicas], period)
 
 
 def _summary(run: Trajectory | TrajectorySummary, scene: Scene, kind: str) -> TrajectorySummary:

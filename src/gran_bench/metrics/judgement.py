@@ -148,33 +148,14 @@ class Judgement:
             ]
         )
 
-    def figures_frame(self) -> pd.DataFrame:
-        """The scalars as a table: name, value, unit, the DEM's mean and interval, inside, valid, reason."""
-        return pd.DataFrame(
-            [
-                {
-                    "name": row.key,
-                    "value": row.candidate.value,
-                    "unit": row.unit,
-                    "dem": row.truth.value,
-                    "dem_low": row.interval.low if row.interval else None,
-                    "dem_high": row.interval.high if row.interval else None,
-                    "inside": row.inside,
-                    "valid": row.candidate.defined,
-                    "reason": row.candidate.note or row.truth.note,
-                }
-                for row in self.figures
-            ]
-        )
-
     def __str__(self) -> str:
         return "\n".join(self._lines())
 
     def _lines(self) -> Iterator[str]:
         yield f"{'distance from the DEM':<38}{'value':>10} {'floor':>10} {'floors':>7}"
         for row in self.errors:
-            multiple = "-" if row.multiple is None else f"{row.multiple:.2f}" if row.multiple < 1e3 else "> 1000"
-            line = f"{row.label:<38}{_shown(row.error):>10} {_shown(row.floor):>10} {multiple:>7} {_unit(row.unit)}"
+            values = f"{_shown(row.error):>10} {_shown(row.floor):>10} {shown_multiple(row.multiple):>7}"
+            line = f"{row.label:<38}{values} {_unit(row.unit)}"
             yield _with_note(line, row.error.note or row.floor.note)
         yield ""
         yield f"{'figure':<38}{'value':>10} {'DEM':>10}   95 % of replicas"
@@ -187,26 +168,20 @@ class Judgement:
             values = f"{_shown(row.candidate):>10} {_shown(row.truth):>10}   {span} {_unit(row.unit)}{verdict}"
             yield _with_note(f"{row.label:<38}{values}", row.candidate.note or row.truth.note)
         yield ""
-        yield from self._failure_lines()
+        if self.failures is not None:
+            yield from (*self.failures.lines(), "")
         passed = sum(row.verdict == "pass" for row in self.requirements)
         yield f"requirements ({passed} of {len(self.requirements)} pass)"
         for row in self.requirements:
             value = f"{_shown(row.figure)} {_unit(row.figure.unit)}"
             yield _with_note(f"  {row.verdict:<10}{row.label:<52}{value}", row.figure.note)
 
-    def _failure_lines(self) -> Iterator[str]:
-        if self.failures is None:
-            return
-        count = self.failures
-        since = f" (from {count.first_non_finite:g} s)" if count.first_non_finite is not None else ""
-        missing = max(0, count.expected_states - count.states)
-        yield f"failures: {count.non_finite_states} of {count.states} states not finite{since}, {missing} missing"
-        yield (
-            f"  centres outside: {count.share(count.outside):.3g} % of sphere states, "
-            f"{count.share(count.outside_tolerated):.3g} % by > 5 mm, {count.outside_radius} by > r "
-            f"({count.outside_spheres} spheres); farthest {1e3 * count.farthest:.3g} mm"
-        )
-        yield ""
+
+def shown_multiple(multiple: float | None) -> str:
+    """A multiple of a noise floor for people; a floor that is all but zero has no telling multiple."""
+    if multiple is None:
+        return "-"
+    return f"{multiple:.2f}" if multiple < 1e3 else "> 1000"
 
 
 def _plain(figure: Measured) -> dict[str, Any]:

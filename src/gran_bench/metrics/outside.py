@@ -57,6 +57,17 @@ class FailureCount:
         """``count`` of all sphere-states, in per cent."""
         return 100.0 * count / max(self.sphere_states, 1)
 
+    def lines(self) -> tuple[str, str]:
+        """The counts for people: what is not finite or missing, and what is outside and how far."""
+        since = f" (from {self.first_non_finite:g} s)" if self.first_non_finite is not None else ""
+        missing = max(0, self.expected_states - self.states)
+        return (
+            f"failures: {self.non_finite_states} of {self.states} states not finite{since}, {missing} missing",
+            f"  centres outside: {self.share(self.outside):.3g} % of sphere states, "
+            f"{self.share(self.outside_tolerated):.3g} % by > 5 mm, {self.outside_radius} by > r "
+            f"({self.outside_spheres} spheres); farthest {1e3 * self.farthest:.3g} mm",
+        )
+
 
 def distance_outside(position: FloatArray, radius: FloatArray, scene: Scene) -> FloatArray:
     """How far each centre lies beyond its last place in the container, ``(..., N)`` m; ≤ 0 inside.

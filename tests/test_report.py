@@ -1,0 +1,123 @@
+"""The table of a finished run: every failure has a row in it, and the count of failures is the number of such rows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from beds import drum, flowing
+
+from gran_bench.metrics import Judgement, judge
+from gran_bench.report import flat_metrics, headline, read_summary, summary_table, write_summary
+from gran_bench.state import Trajectory
+
+SCENE = drum(end_time=1.8)
+REPLICAS = [flowing(SCENE, seed=1), flowing(SCENE, seed=2)]
+
+
+def summary_of(*runs: Trajectory, failed_frames: tuple[int | None, ...] = (None, None), own: bool = True) -> dict:
+    """A summary as the main job writes it, of a rollout from each packing."""
+    judgements = dict(zip(("shared", "unseen"), (judge(run, REPLICAS, SCENE) for run in runs), strict=False))
+    facts = {"ms_per_frame_median": 2.0, "ms_per_frame_90th": 3.0, "dem_ms_per_frame": 10.0}
+    summary = {
+        "experiment": "test",
+        "judged_rpm": 30.0,
+        "judged_as": "held out",
+        "model": {"name": "contact"},
+        "training": {"parameters": 10, "steps": 5, "seconds": 60.0, "stopped_by": "steps"},
+        "judged": {packing: judgement.to_dict() for packing, judgement in judgements.items()},
+        "baselines": {"ballistic": judgements["shared"].to_dict()["errors"]},
+        "nearest_case": {"30rpm": {"own_rpm": 30.0, "nearest_rpm": 30.0 if own else 35.0, "is_own": own}},
+        "position_error": {"10_frames": {"m": 0.004, "diameters": 0.08, "note": ""}},
+        "rollouts": {
+            name: {"failed_frame": frame, **facts}
+            for name, frame in zip(("30rpm", "30rpm_unseen"), failed_frames, strict=True)
+        },
+        "frame_ms": 10.0,
+        "wall_seconds": {"training": 60.0},
+    }
+    return json.loads(json.dumps(summary, allow_nan=False))
+
+
+def failed_rows(summary: dict[str, Any]) -> int:
+    return sum(
+        "  fail" in line and not line.strip().startswith("failures") for line in summary_table(summary).split("\n")
+    )
+
+
+def broken(frame: int) -> Trajectory:
+    run = flowing(SCENE, seed=3)
+    for array in (run.position, run.velocity, run.angular_velocity):
+        array[frame:] = np.nan
+    return run
+
+
+def test_a_good_run_meets_what_it_can_and_says_that_nothing_got_lost():
+    summary = summary_of(flowing(SCENE, seed=3))
+    text = summary_table(summary)
+    assert "failures: 0 of 31 states not finite, 0 missing" in text
+    assert headline(summary)["requirements failed"] == failed_rows(summary)
+
+
+def test_spheres_outside_are_in_the_table_of_each_packing():
+    escaping = flowing(SCENE, seed=3)
+    escaping.position[5:, 0] *= 0.51 / np.linalg.norm(escaping.position[5:, 0, ::2], axis=1)[:, None]
+    lines = summary_table(summary_of(flowing(SCENE, seed=3), escaping)).split("\n")
+    counts = [line for line in lines if "centres outside" in line]
+    assert len(counts) == 2
+    assert "0 by > r" in counts[0]
+    assert "26 by > r (1 spheres)" in counts[1]
+    assert "farthest" in counts[1]
+
+
+def test_a_rollout_that_broke_down_has_a_row_and_counts():
+    run = broken(7)
+    whole, failed = summary_of(run), summary_of(run, failed_frames=(None, 7))
+    line = next(line for line in summary_table(failed).split("\n") if "rollout 30rpm_unseen" in line)
+    assert "failed at frame 7" in line
+    assert headline(failed)["requirements failed"] == headline(whole)["requirements failed"] + 1
+    assert "24 of 31 states not finite (from 1.57 s)" in summary_table(failed)
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_the_count_of_failures_is_that_of_the_failed_rows(own: bool):
+    summary = summary_of(broken(3), flowing(SCENE, seed=3), failed_frames=(3, None), own=own)
+    assert headline(summary)["requirements failed"] == failed_rows(summary) > 0
+    assert f"{failed_rows(summary)} requirements NOT met" in summary_table(summary)
+
+
+def test_a_speed_that_is_not_told_apart_fails():
+    run = flowing(SCENE, seed=3)
+    assert (
+        headline(summary_of(run, own=False))["requirements failed"]
+        == headline(summary_of(run))["requirements failed"] + 1
+    )
+
+
+def test_a_floor_that_is_all_but_zero_gives_no_figure_of_many_digits():
+    summary = summary_of(flowing(SCENE, seed=3))
+    summary["judged"]["shared"]["errors"]["speed_w1"]["multiple_of_floor"] = 3.2e14
+    assert "(× > 1000)" in summary_table(summary)
+
+
+def test_what_is_undefined_is_absent_from_the_metrics_and_the_rest_is_a_number():
+    metrics = flat_metrics(summary_of(broken(3)))
+    assert "shared/error/speed_w1" not in metrics
+    assert metrics["shared/failures/non_finite_states"] == 28
+    assert all(isinstance(value, float) for value in metrics.values())
+
+
+def test_a_summary_is_read_as_it_was_written_and_only_where_it_is(tmp_path: Path):
+    summary = summary_of(flowing(SCENE, seed=3))
+    assert read_summary(tmp_path) is None
+    write_summary(tmp_path, summary)
+    assert read_summary(tmp_path) == summary
+
+
+def test_the_judgement_itself_shows_the_same_failures():
+    judgement: Judgement = judge(broken(3), REPLICAS, SCENE)
+    for line in judgement.failures.lines():
+        assert line in str(judgement)
