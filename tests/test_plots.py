@@ -153,6 +153,24 @@ def test_position_figure_counts_lost_frames_and_marks_the_horizon(tmp_path, text
     assert any(text.startswith("frame 0:") for text in texts)  # these replicas never were one trajectory
 
 
+@pytest.mark.parametrize(("factor", "lowest", "highest"), [(1.0, 1e-4, 30.0), (1e4, 1e-4, 1e5), (None, 1e-9, 30.0)])
+def test_position_figure_reaches_as_far_as_a_run_goes(tmp_path, monkeypatch, replicas, factor, lowest, highest):
+    limits = []
+    save = Figure.savefig
+    monkeypatch.setattr(
+        Figure, "savefig", lambda figure, *a, **k: (limits.append(figure.axes[0].get_ylim()), save(figure, *a, **k))
+    )
+    run = flowing(SCENE, 0 if factor is None else 1)
+    if factor is None:
+        run.position[3] += 1e-7  # m; next to nothing away from the first replica, which is the only one here
+    else:
+        run.position[3:] *= factor
+    position_error({"surrogate": summarise(run, SCENE)}, replicas[:1], tmp_path / "position.png")
+    ((low, high),) = limits
+    assert low == pytest.approx(1e-4) if lowest == 1e-4 else lowest < low < 1e-5
+    assert high == pytest.approx(30.0) if highest == 30.0 else highest < high < 10 * highest
+
+
 def test_depth_figure_shows_layers_or_why_there_are_none(tmp_path, texts, replicas):
     scene = replace(drum(), frame_interval=0.5)
     beds = [summarise(resting(scene, inclined_bed(20.0, seed), speed=0.1), scene) for seed in range(2)]
@@ -249,6 +267,21 @@ def test_the_film_has_its_frames_in_real_time_and_shows_failures(tmp_path):
     # Of the failed run only the drum's wall and a word are left, in grey.
     assert (right.max(axis=2) == right.min(axis=2)).all()
     assert (left.max(axis=2) != left.min(axis=2)).mean() > 0.05
+
+
+def test_the_film_says_how_many_spheres_it_cannot_show(tmp_path):
+    def corner(escaped: int) -> np.ndarray:
+        run = flowing(SCENE, 1)
+        run.position[5:, :escaped] = 3.0  # m, far outside the picture
+        run.position[5:, escaped // 2 : escaped] = np.nan
+        with Image.open(flow_animation({"surrogate": run}, SCENE, tmp_path / f"flow{escaped}.gif")) as film:
+            film.seek(8)
+            return np.asarray(film.convert("L").crop((0, 26 + 265, 60, 26 + 300)))
+
+    none, some, more = corner(0), corner(4), corner(57)
+    assert (none == 255).all()
+    assert (some < 50).sum() > 50
+    assert not np.array_equal(some, more)
 
 
 def test_a_figure_that_fails_leaves_the_old_file_as_it_was(tmp_path):

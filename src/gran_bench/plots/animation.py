@@ -71,7 +71,7 @@ def _frames(
 ) -> list[Image.Image]:
     """The film's pictures, paletted, so that nothing is dithered."""
     states = max(run.frame_count for _, run in runs)
-    backdrop, font = _backdrop([name for name, _ in runs], top), _font(13)
+    backdrop, font, small = _backdrop([name for name, _ in runs], top), _font(13), _font(11)
     films = []
     for frame in range(0, states, stride):
         canvas = backdrop.copy()
@@ -81,8 +81,12 @@ def _frames(
         for panel, (_, run) in enumerate(runs):
             corner = (panel * PIXELS, HEADER)
             if frame < run.frame_count and np.isfinite(run.position[frame]).any():
-                bed = _panel(run.position[frame], speeds[panel][frame], run, scene, top)
+                bed, unseen = _panel(run.position[frame], speeds[panel][frame], run, scene, top)
                 canvas.paste(Image.fromarray(bed), corner)
+                if unseen:
+                    # In the corner, which the drum leaves free.
+                    place, note = (corner[0] + 3, corner[1] + PIXELS - 29), f"{unseen} not\nin sight"
+                    draw.multiline_text(place, note, BLACK, small, spacing=2, stroke_width=2, stroke_fill=WHITE)
             else:
                 middle = (corner[0] + PIXELS // 2, corner[1] + PIXELS // 2)
                 draw.text(middle, "not finite" if frame < run.frame_count else "ended", BLACK, font, anchor="mm")
@@ -92,14 +96,16 @@ def _frames(
     return films
 
 
-def _panel(position: FloatArray, speed: FloatArray, run: Trajectory, scene: Scene, top: float) -> NDArray[np.uint8]:
-    """Palette index of each pixel of one bed, ``(PIXELS, PIXELS)``."""
+def _panel(
+    position: FloatArray, speed: FloatArray, run: Trajectory, scene: Scene, top: float
+) -> tuple[NDArray[np.uint8], int]:
+    """Palette index of each pixel of one bed, ``(PIXELS, PIXELS)``, and how many spheres it cannot show."""
     across, away = view_along_axis(position.astype(np.float64), scene)
     image = draw_spheres(across, away, run.radius.astype(np.float64), view_half_width(run.position[0], scene), PIXELS)
     level = np.clip(np.nan_to_num(speed, posinf=top) / top * LEVELS, 0, LEVELS - 1).astype(np.int64)
     light = np.digitize(image.facing, (0.45, 0.8))
     index = FIRST + len(LIGHTS) * level[np.maximum(image.owner, 0)] + light
-    return np.where(image.owner >= 0, index, WHITE).astype(np.uint8)
+    return np.where(image.owner >= 0, index, WHITE).astype(np.uint8), image.unseen
 
 
 def _palette() -> list[int]:

@@ -10,6 +10,9 @@ import numpy as np
 from gran_bench.metrics.position_error import DIVERGED, divergence_horizon, mean_spread, separation
 from gran_bench.metrics.summary import TrajectorySummary
 from gran_bench.plots.style import DEM, FURTHER, QUIET, SURROGATE, drawing
+from gran_bench.state import FloatArray
+
+USUAL = (1e-4, 30.0)  # d; the axis of every run that stays within, so that figures can be compared
 
 
 def position_error(
@@ -27,7 +30,7 @@ def position_error(
     """
     diameter, period, frames = replicas[0].diameter, replicas[0].period, len(replicas[0].time)
     with drawing(path, 7.6, 4.3) as figure:
-        axes = figure.subplots()
+        axes, drawn = figure.subplots(), []
         for (name, run), colour in zip(candidates.items(), (SURROGATE, *FURTHER), strict=False):
             if run.position is None:
                 continue
@@ -38,25 +41,31 @@ def position_error(
             lost = int((~np.isfinite(error)).sum()) + frames - shared
             note = f" ({lost} frames not finite or missing)" if lost else ""
             axes.plot(np.arange(1, shared), error[1:] / diameter, color=colour, label=f"{name} to DEM{note}")
+            drawn.append(error[1:] / diameter)
         if len(replicas) > 1:
             spread = mean_spread([run.position for run in replicas], period)
             axes.plot(
                 np.arange(1, frames), spread[1:] / diameter, color=DEM, label="DEM replica to replica (1e-9 m apart)"
             )
+            drawn.append(spread[1:] / diameter)
             horizon = divergence_horizon(spread, diameter)
             if horizon is not None:
                 axes.axvspan(horizon, frames, color="#f2f2f2", zorder=0)
                 axes.axvline(horizon, color=QUIET, linewidth=1.0, linestyle=(0, (4, 3)))
+                late = horizon > frames**0.7  # on a logarithmic axis; there is no room to its right
                 axes.annotate(
                     f"frame {horizon}:\nreplicas {DIVERGED:g} d apart,\nbeyond it only\nstatistics compare",
-                    (horizon, 1.4e-4),
-                    xytext=(6, 0),
+                    (horizon, 0.03),
+                    xycoords=("data", "axes fraction"),
+                    annotation_clip=True,
+                    xytext=(-6 if late else 6, 0),
+                    ha="right" if late else "left",
                     textcoords="offset points",
                     fontsize=8.5,
                     color="#555555",
                 )
         axes.set_yscale("log")
-        axes.set_ylim(1e-4, 30.0)
+        axes.set_ylim(*_range(drawn))
         axes.set_xlim(1, frames - 1)
         axes.set_xscale("log")
         axes.set_xticks([tick for tick in (1, 3, 10, 30, 100, 300, 1000) if tick < frames], minor=False)
@@ -71,3 +80,11 @@ def position_error(
         axes.set_title("Position error of the rollout")
         axes.legend(loc="upper left")
     return Path(path)
+
+
+def _range(errors: Sequence[FloatArray]) -> tuple[float, float]:
+    """Ends of the axis, d: the usual ones, or as far beyond as a run goes."""
+    known = np.concatenate([np.asarray(error, np.float64) for error in errors] or [np.zeros(0)])
+    known = known[np.isfinite(known) & (known > 0)]
+    low, high = known.min(initial=USUAL[0]), known.max(initial=USUAL[1])
+    return (low if low == USUAL[0] else 0.5 * low), (high if high == USUAL[1] else 2.0 * high)
