@@ -18,6 +18,7 @@ from gran_bench import tracking
 from gran_bench.atomic import write_text
 from gran_bench.config import EvaluateConfig, SceneConfig, TrainConfig
 from gran_bench.config_check import read_config
+from gran_bench.config_identity import deciding_keys
 from gran_bench.config_rules import ConfigError
 from gran_bench.dataset import Split, Windows, ensure_cases, read_case, split_cases
 from gran_bench.dataset.case_spec import key_hash
@@ -37,14 +38,6 @@ from gran_bench.trainer import CHECKPOINT, Trainer, TrainingStopped
 MODEL = "model.pt"
 TRAINING = "training.json"
 LOSSES = "losses.csv"
-
-# Sections and keys that decide where, when, how fast or how it is judged, but not what is trained.
-_UNDECIDING = {
-    "": ("experiment", "threads", "judge", "tracking"),
-    "dataset": ("root", "workers", "replicas", "unseen_packing_seed", "holdout_speeds_rpm"),
-    "trainer": ("minutes", "checkpoint_every", "checkpoint_steps", "log_every"),
-}
-
 
 def run_experiment(config: TrainConfig) -> dict[str, Any]:
     """Run the experiment that a config describes, or what is left of it.
@@ -67,7 +60,7 @@ def run_experiment(config: TrainConfig) -> dict[str, Any]:
         with clock.stage("data"):
             ensure_cases(split.all, config.dataset.root, config.dataset.workers)
             windows = training_windows(config, split)
-        key = hash_of(_deciding(config), windows.digest)
+        key = hash_of(deciding_keys(config), windows.digest)
         folder = Path(config.tracking.root) / "runs" / f"{config.tracking.folder or config.experiment}-{key[:8]}"
         plan = Plan(scene, config.dem, config.dataset, config.judge)
         record = RunRecord(folder, key, _judged_by(plan), config, scene.name, windows.digest, clock)
@@ -231,16 +224,6 @@ def judge_stage(
 
 
 # ---- what determines a run -------------------------------------------------------------------------------
-
-
-def _deciding(config: TrainConfig) -> dict[str, Any]:
-    """The config keys that determine the trained weights."""
-    values = asdict(config)
-    for section, names in _UNDECIDING.items():
-        place = values[section] if section else values
-        for name in names:
-            del place[name]
-    return values
 
 
 def _judged_by(plan: Plan) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -30,7 +29,7 @@ class ResultPageError(ValueError):
     """A folder that is not a finished run."""
 
 
-def write_page(run: Path, target: Path, title: str, remark: str = "", model_folder: Path | None = None) -> Path:
+def write_page(run: Path, target: Path, title: str, remark: str = "") -> Path:
     """Copy a finished run's summary, figures and small model to a folder, and describe them in its README.
 
     Args:
@@ -38,8 +37,6 @@ def write_page(run: Path, target: Path, title: str, remark: str = "", model_fold
         target: folder of the page; files of the same names are replaced.
         title: of the page.
         remark: paragraphs of one's own, put before the table.
-        model_folder: keeps the model file; None: the page's folder. The model that ships with the package has its one
-            place there.
 
     Returns:
         The README.
@@ -55,15 +52,14 @@ def write_page(run: Path, target: Path, title: str, remark: str = "", model_fold
         _copy(source, target / source.relative_to(run))
     keeps_model = (run / MODEL).exists() and (run / MODEL).stat().st_size <= LARGEST_MODEL
     if keeps_model:
-        _copy(run / MODEL, (model_folder or target) / MODEL)
-    link = Path(os.path.relpath(model_folder or target, target), MODEL).as_posix() if keeps_model else None
-    text = "\n".join(_lines(summary, [figure.relative_to(run) for figure in figures], title, remark, link, run))
+        _copy(run / MODEL, target / MODEL)
+    text = "\n".join(_lines(summary, [figure.relative_to(run) for figure in figures], title, remark, keeps_model, run))
     write_text(target / "README.md", text + "\n")
     return target / "README.md"
 
 
 def _lines(
-    summary: dict[str, Any], figures: list[Path], title: str, remark: str, link: str | None, run: Path
+    summary: dict[str, Any], figures: list[Path], title: str, remark: str, keeps_model: bool, run: Path
 ) -> list[str]:
     training, judged = summary["training"], summary["provenance"]
     lines = [f"# {title}", ""]
@@ -81,7 +77,7 @@ def _lines(
         "",
     ]
     if (run / MODEL).exists():
-        where = f"[`{link}`]({link})" if link is not None else "not kept here for its size"
+        where = f"[`{MODEL}`]({MODEL})" if keeps_model else "not kept here for its size"
         lines += [f"Model file: {where}, SHA-256 `{file_digest(run / MODEL)}`.", ""]
     lines += [f"Every figure of the table, and more, is in [`{SUMMARY}`]({SUMMARY}).", ""]
     for figure in sorted(figures, key=_place):
@@ -117,13 +113,12 @@ def main() -> None:
     parser.add_argument("target", type=Path, help="folder of the page")
     parser.add_argument("--title", help="of the page; the experiment's name where it is not given")
     parser.add_argument("--remark", type=Path, help="a text file put before the table")
-    parser.add_argument("--model-folder", type=Path, help="keeps the model file, where that is not the page's folder")
     arguments = parser.parse_args()
     try:
         summary = read_summary(arguments.run) or {}
         title = arguments.title or str(summary.get("experiment", ""))
         remark = arguments.remark.read_text("utf-8") if arguments.remark else ""
-        print(write_page(arguments.run, arguments.target, title, remark, arguments.model_folder))
+        print(write_page(arguments.run, arguments.target, title, remark))
     except (ResultPageError, OSError, json.JSONDecodeError) as error:
         parser.exit(2, f"error: {error}\n")
 

@@ -38,7 +38,7 @@ def shipped_scene(name: str, changes: Mapping[str, object] | None = None) -> Sce
 
 
 def shipped_model(name: str = DEFAULT_MODEL) -> Path:
-    """The file of a trained model in the package, to be read with `surrogate.checkpoint.load_model`.
+    """The file of a trained model that ships with the package, to be read with `surrogate.checkpoint.load_model`.
 
     Args:
         name: of the recipe that trained it.
@@ -46,10 +46,12 @@ def shipped_model(name: str = DEFAULT_MODEL) -> Path:
     Raises:
         ConfigError: no such model; names those there are.
     """
-    models = Path(gran_bench.__file__).parent / "models"
-    path = models / name / "model.pt"
-    if not path.is_file():
-        there = sorted(found.parent.name for found in models.glob("*/model.pt"))
-        remedy = f"choose {' or '.join(there)}" if there else "give the file of a model of your own"
-        raise ConfigError(f"model {name}: none of that name ships with the package; {remedy}")
-    return path
+    package = Path(gran_bench.__file__).parent
+    # An installed package carries the models; a clone has them where their results are.
+    places = [package / "models", package.parents[1] / "results"]
+    for place in places:
+        if (place / name / "model.pt").is_file():
+            return place / name / "model.pt"
+    there = sorted({found.parent.name for place in places for found in place.glob("*/model.pt")})
+    remedy = f"choose {' or '.join(there)}" if there else "give the file of a model of your own"
+    raise ConfigError(f"model {name}: none of that name ships with the package; {remedy}")

@@ -53,7 +53,7 @@ def load_card(path: Path) -> tuple[ModelCard, dict[str, Tensor]]:
         CheckpointError: no such file, or not a model of this project.
     """
     if not Path(path).exists():
-        raise CheckpointError(f"model file {path} does not exist; train one, or give results/holdout30rpm/model.pt")
+        raise CheckpointError(f"model file {path} does not exist; train one, or leave the key out: one is shipped")
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
         weights = content.pop("weights")
