@@ -354,6 +354,22 @@ def test_a_store_that_is_locked_for_a_while_loses_nothing(
     assert only_run(own).data.metrics["loss"] == 0.5
 
 
+def test_a_store_that_fails_is_not_tried_at_every_step(own: TrackingConfig, monkeypatch: pytest.MonkeyPatch):
+    tried = []
+
+    def locked(self: MlflowClient, *arguments: object, **options: object) -> None:
+        tried.append(1)
+        raise MlflowException("(sqlite3.OperationalError) database is locked")
+
+    with open_run(own, "patient", "key", {}) as run:
+        with monkeypatch.context() as patch:
+            patch.setattr(MlflowClient, "log_batch", locked)
+            for step in range(1500):
+                run.log_metrics({"loss": 1.0, "norm": 2.0}, step)
+        assert len(tried) == 1
+    assert len(client(own).get_metric_history(only_run(own).info.run_id, "norm")) == 1500
+
+
 def test_a_failing_store_does_not_hide_why_the_run_failed(own: TrackingConfig, capsys: pytest.CaptureFixture):
     def life() -> None:
         with open_run(own, "both", "key", {}):

@@ -87,14 +87,16 @@ class StoredRun(Run):
     def __init__(self, store: Store, run_id: str, resumed: bool) -> None:
         self.run_id, self._store, self._resumed = run_id, store, resumed
         self._backlog, self._finished = Backlog(), False
-        self._next_flush = time.monotonic() + FLUSH_SECONDS
+        self._next_flush, self._failing = time.monotonic() + FLUSH_SECONDS, False
         self._history: dict[str, dict[int, str]] = {}
 
     def log_metrics(self, metrics: Mapping[str, float], step: int = 0, supersede: bool = False) -> None:
         now = int(1000 * time.time())
         for name, value in metrics.items():
             self._backlog.metrics.append(MetricPoint(legal_name(name), float(value), int(step), now, supersede))
-        if time.monotonic() >= self._next_flush or len(self._backlog.metrics) >= FLUSH_METRICS:
+        # A store that fails makes each attempt wait: however much has gathered, it is tried again after a while only.
+        full = len(self._backlog.metrics) >= FLUSH_METRICS and not self._failing
+        if full or time.monotonic() >= self._next_flush:
             self.flush()
 
     def log_artifact(self, path: Path | str, folder: str | None = None) -> None:
@@ -114,10 +116,10 @@ class StoredRun(Run):
     def flush(self) -> None:
         try:
             self._send()
-            self._next_flush = time.monotonic() + FLUSH_SECONDS
+            self._next_flush, self._failing = time.monotonic() + FLUSH_SECONDS, False
         except TrackingError as error:
             # The run is worth more than its record: it goes on, and the record is tried again.
-            self._next_flush = time.monotonic() + RETRY_SECONDS
+            self._next_flush, self._failing = time.monotonic() + RETRY_SECONDS, True
             print(f"warning: {error}; will try again", file=sys.stderr)
 
     def finish(self, status: str = "FINISHED") -> None:
