@@ -7,6 +7,7 @@ any interruption and a finished run only prints its summary again.
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -147,7 +148,7 @@ def train_stage(
 
     def keep(metrics: dict[str, float], step: int) -> None:
         log.add(metrics, step)
-        run.log_metrics({f"training/{name}": value for name, value in metrics.items()}, step)
+        run.log_metrics(_training_metrics(metrics), step)
 
     trainer = Trainer(model, windows, config, folder, keep, lambda: stop.requested)
     if trainer.resume():
@@ -156,7 +157,7 @@ def train_stage(
             tell(f"the code has changed since that checkpoint; to train anew, move {folder} away")
     log.drop_after(trainer.step)
     for row in log.rows:  # what the store missed when the process was killed
-        run.log_metrics({f"training/{name}": row[name] for name in row if name != "step"}, int(row["step"]))
+        run.log_metrics(_training_metrics(row), int(row["step"]))
     try:
         with stop.deferred():
             result = trainer.run()
@@ -181,6 +182,11 @@ def train_stage(
     # Written last: its presence says that model and losses are whole.
     write_text(folder / TRAINING, json.dumps(training, indent=1, allow_nan=False) + "\n")
     return training
+
+
+def _training_metrics(row: dict[str, float]) -> dict[str, float]:
+    """Logged losses by their names in the tracking store."""
+    return {f"training/{name}": value for name, value in row.items() if name != "step" and math.isfinite(value)}
 
 
 def wants_more(config: TrainConfig, training: dict[str, Any]) -> bool:
@@ -217,7 +223,7 @@ def judge_stage(
         **evaluation.summary,
     }
     for metrics in (headline(summary), flat_metrics(summary)):
-        run.log_metrics(metrics, training["steps"])
+        run.log_metrics(metrics, training["steps"], supersede=True)
     for figure in figures:
         run.log_artifact(figure, "figures")
     return summary

@@ -22,6 +22,7 @@ from gran_bench.report import read_summary, summary_table, write_summary
 
 CONFIG = "config.json"
 CLOCK = "clock.json"
+TRACKED = "tracked"  # subfolder of the summary that the store gets; the run's own is written when the store is done
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,7 @@ class RunRecord:
             with tracking.open_run(self.config.tracking, self.folder.name, self.key, asdict(self.config), tags) as run:
                 run.log_dataset(self.scene_name, self.data_digest, str(Path(self.config.dataset.root).resolve()))
                 summary = {"judged_by": self.judged_by, **work(run)}
+                run.log_artifact(write_summary(self.folder / TRACKED, summary))
         except tracking.TrackingError as failure:
             return summary, failure
         return summary, None
