@@ -126,7 +126,7 @@ def test_a_config_folder_of_ones_own_is_searched_and_held_to_the_same_rules(refu
 
 
 def test_a_job_runs_with_the_checked_config_and_hydra_leaves_no_folder_of_its_own(probe):
-    assert probe("+experiment=smoke", "model=ccnn") == (0, "ran smoke,model=ccnn ccnn\n", "", [])
+    assert probe("+experiment=smoke", "model=ccnn") == (0, "ran smoke+model-ccnn ccnn\n", "", [])
 
 
 def test_a_job_knows_its_own_command_quoted_for_a_shell(probe):
@@ -156,8 +156,8 @@ def test_a_stop_says_how_to_go_on(probe):
 def test_in_a_multirun_a_failed_job_is_seen_and_stops_no_other(probe, launcher):
     code, out, said, left = probe("-m", "+experiment=smoke", "seed=1,7,2", f"hydra/launcher={launcher}")
     assert code == FAILED
-    assert "ran smoke,seed=1 contact" in out
-    assert "ran smoke,seed=2 contact" in out
+    assert "ran smoke+seed-1 contact" in out
+    assert "ran smoke+seed-2 contact" in out
     assert "seed=7): sphere 7 is nowhere" in said
     assert said.rstrip().endswith("at least one job of the multirun failed; its message is above")
     assert left == ["results/multirun/multirun.yaml"]
@@ -187,8 +187,8 @@ def test_the_help_names_every_choice_that_there_is(entry, tmp_path):
 def test_a_multirun_that_is_asked_for_by_hydras_mode_is_one(probe):
     code, out, said, _ = probe("hydra.mode=MULTIRUN", "seed=1,2")
     assert (code, said) == (0, "")
-    assert "ran default,seed=1 contact" in out
-    assert "ran default,seed=2 contact" in out
+    assert "ran default+seed-1 contact" in out
+    assert "ran default+seed-2 contact" in out
 
 
 # ---- parts -----------------------------------------------------------------------------------------------
@@ -213,16 +213,16 @@ def test_every_value_of_every_sweep_is_seen_once():
     [
         ([], "smoke"),
         (["+experiment=smoke"], "smoke"),
-        (["seed=1", "model=ccnn"], "smoke,model=ccnn,seed=1"),
-        (["model=ccnn", "seed=1"], "smoke,model=ccnn,seed=1"),
+        (["seed=1", "model=ccnn"], "smoke+model-ccnn+seed-1"),
+        (["model=ccnn", "seed=1"], "smoke+model-ccnn+seed-1"),
         (["tracking.root=/else", "dataset.root=x", "hydra/launcher=local", "trainer.minutes=3"], "smoke"),
         (["judge=quick", "judge.gif=false", "threads=1", "dataset.unseen_packing_seed=2"], "smoke"),
-        (["++experimental=1"], "smoke,experimental=1"),
+        (["++experimental=1"], "smoke+experimental-1"),
         (
             ["dataset=small", "+scene.wall_material.friction=0.1"],
-            "smoke,dataset=small,scene.wall_material.friction=0.1",
+            "smoke+dataset-small+scene.wall_material.friction-0.1",
         ),
-        (["scene.name='../..'"], "smoke,scene.name=_.._.._"),
+        (["scene.name='../..'"], "smoke+scene.name-_.._.._"),
     ],
 )
 def test_a_run_folder_is_named_after_what_was_changed(overrides, folder):

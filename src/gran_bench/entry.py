@@ -175,7 +175,8 @@ def run_folder(experiment: str, overrides: Sequence[str]) -> str:
         for line in overrides
         if not any(re.match(rf"{re.escape(key)}(?=[=./@]|$)", line.lstrip("+~")) for key in UNNAMED)
     )
-    name = re.sub(r"[^\w.,=+\-\[\]]", "_", ",".join([experiment, *changed]))
+    # Only letters that a path in a Hydra override may have without quotes.
+    name = re.sub(r"[^\w.+-]", "_", "+".join([experiment, *changed]).replace("=", "-"))
     if len(name) > LONGEST_FOLDER:
         digest = hashlib.sha256(name.encode()).hexdigest()[:8]
         name = f"{name[: LONGEST_FOLDER - 9]}-{digest}"

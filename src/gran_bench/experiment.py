@@ -244,7 +244,8 @@ def _refuse_unfair(config: EvaluateConfig, origin: dict[str, Any]) -> None:
     seen = sorted({*speeds} & {*origin["training_speeds_rpm"]})
     if seen:
         raise ConfigError(
-            f"dataset.holdout_speeds_rpm={speeds}: this model was trained on {seen[0]:g} rpm; judge another speed"
+            f"dataset.holdout_speeds_rpm={speeds}: this model was trained on {seen[0]:g} rpm; judge another speed, "
+            "or choose the dataset= and judge= that it was trained with (dataset=small judge=quick for drum_small)"
         )
     if config.judge.unseen_packing and dataset.unseen_packing_seed == origin["packing_seed"]:
         raise ConfigError(

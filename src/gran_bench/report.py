@@ -107,11 +107,12 @@ def summary_table(summary: dict[str, Any]) -> str:
         if judged["failures"]:
             lines += [f"  {line}" for line in FailureCount(**judged["failures"]).lines()]
     lines += ["", f"baselines at {summary['judged_rpm']:g} rpm, shared packing"]
-    lines.append(f"  {'':<56}{'angle':>16}{'speed W1':>14}")
+    lines.append(f"  {'':<56}{'angle':>16}{'speed W1':>14}{'a frame':>12}")
     for name, errors in summary["baselines"].items():
         angle, speed = (_figure(errors[key]["value"], errors[key]["unit"]) for key in ("surface_angle", "speed_w1"))
-        lines.append(f"  {name:<56}{angle:>16}{speed:>14}")
-    lines += ["", "tells speeds apart (nearest DEM case by speed W1)"]
+        time = _figure(errors["ms_per_frame"], "ms") if "ms_per_frame" in errors else "no time"
+        lines.append(f"  {name:<56}{angle:>16}{speed:>14}{time:>12}")
+    lines += ["", "tells speeds apart (the one DEM run at each speed that is nearest, by speed W1)"]
     for name, row in summary["nearest_case"].items():
         nearest = "undefined" if row["nearest_rpm"] is None else f"{row['nearest_rpm']:g} rpm"
         lines.append(f"  {name:<56}{nearest:>16}  {'pass' if row['is_own'] else 'fail'}")

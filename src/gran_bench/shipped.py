@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 import gran_bench
-from gran_bench.config import SceneConfig
+from gran_bench.config import GenerateConfig, SceneConfig
 from gran_bench.config_check import read_config
 from gran_bench.config_rules import ConfigError
 from gran_bench.entry import compose
+from gran_bench.override_errors import explain
 from gran_bench.scene import Scene, build_scene
 
 SHIPPED = "shipped"  # the word for the default model where a model file is asked for
@@ -26,12 +28,14 @@ def shipped_scene(name: str, changes: Mapping[str, object] | None = None) -> Sce
         changes: dotted keys below ``scene``, such as ``{"material.friction": 0.5}``.
 
     Raises:
-        ConfigError: a change that the schema does not allow.
+        ConfigError: no such scene (names those there are), or a change that the schema does not allow.
         SceneError: a scene that cannot be.
-        hydra.errors.MissingConfigException: no such scene; names those there are.
     """
     overrides = [f"scene.{key}={value}" for key, value in (changes or {}).items()]
-    composed = compose("generate", [f"scene={name}", *overrides])
+    try:
+        composed = compose("generate", [f"scene={name}", *overrides])
+    except HydraException as error:
+        raise ConfigError(explain(error, GenerateConfig) or str(error)) from error
     values = OmegaConf.to_container(composed.scene, resolve=True)
     assert isinstance(values, dict)
     return build_scene(read_config(SceneConfig, values))
