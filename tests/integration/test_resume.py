@@ -59,17 +59,23 @@ def run_of(folder: Path) -> Path:
     return summary.parent
 
 
+# What the clock and the checkout decide.
+ELSEWHERE = {"wall_seconds", "provenance", "command", "commit", "code_digest", "model_sha256"}
+
+
 def numbers(folder: Path) -> dict:
-    """The summary without what depends on the clock and the place."""
-    summary = json.loads((run_of(folder) / "summary.json").read_text())
-    for name in ("wall_seconds", "provenance"):
-        del summary[name]
-    for name in ("seconds", "data_seconds", "model_sha256", "command", "commit", "code_digest"):
-        del summary["training"][name]
-    for rollout in summary["rollouts"].values():
-        for name in [name for name in rollout if "ms_per_frame" in name]:
-            del rollout[name]
-    return summary
+    """The summary without what depends on the clock and the checkout."""
+
+    def kept(value):
+        if not isinstance(value, dict):
+            return value
+        return {
+            name: kept(entry)
+            for name, entry in value.items()
+            if name not in ELSEWHERE and "seconds" not in name and "ms_per_frame" not in name
+        }
+
+    return kept(json.loads((run_of(folder) / "summary.json").read_text()))
 
 
 def weights(folder: Path) -> dict:

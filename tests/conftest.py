@@ -1,0 +1,9 @@
+"""What all tests share."""
+
+import signal
+
+
+def pytest_configure() -> None:
+    """Let processes that tests start hear Ctrl-C, even where a shell runs pytest in the background and ignores it."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
