@@ -185,7 +185,10 @@ def bin_cells(sphere, edge, period):
     cell_of, start = np.empty(count, np.int64), np.zeros(cells[0] * cells[1] * cells[2] + 1, np.int64)
     for i in range(count):
         x = min(cells[0] - 1, int((sphere[i, 0] - low[0]) / width[0]))
-        y = min(cells[1] - 1, int((sphere[i, 1] - low[1]) / width[1]))
+        along = sphere[i, 1] - low[1]
+        if period > 0.0:
+            along -= period * math.floor(along / period)  # particles may have left their period since it was wrapped
+        y = min(cells[1] - 1, int(along / width[1]))
         z = min(cells[2] - 1, int((sphere[i, 2] - low[2]) / width[2]))
         cell_of[i] = (z * cells[1] + y) * cells[0] + x
         start[cell_of[i] + 1] += 1
@@ -200,15 +203,17 @@ def bin_cells(sphere, edge, period):
 
 
 @njit(cache=True, error_model="numpy")
-def list_pairs(sphere, margin, period):
+def list_pairs(sphere, margin, period, begin=0, end=-1):
     """Half list of the pairs whose surfaces are closer than ``margin``: two ``(M,)`` uint32 arrays, first < second.
 
     Args:
         sphere: ``(N, 4)`` x, y, z and radius, m; radius 0 makes ``margin`` the distance of centres.
         margin: m.
         period: length of the periodic y axis, m; 0 for none.
+        begin, end: only pairs whose first is in ``begin … end − 1``; all where ``end`` is negative.
     """
     count = len(sphere)
+    stop = count if end < 0 else end
     if count < 2:
         return np.empty(0, np.uint32), np.empty(0, np.uint32)
     largest = 0.0
@@ -225,8 +230,10 @@ def list_pairs(sphere, margin, period):
         if own == 0:
             continue
         met = _gather_half_shell(cell, cells, start, order, sphere, period, name, x, y, z, r)
-        if found + own * met > len(first):
-            room = 2 * (len(first) + own * met)
+        if stop - begin < count and not _any_between(name, met, begin, stop):
+            continue
+        if found + own * met >= len(first):
+            room = 2 * (len(first) + own * met) + 1
             first, second = _enlarged(first, room), _enlarged(second, room)
         for a in range(own):
             _excess_over_reach(x, y, z, r, a, met, margin, period, excess)
@@ -239,8 +246,17 @@ def list_pairs(sphere, margin, period):
             for h in range(hits):
                 j = name[hit[h]]
                 first[found], second[found] = min(i, j), max(i, j)
-                found += 1
+                found += begin <= min(i, j) < stop
     return first[:found].copy(), second[:found].copy()
+
+
+@njit(cache=True, error_model="numpy")
+def _any_between(name, met, begin, end):
+    """Whether one of the first ``met`` names is in ``begin … end − 1``."""
+    for b in range(met):
+        if begin <= name[b] < end:
+            return True
+    return False
 
 
 @njit(cache=True, error_model="numpy")

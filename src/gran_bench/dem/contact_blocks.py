@@ -1,7 +1,8 @@
 """Forces of many contacts at once: gathered in blocks, computed in SIMD, scattered (jitted).
 
-A block of contacts is laid out as rows of one flat buffer. The laws are those of contact.py and rolling.py; tests hold
-the two against each other to rounding.
+A block of contacts is laid out as columns of one flat buffer, one lane a contact. Quantities that a body keeps as a row
+of four come as four columns at once (rows.py). The laws are those of contact.py and rolling.py; tests hold the two
+against each other to rounding.
 """
 
 from __future__ import annotations
@@ -12,285 +13,242 @@ import numpy as np
 from numba import njit
 
 from gran_bench.dem.contact import PREDICTION_FADE
-from gran_bench.dem.contact_list import FORCE, MOMENT, OVERLAP, toward_wall
+from gran_bench.dem.contact_list import closer
+from gran_bench.dem.rows import (
+    BLOCK,
+    gather_difference,
+    gather_rows,
+    gather_sum,
+    scatter_alike,
+    scatter_opposite,
+    scatter_rows,
+    scatter_sum,
+)
 
-BLOCK = 128  # contacts of a block: its buffer stays in the first-level cache
-# Rows of the buffer. Fixed offsets into one flat array let the compiler prove that rows do not overlap.
-NX, NY, NZ, DELTA = 0 * BLOCK, 1 * BLOCK, 2 * BLOCK, 3 * BLOCK  # normal (first the offset), overlap
-VX, VY, VZ = 4 * BLOCK, 5 * BLOCK, 6 * BLOCK  # velocity of the first centre relative to the second
-GAIN = 7 * BLOCK  # what the velocity along the normal still gains until the step's end (first times the distance)
-PX, PY, PZ = 8 * BLOCK, 9 * BLOCK, 10 * BLOCK  # spin of the first
-QX, QY, QZ = 11 * BLOCK, 12 * BLOCK, 13 * BLOCK  # spin of the second
-R1, R2 = 14 * BLOCK, 15 * BLOCK  # radii, then lever arms
-RS, MS = 16 * BLOCK, 17 * BLOCK  # effective radius and mass
-HX, HY, HZ, BEFORE = 18 * BLOCK, 19 * BLOCK, 20 * BLOCK, 21 * BLOCK  # history; overlap that it belongs to
-FX, FY, FZ = 22 * BLOCK, 23 * BLOCK, 24 * BLOCK  # force on the first
-TX, TY, TZ = 25 * BLOCK, 26 * BLOCK, 27 * BLOCK  # n × f_t
-MX, MY, MZ = 28 * BLOCK, 29 * BLOCK, 30 * BLOCK  # rolling moment on the first
-BUFFER_SIZE = 31 * BLOCK
+# Columns in groups of four, as rows.py moves them.
+OFFSET, VELOCITY, AHEAD, SPIN_SUM, SPIN_DIFFERENCE, SLOT, FORCE, TORQUE, TORQUE_2, MOMENT = range(0, 40, 4)
+# First elements of single columns. Fixed offsets into one flat array let the compiler prove that columns do not overlap.
+NX, NY, NZ, DELTA = (k * BLOCK for k in range(OFFSET, OFFSET + 4))  # normal (first the offset), overlap
+VX, VY, VZ, GAIN = (k * BLOCK for k in range(VELOCITY, VELOCITY + 4))  # of the first relative to the second
+AX, AY, AZ = (k * BLOCK for k in range(AHEAD, AHEAD + 3))  # what that velocity still gains until the step's end
+WX, WY, WZ, ARM_1 = (k * BLOCK for k in range(SPIN_SUM, SPIN_SUM + 4))  # ω₁ + ω₂, then Σ arm × ω; first lever arm
+PX, PY, PZ, ARM_2 = (k * BLOCK for k in range(SPIN_DIFFERENCE, SPIN_DIFFERENCE + 4))  # ω₁ − ω₂; second lever arm
+HX, HY, HZ, BEFORE = (k * BLOCK for k in range(SLOT, SLOT + 4))  # history, and the overlap that it belongs to
+FX, FY, FZ = (k * BLOCK for k in range(FORCE, FORCE + 3))  # force on the first; the fourth column stays zero
+TX, TY, TZ = (k * BLOCK for k in range(TORQUE, TORQUE + 3))  # n × f_t, then torque on the first
+UX, UY, UZ = (k * BLOCK for k in range(TORQUE_2, TORQUE_2 + 3))  # torque on the second
+MX, MY, MZ = (k * BLOCK for k in range(MOMENT, MOMENT + 3))  # rolling moment on the first
+# Constants of each contact: filled once where all contacts share them, for each contact where they differ.
+REACH, SKEW, RS, MS, INVERSE_MS = (k * BLOCK for k in range(40, 45))  # r₁ + r₂, r₁² − r₂², R*, m*, 1/m*
+MODULUS, SHEAR, DAMPING, FRICTION, ROLLING = (k * BLOCK for k in range(45, 50))  # 4/3 E*, 8 G*, α, μ, μ_r
+BUFFER_SIZE = 50 * BLOCK
+
+
+@njit(error_model="numpy")
+def fill_sizes(buffer, lane, r1, r2, inverse_mass):
+    """Reach, skew, R* and m* of the contact of radii r₁ and r₂ into one lane; 1/m* is given."""
+    buffer[REACH + lane], buffer[SKEW + lane] = r1 + r2, (r1 - r2) * (r1 + r2)
+    buffer[RS + lane] = r1 * r2 / (r1 + r2)
+    buffer[MS + lane], buffer[INVERSE_MS + lane] = 1.0 / inverse_mass, inverse_mass
+
+
+@njit(error_model="numpy")
+def fill_law(buffer, lane, law):
+    """(4/3 E*, 8 G*, α, μ, μ_r) into one lane."""
+    buffer[MODULUS + lane], buffer[SHEAR + lane], buffer[DAMPING + lane] = law[0], law[1], law[2]
+    buffer[FRICTION + lane], buffer[ROLLING + lane] = law[3], law[4]
 
 
 @njit(error_model="numpy")
 def pair_forces(
-    sphere, motion, ahead, load, pair_i, pair_j, near, near_count, slot, touched, evaluation, active, buffer,
-    law, density, period, tangential, rolling, dt,
+    sphere, velocity, spin, ahead, material, force, torque, pair_i, pair_j, near, begin, end,
+    slot, moment, touched, evaluation, active, buffer, laws, period, tangential, rolling, unequal, several, dt,
 ):  # fmt: skip
-    """Adds the forces and torques of all touching pairs to ``load`` and updates their slots.
+    """Adds the forces and torques of the touching pairs among ``near[begin:end]`` and updates their slots.
+
+    Bodies N and N + 1, and the last pair, are spare: they fill the lanes that a block does not need.
 
     Args:
-        sphere: ``(N, 4)`` x, y, z, r, m.
-        motion: ``(N, 8)`` v, 1/m, ω, 1/I.
-        ahead: ``(N, 4)`` what v still gains until the step's end, m/s.
-        load: ``(N, 8)`` force and torque, added to.
-        pair_i, pair_j: ``(M,)`` outer list.
-        near, near_count: inner list, as places in the outer one, and its length.
-        slot, touched: ``(M, 4 or 7)``, ``(M,)`` of the outer list.
+        sphere: ``(N + 2, 4)`` x, y, z, r, m.
+        velocity, spin: ``(N + 2, 4)`` v, 1/m and ω, 1/I.
+        ahead: ``(N + 2, 4)`` what v still gains until the step's end, m/s.
+        material: ``(N + 2,)`` index.
+        force, torque: ``(N + 2, 4)``, added to.
+        pair_i, pair_j: ``(M + 1,)`` outer list.
+        near: inner list, as places in the outer one.
+        slot, moment, touched: ``(M + 1, 4)``, ``(M + 1 or 1, 4)``, ``(M + 1,)`` of the outer list.
         evaluation: number of this force evaluation; a contact that the last one did not touch remembers nothing.
         active, buffer: scratch.
-        law: (4/3 E*, 8 G*, α, μ, μ_r).
-        density: kg/m³.
+        laws: ``(S, S, 5)`` (4/3 E*, 8 G*, α, μ, μ_r).
         period: of y, m; 0 for none.
-        tangential, rolling: what of the law is needed.
+        tangential, rolling, unequal, several: what is needed: friction, rolling model, sizes and materials that differ.
         dt: s over which histories are loaded.
     """
-    touching = 0
-    for q in range(near_count):
-        p = near[q]
-        i, j = pair_i[p], pair_j[p]
-        dx = sphere[j, 0] - sphere[i, 0]
-        dy = sphere[j, 1] - sphere[i, 1]
-        dz = sphere[j, 2] - sphere[i, 2]
+    touching = closer(sphere, pair_i, pair_j, near[begin:end], 0.0, period, active)
+    for lane in range(touching, touching + 3):
+        active[lane] = len(pair_i) - 1
+    for first in range(0, touching, BLOCK):
+        size = (min(BLOCK, touching - first) + 3) // 4 * 4
+        for k in range(0, size, 4):
+            p0, p1, p2, p3 = active[first + k], active[first + k + 1], active[first + k + 2], active[first + k + 3]
+            i0, i1, i2, i3 = pair_i[p0], pair_i[p1], pair_i[p2], pair_i[p3]
+            j0, j1, j2, j3 = pair_j[p0], pair_j[p1], pair_j[p2], pair_j[p3]
+            gather_difference(buffer, OFFSET, k, sphere, j0, j1, j2, j3, i0, i1, i2, i3)
+            gather_difference(buffer, VELOCITY, k, velocity, i0, i1, i2, i3, j0, j1, j2, j3)
+            gather_difference(buffer, AHEAD, k, ahead, i0, i1, i2, i3, j0, j1, j2, j3)
+            if tangential:
+                gather_sum(buffer, SPIN_SUM, k, spin, i0, i1, i2, i3, j0, j1, j2, j3)
+                gather_rows(buffer, SLOT, k, slot, p0, p1, p2, p3)
+            if rolling or unequal:
+                gather_difference(buffer, SPIN_DIFFERENCE, k, spin, i0, i1, i2, i3, j0, j1, j2, j3)
+            if rolling:
+                gather_rows(buffer, MOMENT, k, moment, p0, p1, p2, p3)
+        if tangential:
+            for k in range(size):
+                if touched[active[first + k]] != evaluation - 1:
+                    buffer[HX + k], buffer[HY + k], buffer[HZ + k], buffer[BEFORE + k] = 0.0, 0.0, 0.0, 0.0
+                    if rolling:
+                        buffer[MX + k], buffer[MY + k], buffer[MZ + k] = 0.0, 0.0, 0.0
+        if unequal:
+            for k in range(size):
+                i, j = pair_i[active[first + k]], pair_j[active[first + k]]
+                fill_sizes(buffer, k, sphere[i, 3], sphere[j, 3], velocity[i, 3] + velocity[j, 3])
+        if several:
+            for k in range(size):
+                p = active[first + k]
+                fill_law(buffer, k, laws[material[pair_i[p]], material[pair_j[p]]])
         if period > 0.0:
-            dy -= period * np.rint(dy / period)
-        reach = sphere[i, 3] + sphere[j, 3]
-        active[touching] = p
-        touching += dx * dx + dy * dy + dz * dz < reach * reach
-    for begin in range(0, touching, BLOCK):
-        size = min(BLOCK, touching - begin)
-        for k in range(size):
-            p = active[begin + k]
-            i, j = pair_i[p], pair_j[p]
-            dx = sphere[j, 0] - sphere[i, 0]
-            dy = sphere[j, 1] - sphere[i, 1]
-            dz = sphere[j, 2] - sphere[i, 2]
-            if period > 0.0:
-                dy -= period * np.rint(dy / period)
-            buffer[NX + k], buffer[NY + k], buffer[NZ + k] = dx, dy, dz
-            buffer[R1 + k], buffer[R2 + k] = sphere[i, 3], sphere[j, 3]
-            buffer[VX + k] = motion[i, 0] - motion[j, 0]
-            buffer[VY + k] = motion[i, 1] - motion[j, 1]
-            buffer[VZ + k] = motion[i, 2] - motion[j, 2]
-            buffer[GAIN + k] = (
-                dx * (ahead[i, 0] - ahead[j, 0]) + dy * (ahead[i, 1] - ahead[j, 1]) + dz * (ahead[i, 2] - ahead[j, 2])
-            )
-            if tangential:
-                buffer[PX + k], buffer[PY + k], buffer[PZ + k] = motion[i, 4], motion[i, 5], motion[i, 6]
-                buffer[QX + k], buffer[QY + k], buffer[QZ + k] = motion[j, 4], motion[j, 5], motion[j, 6]
-                buffer[HX + k], buffer[HY + k], buffer[HZ + k] = slot[p, FORCE], slot[p, FORCE + 1], slot[p, FORCE + 2]
-                buffer[BEFORE + k] = slot[p, OVERLAP] if touched[p] == evaluation - 1 else 0.0
-            if rolling:
-                for axis in range(3):
-                    buffer[MX + axis * BLOCK + k] = slot[p, MOMENT + axis]
-        _pair_geometry(buffer, size, density)
-        _law(buffer, size, law, tangential, dt)
+            for k in range(size):
+                buffer[NY + k] -= period * np.rint(buffer[NY + k] / period)
+        pair_geometry(buffer, size, tangential, unequal)
+        contact_law(buffer, size, tangential, dt)
         if rolling:
-            _roll(buffer, size, law, dt)
-        for k in range(size):
-            p = active[begin + k]
-            i, j = pair_i[p], pair_j[p]
-            fx, fy, fz = buffer[FX + k], buffer[FY + k], buffer[FZ + k]
-            load[i, 0] += fx
-            load[i, 1] += fy
-            load[i, 2] += fz
-            load[j, 0] -= fx
-            load[j, 1] -= fy
-            load[j, 2] -= fz
+            rolling_law(buffer, size, dt)
+        if tangential:
+            pair_torques(buffer, size, unequal)
+        for k in range(0, size, 4):
+            p0, p1, p2, p3 = active[first + k], active[first + k + 1], active[first + k + 2], active[first + k + 3]
+            i0, i1, i2, i3 = pair_i[p0], pair_i[p1], pair_i[p2], pair_i[p3]
+            j0, j1, j2, j3 = pair_j[p0], pair_j[p1], pair_j[p2], pair_j[p3]
+            scatter_opposite(force, i0, i1, i2, i3, j0, j1, j2, j3, buffer, FORCE, k)
             if tangential:
-                tx, ty, tz = buffer[TX + k], buffer[TY + k], buffer[TZ + k]
-                first_arm, second_arm = buffer[R1 + k], buffer[R2 + k]
-                load[i, 4] += first_arm * tx
-                load[i, 5] += first_arm * ty
-                load[i, 6] += first_arm * tz
-                load[j, 4] += second_arm * tx
-                load[j, 5] += second_arm * ty
-                load[j, 6] += second_arm * tz
-                slot[p, FORCE], slot[p, FORCE + 1], slot[p, FORCE + 2] = buffer[HX + k], buffer[HY + k], buffer[HZ + k]
+                if unequal:
+                    scatter_sum(torque, i0, i1, i2, i3, buffer, TORQUE, k)
+                    scatter_sum(torque, j0, j1, j2, j3, buffer, TORQUE_2, k)
+                else:
+                    scatter_alike(torque, i0, i1, i2, i3, j0, j1, j2, j3, buffer, TORQUE, k)
             if rolling:
-                for axis in range(3):
-                    moment = buffer[MX + axis * BLOCK + k]
-                    load[i, 4 + axis] += moment
-                    load[j, 4 + axis] -= moment
-                    slot[p, MOMENT + axis] = moment
-            slot[p, OVERLAP] = buffer[DELTA + k]
-            touched[p] = evaluation
+                scatter_opposite(torque, i0, i1, i2, i3, j0, j1, j2, j3, buffer, MOMENT, k)
+                scatter_rows(moment, p0, p1, p2, p3, buffer, MOMENT, k)
+            scatter_rows(slot, p0, p1, p2, p3, buffer, SLOT, k)
+            touched[p0] = evaluation
+            touched[p1] = evaluation
+            touched[p2] = evaluation
+            touched[p3] = evaluation
 
 
 @njit(error_model="numpy")
-def wall_forces(
-    sphere, motion, ahead, load, wall_i, wall_w, slot, touched, evaluation, active, geometry, buffer,
-    law, walls, axis, density, tangential, rolling, speed, dt,
-):  # fmt: skip
-    """Adds the forces and torques of all touching walls to ``load`` and updates their slots.
-
-    Args:
-        wall_i, wall_w: ``(M,)`` particle and wall of each contact in reach.
-        walls: ``(W, 9)`` table.
-        axis: ``(3,)`` of rotation.
-        geometry: ``(≥ M + 1, 4)`` scratch: distance and direction of the touching ones.
-        speed: of rotation, rad/s.
-        The others: as in :func:`pair_forces`.
-    """
-    touching = 0
-    for p in range(len(wall_i)):
-        i = wall_i[p]
-        distance, nx, ny, nz = toward_wall(walls, wall_w[p], sphere[i, 0], sphere[i, 1], sphere[i, 2])
-        geometry[touching, 0], geometry[touching, 1] = distance, nx
-        geometry[touching, 2], geometry[touching, 3] = ny, nz
-        active[touching] = p
-        touching += distance < sphere[i, 3]
-    for begin in range(0, touching, BLOCK):
-        size = min(BLOCK, touching - begin)
-        for k in range(size):
-            p = active[begin + k]
-            i, w = wall_i[p], wall_w[p]
-            x, y, z, radius = sphere[i, 0], sphere[i, 1], sphere[i, 2], sphere[i, 3]
-            distance, nx = geometry[begin + k, 0], geometry[begin + k, 1]
-            ny, nz = geometry[begin + k, 2], geometry[begin + k, 3]
-            buffer[NX + k], buffer[NY + k], buffer[NZ + k] = nx, ny, nz
-            buffer[DELTA + k] = radius - distance
-            buffer[RS + k], buffer[MS + k] = radius, 4.0 / 3.0 * math.pi * density * radius**3
-            buffer[R1 + k], buffer[R2 + k] = distance, 0.0
-            vx, vy, vz = motion[i, 0], motion[i, 1], motion[i, 2]
-            turning = speed * walls[w, 8]
-            if turning != 0.0:
-                cx, cy, cz = x + distance * nx, y + distance * ny, z + distance * nz
-                vx -= turning * (axis[1] * cz - axis[2] * cy)
-                vy -= turning * (axis[2] * cx - axis[0] * cz)
-                vz -= turning * (axis[0] * cy - axis[1] * cx)
-            buffer[VX + k], buffer[VY + k], buffer[VZ + k] = vx, vy, vz
-            buffer[GAIN + k] = nx * ahead[i, 0] + ny * ahead[i, 1] + nz * ahead[i, 2]
-            if tangential:
-                buffer[PX + k], buffer[PY + k], buffer[PZ + k] = motion[i, 4], motion[i, 5], motion[i, 6]
-                # No lever arm, so that it counts only as what a sphere rolls against.
-                buffer[QX + k], buffer[QY + k], buffer[QZ + k] = turning * axis[0], turning * axis[1], turning * axis[2]
-                buffer[HX + k], buffer[HY + k], buffer[HZ + k] = slot[p, FORCE], slot[p, FORCE + 1], slot[p, FORCE + 2]
-                buffer[BEFORE + k] = slot[p, OVERLAP] if touched[p] == evaluation - 1 else 0.0
-            if rolling:
-                for c in range(3):
-                    buffer[MX + c * BLOCK + k] = slot[p, MOMENT + c]
-        _law(buffer, size, law, tangential, dt)
-        if rolling:
-            _roll(buffer, size, law, dt)
-        for k in range(size):
-            p = active[begin + k]
-            i = wall_i[p]
-            load[i, 0] += buffer[FX + k]
-            load[i, 1] += buffer[FY + k]
-            load[i, 2] += buffer[FZ + k]
-            if tangential:
-                arm = buffer[R1 + k]
-                load[i, 4] += arm * buffer[TX + k]
-                load[i, 5] += arm * buffer[TY + k]
-                load[i, 6] += arm * buffer[TZ + k]
-                slot[p, FORCE], slot[p, FORCE + 1], slot[p, FORCE + 2] = buffer[HX + k], buffer[HY + k], buffer[HZ + k]
-            if rolling:
-                for c in range(3):
-                    load[i, 4 + c] += buffer[MX + c * BLOCK + k]
-                    slot[p, MOMENT + c] = buffer[MX + c * BLOCK + k]
-            slot[p, OVERLAP] = buffer[DELTA + k]
-            touched[p] = evaluation
-
-
-@njit(error_model="numpy")
-def _pair_geometry(buffer, size, density):
-    """Offsets and radii of a block → normal, overlap, lever arms, R* and m*."""
+def pair_geometry(buffer, size, tangential, unequal):
+    """Offsets of a block → normals, overlaps, gains along the normal, lever arms and surface spins."""
+    half = buffer.dtype.type(0.5)
     for k in range(size):
         dx, dy, dz = buffer[NX + k], buffer[NY + k], buffer[NZ + k]
-        r1, r2 = buffer[R1 + k], buffer[R2 + k]
         distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-        inverse = 1.0 / distance
-        buffer[NX + k], buffer[NY + k], buffer[NZ + k] = dx * inverse, dy * inverse, dz * inverse
-        buffer[GAIN + k] *= inverse
-        buffer[DELTA + k] = r1 + r2 - distance
+        inverse = buffer.dtype.type(1.0) / distance
+        nx, ny, nz = dx * inverse, dy * inverse, dz * inverse
+        buffer[NX + k], buffer[NY + k], buffer[NZ + k] = nx, ny, nz
+        buffer[GAIN + k] = buffer[AX + k] * nx + buffer[AY + k] * ny + buffer[AZ + k] * nz
+        # Rounding may part what the filter found to touch.
+        buffer[DELTA + k] = max(buffer.dtype.type(0.0), buffer[REACH + k] - distance)
         # Both lever arms end on the plane of the circle in which the spheres intersect.
-        arm = 0.5 * (distance + (r1 - r2) * (r1 + r2) * inverse)
-        buffer[R1 + k], buffer[R2 + k] = arm, distance - arm
-        buffer[RS + k] = r1 * r2 / (r1 + r2)
-        m1, m2 = r1 * r1 * r1, r2 * r2 * r2
-        buffer[MS + k] = 4.0 / 3.0 * math.pi * density * (m1 * m2 / (m1 + m2))
+        arm = half * distance
+        if tangential:
+            wx, wy, wz = arm * buffer[WX + k], arm * buffer[WY + k], arm * buffer[WZ + k]
+            if unequal:
+                shift = half * buffer[SKEW + k] * inverse
+                wx += shift * buffer[PX + k]
+                wy += shift * buffer[PY + k]
+                wz += shift * buffer[PZ + k]
+                buffer[ARM_2 + k] = arm - shift
+                arm += shift
+            buffer[WX + k], buffer[WY + k], buffer[WZ + k], buffer[ARM_1 + k] = wx, wy, wz, arm
 
 
 @njit(error_model="numpy")
-def _law(buffer, size, law, tangential, dt):
+def contact_law(buffer, size, tangential, dt):
     """Force on the first of each contact of a block, n × f_t, and the new history (see contact.py)."""
-    modulus, shear, damping, friction = law[0], law[1], law[2], law[3]
+    zero, half, one = buffer.dtype.type(0.0), buffer.dtype.type(0.5), buffer.dtype.type(1.0)
+    step, fade = buffer.dtype.type(dt), buffer.dtype.type(PREDICTION_FADE * dt)
     for k in range(size):
         nx, ny, nz, overlap = buffer[NX + k], buffer[NY + k], buffer[NZ + k], buffer[DELTA + k]
         vx, vy, vz = buffer[VX + k], buffer[VY + k], buffer[VZ + k]
         approach = vx * nx + vy * ny + vz * nz
         contact_radius = math.sqrt(buffer[RS + k] * overlap)
-        stiffness = modulus * contact_radius  # K √δ
-        drag = damping * math.sqrt(buffer[MS + k] * stiffness)  # α √(m* K) δ^(1/4)
-        gain = buffer[GAIN + k] * max(0.0, 1.0 - PREDICTION_FADE * drag * dt / buffer[MS + k])
-        normal = max(0.0, stiffness * overlap + drag * (approach + gain))
-        buffer[FX + k], buffer[FY + k], buffer[FZ + k] = -normal * nx, -normal * ny, -normal * nz
+        stiffness = buffer[MODULUS + k] * contact_radius  # K √δ
+        drag = buffer[DAMPING + k] * math.sqrt(buffer[MS + k] * stiffness)  # α √(m* K) δ^(1/4)
+        gain = buffer[GAIN + k] * max(zero, one - fade * drag * buffer[INVERSE_MS + k])
+        normal = max(zero, stiffness * overlap + drag * (approach + gain))
+        fx, fy, fz = -normal * nx, -normal * ny, -normal * nz
         if tangential:
-            r1, r2 = buffer[R1 + k], buffer[R2 + k]
-            wx = r1 * buffer[PX + k] + r2 * buffer[QX + k]
-            wy = r1 * buffer[PY + k] + r2 * buffer[QY + k]
-            wz = r1 * buffer[PZ + k] + r2 * buffer[QZ + k]
+            wx, wy, wz = buffer[WX + k], buffer[WY + k], buffer[WZ + k]
             sx = vx - approach * nx + (wy * nz - wz * ny)
             sy = vy - approach * ny + (wz * nx - wx * nz)
             sz = vz - approach * nz + (wx * ny - wy * nx)
             # The history turns with the contact plane (what leaves the plane is removed, the length is kept) and
-            # unloads with the contact's size; a new contact remembers nothing.
+            # unloads with the contact's size; a new contact, whose overlap before is zero, remembers nothing.
             before = buffer[BEFORE + k]
             hx, hy, hz = buffer[HX + k], buffer[HY + k], buffer[HZ + k]
             length = hx * hx + hy * hy + hz * hz
             out = hx * nx + hy * ny + hz * nz
             hx, hy, hz = hx - out * nx, hy - out * ny, hz - out * nz
             inside = (hx * hx + hy * hy + hz * hz) * before
-            keep = math.sqrt(length * min(before, overlap) / inside) if inside > 0.0 else 0.0
-            hx, hy, hz = (keep * hx, keep * hy, keep * hz) if before > 0.0 else (0.0, 0.0, 0.0)
-            load = shear * contact_radius * dt
-            hx, hy, hz = hx - load * sx, hy - load * sy, hz - load * sz
-            fx, fy, fz = hx - drag * sx, hy - drag * sy, hz - drag * sz
-            squared, limit = fx * fx + fy * fy + fz * fz, friction * normal
-            slip = limit / math.sqrt(squared) if squared > limit * limit else 1.0
-            fx, fy, fz = slip * fx, slip * fy, slip * fz
+            smaller = min(before, overlap)
+            keep = math.sqrt(length * smaller / inside) if inside > zero else zero
+            load = half * step * buffer[SHEAR + k] * (contact_radius + math.sqrt(buffer[RS + k] * smaller))
+            hx, hy, hz = keep * hx - load * sx, keep * hy - load * sy, keep * hz - load * sz
+            tx, ty, tz = hx - drag * sx, hy - drag * sy, hz - drag * sz
+            squared, limit = tx * tx + ty * ty + tz * tz, buffer[FRICTION + k] * normal
+            slip = limit / math.sqrt(squared) if squared > limit * limit else one
+            tx, ty, tz = slip * tx, slip * ty, slip * tz
             buffer[HX + k], buffer[HY + k], buffer[HZ + k] = slip * hx, slip * hy, slip * hz
-            buffer[FX + k] += fx
-            buffer[FY + k] += fy
-            buffer[FZ + k] += fz
-            buffer[TX + k] = ny * fz - nz * fy
-            buffer[TY + k] = nz * fx - nx * fz
-            buffer[TZ + k] = nx * fy - ny * fx
+            fx, fy, fz = fx + tx, fy + ty, fz + tz
+            buffer[TX + k] = ny * tz - nz * ty
+            buffer[TY + k] = nz * tx - nx * tz
+            buffer[TZ + k] = nx * ty - ny * tx
+        buffer[FX + k], buffer[FY + k], buffer[FZ + k] = fx, fy, fz
+        buffer[BEFORE + k] = overlap
 
 
 @njit(error_model="numpy")
-def _roll(buffer, size, law, dt):
-    """Rolling moment on the first of each contact of a block (see rolling.py)."""
-    modulus, coefficient = law[0], law[4]
+def rolling_law(buffer, size, dt):
+    """Rolling moment on the first of each contact of a block (see rolling.py); after contact_law."""
+    zero, one, step = buffer.dtype.type(0.0), buffer.dtype.type(1.0), buffer.dtype.type(dt)
     for k in range(size):
         nx, ny, nz, overlap = buffer[NX + k], buffer[NY + k], buffer[NZ + k], buffer[DELTA + k]
-        radius = buffer[RS + k]
-        contact_radius = math.sqrt(radius * overlap)
-        limit = coefficient * radius * modulus * contact_radius * overlap
-        # k_n = 2 E* √(R* δ), and the modulus is 4/3 E*.
-        stiffness = 2.25 * 1.5 * modulus * contact_radius * (coefficient * radius) ** 2
-        wx = buffer[PX + k] - buffer[QX + k]
-        wy = buffer[PY + k] - buffer[QY + k]
-        wz = buffer[PZ + k] - buffer[QZ + k]
-        spin = wx * nx + wy * ny + wz * nz
-        wx, wy, wz = wx - spin * nx, wy - spin * ny, wz - spin * nz
-        known = buffer[BEFORE + k] > 0.0
-        mx = buffer[MX + k] if known else 0.0
-        my = buffer[MY + k] if known else 0.0
-        mz = buffer[MZ + k] if known else 0.0
+        arm = buffer[ROLLING + k] * buffer[RS + k]
+        contact_radius = math.sqrt(buffer[RS + k] * overlap)
+        limit = arm * buffer[MODULUS + k] * contact_radius * overlap
+        # 2.25 k_n (μ_r R*)² with k_n = 2 E* √(R* δ), and the modulus is 4/3 E*.
+        load = buffer.dtype.type(3.375) * buffer[MODULUS + k] * contact_radius * arm * arm * step
+        wx, wy, wz = buffer[PX + k], buffer[PY + k], buffer[PZ + k]
+        along = wx * nx + wy * ny + wz * nz
+        wx, wy, wz = wx - along * nx, wy - along * ny, wz - along * nz
+        mx, my, mz = buffer[MX + k], buffer[MY + k], buffer[MZ + k]
         out = mx * nx + my * ny + mz * nz
-        mx = mx - out * nx - stiffness * dt * wx
-        my = my - out * ny - stiffness * dt * wy
-        mz = mz - out * nz - stiffness * dt * wz
+        mx = mx - out * nx - load * wx
+        my = my - out * ny - load * wy
+        mz = mz - out * nz - load * wz
         squared = mx * mx + my * my + mz * mz
-        scale = limit / math.sqrt(squared) if squared > limit * limit else 1.0
+        scale = limit / math.sqrt(squared) if squared > max(zero, limit * limit) else one
         buffer[MX + k], buffer[MY + k], buffer[MZ + k] = scale * mx, scale * my, scale * mz
+
+
+@njit(error_model="numpy")
+def pair_torques(buffer, size, unequal):
+    """n × f_t of a block → torque on the first, and on the second where its lever arm is another."""
+    for k in range(size):
+        tx, ty, tz, arm = buffer[TX + k], buffer[TY + k], buffer[TZ + k], buffer[ARM_1 + k]
+        buffer[TX + k], buffer[TY + k], buffer[TZ + k] = arm * tx, arm * ty, arm * tz
+        if unequal:
+            arm = buffer[ARM_2 + k]
+            buffer[UX + k], buffer[UY + k], buffer[UZ + k] = arm * tx, arm * ty, arm * tz

@@ -4,6 +4,9 @@ Pairs are listed twice. The outer list reaches a whole skin beyond touch; it is 
 history in the slot of each pair. The inner list is pruned from it often and at little cost; only its pairs are looked
 at in a step. With D the largest displacement, an inner list is complete while 2 D since its pruning stays below its
 reach, and may be pruned while 2 D since the search stays below what the skin has beyond that reach.
+
+Both lists are in the order of (first, second), whatever the skin and whenever they were made. So forces are summed in
+one order, and neither skin nor time of a search changes a bit of the result.
 """
 
 from __future__ import annotations
@@ -13,156 +16,146 @@ import math
 import numpy as np
 from numba import njit
 
-from gran_bench.dem.walls import CYLINDER
+from gran_bench.dem.rows import squared_gap
 from gran_bench.neighbors import list_pairs
 
 # Reach of the inner list beyond touch, as a share of the skin.
 INNER_SHARE = 0.25
-# Columns of a slot and of a known contact: elastic tangential force, overlap, rolling moment.
-FORCE, OVERLAP, MOMENT = 0, 3, 4
+# Columns of a known contact: elastic tangential force, overlap, rolling moment.
+OVERLAP, ROLLING_MOMENT = 3, 4
 
 
 @njit(error_model="numpy")
-def list_contacts(sphere, walls, skin, period, known_first, known_second, known, evaluation, rolling):
-    """Pairs and wall contacts within the skin, with the history of the known contacts in their slots.
+def list_contacts(sphere, count, begin, end, skin, period, known_first, known_second, known, evaluation, rolling):
+    """The pairs within the skin whose first particle is in ``begin … end − 1``, with the history of known contacts.
 
     Args:
-        sphere: ``(N, 4)`` x, y, z, r, m.
-        walls: ``(W, 9)`` table.
+        sphere: ``(N + 2, 4)`` x, y, z, r, m.
+        count: N.
+        begin, end: range of the first particles.
         skin: m.
         period: of y, m; 0 for none.
-        known_first, known_second: ``(C,)`` contacts that touch, first < second; wall w is the second −1 − w.
+        known_first, known_second: ``(C,)`` contacts that touch, first < second; walls have negative seconds.
         known: ``(C, 7)`` what they remember.
         evaluation: number of the force evaluation that knew them.
-        rolling: whether slots need room for the rolling moment.
+        rolling: whether rolling moments are remembered.
 
     Returns:
-        For pairs, then for walls: ``(M,)`` first, ``(M,)`` second or wall, ``(M, 4)`` or ``(M, 7)`` slots, and
-        ``(M,)`` number of the evaluation that last touched, −1 for none.
+        ``(M + 1,)`` first and second, ``(end − begin + 1,)`` place of each first's first pair, ``(M + 1, 4)`` slots
+        (force, overlap), ``(M + 1 or 1, 4)`` rolling moments and ``(M + 1,)`` number of the evaluation that last
+        touched, −1 for none. The last place is spare: the pair of the spare bodies N and N + 1.
     """
-    pair_i, pair_j = list_pairs(sphere, skin, period)
-    wall_i, wall_w = near_walls(sphere, walls, 0.5 * skin)
-    columns = 7 if rolling else 4
-    pair_slot, wall_slot = np.zeros((len(pair_i), columns)), np.zeros((len(wall_i), columns))
-    pair_touched, wall_touched = np.full(len(pair_i), -1, np.int32), np.full(len(wall_i), -1, np.int32)
-    # Known contacts of each first particle as a chain.
-    head, following = np.full(len(sphere), -1, np.int32), np.empty(len(known_first), np.int32)
+    first, second = list_pairs(sphere[:count], skin, period, begin, end)
+    pair_i, pair_j, start = _sorted_pairs(first, second, begin, end, count)
+    slot, touched = np.empty((len(pair_i), 4)), np.full(len(pair_i), -1, np.int32)
+    moment = np.zeros((len(pair_i) if rolling else 1, 4))
     for c in range(len(known_first)):
-        following[c] = head[known_first[c]]
-        head[known_first[c]] = c
-    # A pair that no longer touches has nothing to remember, so only the few that touch are looked up.
-    touching = np.empty(len(pair_i) + 1, np.uint32)
-    for q in range(prune(sphere, pair_i, pair_j, 0.0, period, touching)):
-        p = touching[q]
-        c = head[pair_i[p]]
-        while c >= 0 and known_second[c] != pair_j[p]:
-            c = following[c]
-        if c >= 0:
-            for k in range(columns):
-                pair_slot[p, k] = known[c, k]
-            pair_touched[p] = evaluation
-    for p in range(len(wall_i)):
-        c = head[wall_i[p]]
-        while c >= 0 and known_second[c] != -1 - np.int64(wall_w[p]):
-            c = following[c]
-        if c >= 0:
-            for k in range(columns):
-                wall_slot[p, k] = known[c, k]
-            wall_touched[p] = evaluation
-    return pair_i, pair_j, pair_slot, pair_touched, wall_i, wall_w, wall_slot, wall_touched
+        row = known_first[c] - begin
+        if 0 <= row < end - begin and known_second[c] >= 0:
+            p = start[row]
+            while p < start[row + 1] and pair_j[p] != known_second[c]:
+                p += 1
+            if p < start[row + 1]:
+                for k in range(4):
+                    slot[p, k] = known[c, k]
+                if rolling:
+                    for k in range(3):
+                        moment[p, k] = known[c, ROLLING_MOMENT + k]
+                touched[p] = evaluation
+    return pair_i, pair_j, start, slot, moment, touched
 
 
 @njit(error_model="numpy")
-def touching_contacts(
-    pair_i, pair_j, pair_slot, pair_touched, wall_i, wall_w, wall_slot, wall_touched, evaluation
-):  # fmt: skip
-    """The contacts that an evaluation found touching: ``(C,)`` first, ``(C,)`` second, ``(C, 7)`` memory."""
-    pairs, pair_count = _where(pair_touched, evaluation)
-    contacts, wall_count = _where(wall_touched, evaluation)
-    count, columns = pair_count + wall_count, pair_slot.shape[1]
+def _sorted_pairs(first, second, begin, end, count):
+    """Pairs in the order of (first, second), the spare pair (N, N + 1) after them, and where each first's begin.
+
+    A counting sort by second, then one by first, which keeps the order among equals.
+    """
+    pairs = len(first)
+    by_second, start = np.empty(pairs, np.uint32), np.zeros(count - begin + 1, np.uint32)
+    for p in range(pairs):
+        start[second[p] - begin + 1] += 1
+    for row in range(count - begin):
+        start[row + 1] += start[row]
+    for p in range(pairs):
+        row = second[p] - begin
+        by_second[start[row]] = p
+        start[row] += 1
+    start = np.zeros(end - begin + 2, np.uint32)  # shifted by one, so that filling it leaves it where it should be
+    for p in range(pairs):
+        start[first[p] - begin + 2] += 1
+    for row in range(end - begin):
+        start[row + 2] += start[row + 1]
+    pair_i, pair_j = np.empty(pairs + 1, np.uint32), np.empty(pairs + 1, np.uint32)
+    for q in range(pairs):
+        p = by_second[q]
+        row = first[p] - begin + 1
+        pair_i[start[row]], pair_j[start[row]] = first[p], second[p]
+        start[row] += 1
+    pair_i[pairs], pair_j[pairs] = count, count + 1
+    return pair_i, pair_j, start[: end - begin + 1].copy()
+
+
+@njit(error_model="numpy")
+def touching_contacts(pair_i, pair_j, slot, moment, touched, evaluation):
+    """The pairs that an evaluation found touching: ``(C,)`` first, ``(C,)`` second, ``(C, 7)`` memory."""
+    count = 0
+    for p in range(len(pair_i) - 1):
+        count += touched[p] == evaluation
     first, second, known = np.empty(count, np.int64), np.empty(count, np.int64), np.zeros((count, 7))
-    for c in range(pair_count):
-        p = pairs[c]
-        first[c], second[c] = pair_i[p], pair_j[p]
-        for k in range(columns):
-            known[c, k] = pair_slot[p, k]
-    for w in range(wall_count):
-        p, c = contacts[w], pair_count + w
-        first[c], second[c] = wall_i[p], -1 - np.int64(wall_w[p])
-        for k in range(columns):
-            known[c, k] = wall_slot[p, k]
+    c = 0
+    for p in range(len(pair_i) - 1):
+        if touched[p] == evaluation:
+            first[c], second[c] = pair_i[p], pair_j[p]
+            for k in range(4):
+                known[c, k] = slot[p, k]
+            if len(moment) > 1:
+                for k in range(3):
+                    known[c, ROLLING_MOMENT + k] = moment[p, k]
+            c += 1
     return first, second, known
 
 
 @njit(error_model="numpy")
-def _where(touched, evaluation):
-    """Slots that an evaluation touched, and their number."""
-    slots, found = np.empty(len(touched) + 1, np.uint32), 0
-    for p in range(len(touched)):
-        slots[found] = p
-        found += touched[p] == evaluation
-    return slots, found
-
-
-@njit(error_model="numpy")
-def prune(sphere, pair_i, pair_j, reach, period, near):
-    """Fills ``near`` with the places of the pairs whose surfaces are closer than ``reach``; returns their number.
+def closer(sphere, pair_i, pair_j, among, reach, period, near):
+    """Fills ``near`` with the pairs whose surfaces are closer than ``reach``, in their order; returns their number.
 
     Args:
-        sphere: ``(N, 4)`` x, y, z, r, m.
-        pair_i, pair_j: ``(M,)`` outer list.
+        sphere: ``(N + 2, 4)`` x, y, z, r, m.
+        pair_i, pair_j: ``(M + 1,)`` outer list.
+        among: places in it that are looked at.
         reach: m; 0 finds those that touch.
         period: of y, m; 0 for none.
-        near: ``(≥ M + 1,)`` written here.
+        near: places written here; one more than are looked at must fit.
     """
     found = 0
-    for p in range(len(pair_i)):
-        i, j = pair_i[p], pair_j[p]
-        dx = sphere[j, 0] - sphere[i, 0]
-        dy = sphere[j, 1] - sphere[i, 1]
-        dz = sphere[j, 2] - sphere[i, 2]
-        if period > 0.0:
-            dy -= period * np.rint(dy / period)
-        closer = sphere[i, 3] + sphere[j, 3] + reach
-        # Written always, kept only if near: no branch to mispredict.
-        near[found] = p
-        found += dx * dx + dy * dy + dz * dz < closer * closer
+    # Written always, kept only if near: no branch to mispredict.
+    if period > 0.0:
+        for p in among:
+            near[found] = p
+            found += wrapped_gap(sphere, pair_i[p], pair_j[p], reach, period) < 0.0
+    else:
+        for p in among:
+            near[found] = p
+            found += squared_gap(sphere, pair_i[p], pair_j[p], reach) < 0.0
     return found
 
 
 @njit(error_model="numpy")
-def toward_wall(walls, w, x, y, z):
-    """Distance of a point from wall w of the table, and the unit vector to it (zero on a cylinder's axis)."""
-    ox, oy, oz = x - walls[w, 1], y - walls[w, 2], z - walls[w, 3]
-    ax, ay, az = walls[w, 4], walls[w, 5], walls[w, 6]
-    along = ox * ax + oy * ay + oz * az
-    if walls[w, 0] != CYLINDER:
-        return along, -ax, -ay, -az
-    ox, oy, oz = ox - along * ax, oy - along * ay, oz - along * az
-    reach = math.sqrt(ox * ox + oy * oy + oz * oz)
-    inverse = 1.0 / reach if reach > 0.0 else 0.0
-    return walls[w, 7] - reach, ox * inverse, oy * inverse, oz * inverse
+def wrapped_gap(sphere, i, j, margin, period):
+    """``squared_gap`` with y taken to the nearest image, m²."""
+    dx, dy, dz = sphere[j, 0] - sphere[i, 0], sphere[j, 1] - sphere[i, 1], sphere[j, 2] - sphere[i, 2]
+    dy -= period * np.rint(dy / period)
+    reach = sphere[i, 3] + sphere[j, 3] + margin
+    return dx * dx + dy * dy + dz * dz - reach * reach
 
 
 @njit(error_model="numpy")
-def near_walls(sphere, walls, margin):
-    """Particles and walls whose surfaces are closer than ``margin``, ``(M,)`` uint32 each."""
-    room = len(sphere) * len(walls) + 1
-    wall_i, wall_w = np.empty(room, np.uint32), np.empty(room, np.uint32)
-    found = 0
-    for w in range(len(walls)):
-        for i in range(len(sphere)):
-            distance = toward_wall(walls, w, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
-            wall_i[found], wall_w[found] = i, w
-            found += distance - sphere[i, 3] < margin
-    return wall_i[:found].copy(), wall_w[:found].copy()
-
-
-@njit(error_model="numpy")
-def largest_displacement(sphere, reference):
-    """max ‖x − x_ref‖ over the particles, m."""
+def largest_displacement(sphere, reference, begin, end):
+    """max ‖x − x_ref‖ over the particles ``begin … end − 1``, m; ``reference`` begins with particle ``begin``."""
     largest = 0.0
-    for i in range(len(sphere)):
-        dx, dy, dz = sphere[i, 0] - reference[i, 0], sphere[i, 1] - reference[i, 1], sphere[i, 2] - reference[i, 2]
+    for i in range(begin, end):
+        dx, dy = sphere[i, 0] - reference[i - begin, 0], sphere[i, 1] - reference[i - begin, 1]
+        dz = sphere[i, 2] - reference[i - begin, 2]
         largest = max(largest, dx * dx + dy * dy + dz * dz)
     return math.sqrt(largest)

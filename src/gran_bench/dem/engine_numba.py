@@ -1,92 +1,124 @@
-"""The fast engine: a whole stretch of steps, neighbour searches included, in one jitted call.
+"""The fast engine: a whole stretch of steps, neighbour searches included, in one jitted call, on one or more threads.
 
-What makes it fast, on one thread:
+What makes it fast:
 
-- Rows of 4 (x, y, z, r) and 8 doubles (v, 1/m, ω, 1/I; force, torque): a contact touches few cache lines.
-- Particles are sorted in space when a stretch begins; pairs are flat half lists, pruned often, searched for rarely
-  (contact_list.py).
-- A branchless filter packs the touching pairs; blocks of them are gathered into one flat buffer, computed there in
-  SIMD, and scattered (contact_blocks.py). ``error_model="numpy"`` is what allows SIMD: a division may then not raise.
-- The history lives in the slot of its pair and moves only when pairs are searched for.
+- Bodies are rows of four doubles (position and radius, velocity and 1/m, spin and 1/I, force, torque), moved as SIMD
+  vectors (rows.py). Particles are sorted in space when a stretch begins.
+- Pairs are flat half lists, pruned often, searched for rarely; the history lives in the slot of its pair and moves only
+  when pairs are searched for (contact_list.py).
+- A branchless filter packs the touching pairs; blocks of them are gathered into columns, computed there in SIMD, and
+  scattered (contact_blocks.py). ``error_model="numpy"`` is what allows SIMD: a division may then not raise.
+- Threads own chunks of neighbouring particles for the whole stretch and meet twice a step (barrier.py).
 
 A stretch depends on nothing but the state that it starts from: order, lists and forces are made anew. So a run that
-stops at a frame and goes on from its float64 state is bit for bit the run that did not stop.
+stops at a frame and goes on from its float64 state is bit for bit the run that did not stop. Skin and number of threads
+change no bit either: lists are in one order whatever the skin (contact_list.py), and the chunks, each with loads of its
+own that are added in one order, depend on the number of particles alone.
 """
 
 from __future__ import annotations
 
 import hashlib
-import math
+import threading
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 
 from gran_bench import neighbors
-from gran_bench.dem.contact_blocks import BUFFER_SIZE, pair_forces, wall_forces
-from gran_bench.dem.contact_list import (
-    INNER_SHARE,
-    largest_displacement,
-    list_contacts,
-    prune,
-    touching_contacts,
-)
+from gran_bench.dem import barrier
 from gran_bench.dem.integrate import Divergence, Physics
-from gran_bench.neighbors import bin_cells
+from gran_bench.dem.stretch import bodies_in_order, keyed, run_chunks
 from gran_bench.state import ContactHistory, FloatArray, ParticleState
 
+# Particles from which on a bed is cut into 2, 4, 8, 16 chunks: each large beside what lies at its rim.
+CHUNK_SIZES = (1500, 8000, 32000, 128000)
 
-def advance(state: ParticleState, physics: Physics, time_step: float, wall_speed: FloatArray) -> ParticleState:
+
+def chunk_bounds(count: int) -> np.ndarray:
+    """First particle of each chunk, and the end of the last, ``(C + 1,)``; a function of the number alone."""
+    chunks = 2 ** sum(count >= size for size in CHUNK_SIZES)
+    return np.linspace(0, count, chunks + 1).astype(np.int64)
+
+
+def most_threads(count: int) -> int:
+    """How many threads have work with so many particles."""
+    return len(chunk_bounds(count)) - 1
+
+
+def advance(state: ParticleState, physics: Physics, time_step: float, walls: FloatArray) -> ParticleState:
     """The state after a stretch of steps, its contact history included.
 
     Args:
         state: where the stretch starts.
-        physics: laws, walls and gravity.
+        physics: laws, walls and gravity; skin, threads and precision.
         time_step: Δt, s.
-        wall_speed: ``(steps + 1,)`` angular speed of the walls, rad/s: at the start, then at the middle of each step.
+        walls: ``(steps + 1, W, 21)`` poses of the walls at each force evaluation (walls.py).
 
     Raises:
         Divergence: a speed that crosses a quarter of a radius in a step, or is not finite.
     """
-    count, history = state.count, state.history
-    if count == 0:
+    if state.count == 0:
         return state
-    position = np.array(state.position, np.float64)
-    velocity = np.array(state.velocity, np.float64)
-    spin = np.array(state.angular_velocity, np.float64)
-    culprit, done, first, second, known = _stretch(
-        position, velocity, spin, np.array(state.radius, np.float64),
-        np.array(history.first, np.int64), np.array(history.second, np.int64),
-        np.column_stack((history.force, history.overlap, history.rolling_moment)),
-        physics.pair_constants, physics.wall_constants, physics.walls, physics.axis, physics.gravity,
-        physics.density, physics.period, physics.skin, physics.tangential, physics.rolling,
-        float(time_step), np.array(wall_speed, np.float64),
+    history, bounds = state.history, chunk_bounds(state.count)
+    order, *bodies = _bodies_in_order(
+        np.array(state.position, np.float64), np.array(state.velocity, np.float64),
+        np.array(state.angular_velocity, np.float64), np.array(state.radius, np.float64),
+        np.array(state.material, np.uint8), physics.density, physics.period,
     )  # fmt: skip
+    chunks = len(bounds) - 1
+    threads = max(1, min(physics.threads, chunks))
+    shape = (chunks, state.count + 2, 4)
+    # Zeros of the operating system: what no chunk touches costs nothing.
+    shared = (barrier.new_gate(), bounds, np.zeros(chunks, np.int64), np.zeros((threads, 32)))
+    loads = np.zeros(shape), np.zeros(shape)
+    known = np.column_stack((history.force, history.overlap, history.rolling_moment))
+    what = (
+        np.array(history.first, np.int64), np.array(history.second, np.int64), known,
+        physics.pair_laws, physics.wall_laws, np.ascontiguousarray(walls), np.array(physics.gravity, np.float64),
+        physics.period, physics.skin, float(time_step), physics.tangential, physics.rolling,
+        np.zeros(0, np.float32 if physics.single_precision else np.float64),
+    )  # fmt: skip
+
+    def run(thread: int):
+        return _run_chunks(thread, threads, *shared, order, *bodies, *loads, *what)
+
+    results = run_together(run, threads, shared[0])
+    position, velocity, spin = (np.empty((state.count, 3)) for _ in range(3))
+    for body, target in zip(bodies[:3], (position, velocity, spin), strict=True):
+        target[order] = body[: state.count, :3]
+    culprit, done = results[0][:2]
     if culprit >= 0:
-        raise Divergence(int(culprit), int(done), position, velocity, spin)
-    memory = ContactHistory(first, second, known[:, :3].copy(), known[:, 3].copy(), known[:, 4:].copy())
-    return ParticleState(position, velocity, spin, state.radius, state.time + done * time_step, memory)
+        raise Divergence(int(order[culprit]), int(done), position, velocity, spin)
+    first, second, memory = (np.concatenate([result[k] for result in results]) for k in (2, 3, 4))
+    contacts = ContactHistory(first, second, memory[:, :3].copy(), memory[:, 3].copy(), memory[:, 4:].copy())
+    return ParticleState(
+        position, velocity, spin, state.radius, state.time + done * time_step, contacts, state.material
+    )
 
 
-def _keyed_stretch(sources: str):
-    """The jitted stretch, cached on disk under the digest of everything that it is compiled from.
+def run_together(run, threads: int, gate: np.ndarray) -> list:
+    """``run(thread)`` of every thread, the first on the caller's own; an error lets the others through the barriers."""
+    if threads == 1:
+        return [run(0)]
+    results: list = [None] * threads
+    errors: list[BaseException] = []
 
-    Numba keys its cache by the file of the function alone; a kernel of another file that changed would be found
-    under the old key. A closure's variables are part of the key.
-    """
+    def guarded(thread: int) -> None:
+        try:
+            results[thread] = run(thread)
+        except BaseException as error:
+            errors.append(error)
+            barrier.abandon(gate)
 
-    @njit(cache=True, error_model="numpy")
-    def stretch(
-        position, velocity, spin, radius, first, second, known, pair_law, wall_law, walls, axis, gravity,
-        density, period, skin, tangential, rolling, dt, wall_speed,
-    ):  # fmt: skip
-        sources  # noqa: B018 (the key)
-        return _advance(
-            position, velocity, spin, radius, first, second, known, pair_law, wall_law, walls, axis, gravity,
-            density, period, skin, tangential, rolling, dt, wall_speed,
-        )  # fmt: skip
-
-    return stretch
+    others = [threading.Thread(target=guarded, args=(thread,), daemon=True) for thread in range(1, threads)]
+    for other in others:
+        other.start()
+    guarded(0)
+    for other in others:
+        other.join()
+    if errors:
+        raise errors[0]
+    return results
 
 
 def _digest_of_sources() -> str:
@@ -94,184 +126,4 @@ def _digest_of_sources() -> str:
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
-@njit(error_model="numpy")
-def _advance(
-    position, velocity, spin, radius, first, second, known, pair_law, wall_law, walls, axis, gravity,
-    density, period, skin, tangential, rolling, dt, wall_speed,
-):  # fmt: skip
-    """One stretch of ``len(wall_speed) − 1`` steps; position, velocity and spin are advanced in place.
-
-    Returns the particle that diverged or −1, the completed steps, and the touching contacts with their memory.
-    """
-    steps, inner = len(wall_speed) - 1, INNER_SHARE * skin
-    order, rank = _order_in_space(position, radius, skin, period)
-    sphere, motion, smallest = _packed(position, velocity, spin, radius, density, order)
-    ahead, load = np.zeros((len(order), 4)), np.zeros((len(order), 8))
-    fastest_allowed = (0.25 * smallest / dt) ** 2
-    first, second, known = _renamed(first, second, known, rank)
-
-    pair_i, pair_j, pair_slot, pair_touched, wall_i, wall_w, wall_slot, wall_touched = list_contacts(
-        sphere, walls, skin, period, first, second, known, np.int64(0), rolling
-    )
-    searched_at, pruned_at, travelled = sphere.copy(), sphere.copy(), 0.0
-    near, active, geometry = _room(pair_i, wall_i)
-    near_count = prune(sphere, pair_i, pair_j, inner, period, near)
-    buffer = np.empty(BUFFER_SIZE)
-    culprit, done = -1, 0
-    # Evaluation 1 is of the state itself and loads no history; the last one of a stretch is number steps + 1.
-    for evaluation in range(1, steps + 2):
-        span = 0.0 if evaluation == 1 else dt
-        if evaluation > 1:
-            kick = 0.5 * dt if evaluation == 2 else dt
-            fastest, culprit = _kick(motion, ahead, load, gravity, kick, 0.5 * dt, tangential, fastest_allowed)
-            if culprit >= 0:
-                break
-            _drift(sphere, motion, dt)
-            done += 1
-            # The path of the fastest bounds all displacements at no cost; only when it leaves the reach of the
-            # inner list is the true displacement looked at.
-            travelled += dt * math.sqrt(fastest)
-            if travelled > 0.5 * inner:
-                travelled = largest_displacement(sphere, pruned_at)
-                if travelled > 0.5 * inner:
-                    if largest_displacement(sphere, searched_at) > 0.5 * (skin - inner):
-                        first, second, known = touching_contacts(
-                            pair_i, pair_j, pair_slot, pair_touched,
-                            wall_i, wall_w, wall_slot, wall_touched, evaluation - 1,
-                        )  # fmt: skip
-                        _wrap(sphere, period)
-                        (
-                            pair_i, pair_j, pair_slot, pair_touched,
-                            wall_i, wall_w, wall_slot, wall_touched,
-                        ) = list_contacts(
-                            sphere, walls, skin, period, first, second, known, evaluation - 1, rolling
-                        )  # fmt: skip
-                        near, active, geometry = _room(pair_i, wall_i)
-                        searched_at = sphere.copy()
-                    near_count = prune(sphere, pair_i, pair_j, inner, period, near)
-                    pruned_at = sphere.copy()
-                    travelled = 0.0
-            load[:] = 0.0
-        pair_forces(
-            sphere, motion, ahead, load, pair_i, pair_j, near, near_count, pair_slot, pair_touched, evaluation,
-            active, buffer, pair_law, density, period, tangential, rolling, span,
-        )  # fmt: skip
-        wall_forces(
-            sphere, motion, ahead, load, wall_i, wall_w, wall_slot, wall_touched, evaluation,
-            active, geometry, buffer, wall_law, walls, axis, density, tangential, rolling,
-            wall_speed[evaluation - 1], span,
-        )  # fmt: skip
-    if steps > 0 and culprit < 0:
-        _, culprit = _kick(motion, ahead, load, gravity, 0.5 * dt, 0.0, tangential, fastest_allowed)
-
-    _wrap(sphere, period)
-    for row in range(len(order)):
-        i = order[row]
-        for k in range(3):
-            position[i, k], velocity[i, k], spin[i, k] = sphere[row, k], motion[row, k], motion[row, 4 + k]
-    first, second, known = touching_contacts(
-        pair_i, pair_j, pair_slot, pair_touched, wall_i, wall_w, wall_slot, wall_touched, steps + 1
-    )
-    first, second, known = _renamed(first, second, known, order)
-    return order[culprit] if culprit >= 0 else -1, done, first, second, known
-
-
-@njit(error_model="numpy")
-def _order_in_space(position, radius, skin, period):
-    """Particles cell by cell, and the rank of each, ``(N,)`` both."""
-    # Loops, not slices: they compile in a fraction of the time.
-    sphere, largest = np.empty((len(position), 4)), 0.0
-    for i in range(len(position)):
-        sphere[i, 0], sphere[i, 1], sphere[i, 2] = position[i, 0], position[i, 1], position[i, 2]
-        largest = max(largest, radius[i])
-    order = bin_cells(sphere, 2.0 * largest + skin, period)[0]
-    rank = np.empty(len(order), np.int64)
-    for row in range(len(order)):
-        rank[order[row]] = row
-    return order, rank
-
-
-@njit(error_model="numpy")
-def _packed(position, velocity, spin, radius, density, order):
-    """Rows (x, y, z, r) and (v, 1/m, ω, 1/I) in the given order, and the smallest radius."""
-    sphere, motion, smallest = np.empty((len(order), 4)), np.empty((len(order), 8)), np.inf
-    for row in range(len(order)):
-        i = order[row]
-        mass = 4.0 / 3.0 * math.pi * density * radius[i] ** 3
-        for k in range(3):
-            sphere[row, k], motion[row, k], motion[row, 4 + k] = position[i, k], velocity[i, k], spin[i, k]
-        sphere[row, 3] = radius[i]
-        motion[row, 3], motion[row, 7] = 1.0 / mass, 1.0 / (0.4 * mass * radius[i] ** 2)
-        smallest = min(smallest, radius[i])
-    return sphere, motion, smallest
-
-
-@njit(error_model="numpy")
-def _renamed(first, second, known, name):
-    """Contacts with their particles called ``name[i]`` instead of i; the lower name first, walls as they are."""
-    new_first, new_second, new_known = np.empty_like(first), np.empty_like(second), known.copy()
-    for c in range(len(first)):
-        a = name[first[c]]
-        b = name[second[c]] if second[c] >= 0 else second[c]
-        if 0 <= b < a:
-            a, b = b, a
-            for k in (0, 1, 2, 4, 5, 6):
-                new_known[c, k] = -known[c, k]
-        new_first[c], new_second[c] = a, b
-    return new_first, new_second, new_known
-
-
-@njit(error_model="numpy")
-def _room(pair_i, wall_i):
-    """Scratch of the inner list and of the filters; one more than can be kept, for the last write."""
-    pairs, walls = len(pair_i) + 1, len(wall_i) + 1
-    return np.empty(pairs, np.uint32), np.empty(max(pairs, walls), np.uint32), np.empty((walls, 4))
-
-
-@njit(error_model="numpy")
-def _kick(motion, ahead, load, gravity, dt, rest, tangential, fastest_allowed):
-    """Velocities forward by dt, and in ``ahead`` what the same acceleration adds in the ``rest`` of the step.
-
-    Returns the largest squared speed and the first row that is too fast or not finite.
-    """
-    fastest, culprit = 0.0, -1
-    gx, gy, gz = gravity[0], gravity[1], gravity[2]
-    for i in range(len(motion)):
-        inverse_mass = motion[i, 3]
-        ax, ay, az = inverse_mass * load[i, 0] + gx, inverse_mass * load[i, 1] + gy, inverse_mass * load[i, 2] + gz
-        vx, vy, vz = motion[i, 0] + dt * ax, motion[i, 1] + dt * ay, motion[i, 2] + dt * az
-        motion[i, 0], motion[i, 1], motion[i, 2] = vx, vy, vz
-        ahead[i, 0], ahead[i, 1], ahead[i, 2] = rest * ax, rest * ay, rest * az
-        squared = vx * vx + vy * vy + vz * vz
-        fastest = max(fastest, squared)
-        if not squared <= fastest_allowed and culprit < 0:
-            culprit = i
-    if tangential:
-        for i in range(len(motion)):
-            twist = dt * motion[i, 7]
-            motion[i, 4] += twist * load[i, 4]
-            motion[i, 5] += twist * load[i, 5]
-            motion[i, 6] += twist * load[i, 6]
-    return fastest, culprit
-
-
-@njit(error_model="numpy")
-def _drift(sphere, motion, dt):
-    for i in range(len(sphere)):
-        sphere[i, 0] += dt * motion[i, 0]
-        sphere[i, 1] += dt * motion[i, 1]
-        sphere[i, 2] += dt * motion[i, 2]
-
-
-@njit(error_model="numpy")
-def _wrap(sphere, period):
-    """y into [−L/2, L/2); only where lists are made, so that displacements stay true in between."""
-    if period > 0.0:
-        for i in range(len(sphere)):
-            if not -0.5 * period <= sphere[i, 1] < 0.5 * period:
-                sphere[i, 1] -= period * math.floor(sphere[i, 1] / period + 0.5)
-                if sphere[i, 1] >= 0.5 * period:
-                    sphere[i, 1] -= period
-
-
-_stretch = _keyed_stretch(_digest_of_sources())
+_bodies_in_order, _run_chunks = keyed(_digest_of_sources())

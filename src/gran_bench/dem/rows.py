@@ -1,0 +1,276 @@
+"""Rows of four and columns of a block: SIMD loads, transposes and stores that Numba does not find by itself.
+
+Bodies are rows of four doubles in arrays ``(N, 4)``; the laws run over columns, one lane a contact, in a flat buffer
+whose column c begins at ``c × BLOCK``. These intrinsics carry four contacts at a time from one to the other. They take
+the place of loops like ``for lane, c: buffer[(first + c) * BLOCK + k + lane] = a[i[lane], c] - a[j[lane], c]`` and are
+held against such loops in tests. The buffer may be float32 while the bodies are float64.
+"""
+
+from __future__ import annotations
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+BLOCK = 64  # contacts of a block: its buffer stays in the first-level cache
+
+_LANES = 4
+
+
+class _Writer:
+    """Emits loads and stores of four neighbouring elements."""
+
+    def __init__(self, context, builder, signature, arguments) -> None:
+        self.context, self.builder, self.signature, self.arguments = context, builder, signature, arguments
+
+    def pointer(self, argument: int, index: ir.Value) -> ir.Value:
+        """Address of element ``index`` of the flat view of an array argument."""
+        array = cgutils.create_struct_proxy(self.signature.args[argument])(
+            self.context, self.builder, self.arguments[argument]
+        )
+        return self.builder.gep(array.data, [index])
+
+    def row(self, argument: int, index_argument: int) -> ir.Value:
+        """Address of row ``index`` of an ``(N, 4)`` argument."""
+        index = self.context.cast(
+            self.builder, self.arguments[index_argument], self.signature.args[index_argument], types.uint64
+        )
+        return self.pointer(argument, self.builder.shl(index, ir.Constant(ir.IntType(64), 2)))
+
+    def column(self, argument: int, column_argument: int, place_argument: int, extra: int) -> ir.Value:
+        """Address of lane ``place`` of column ``first + extra`` of a block buffer."""
+        sixty_four, builder = ir.IntType(64), self.builder
+        column, place = (
+            self.context.cast(builder, self.arguments[a], self.signature.args[a], types.int64)
+            for a in (column_argument, place_argument)
+        )
+        column = builder.add(column, ir.Constant(sixty_four, extra))
+        return self.pointer(argument, builder.add(builder.mul(column, ir.Constant(sixty_four, BLOCK)), place))
+
+    def load(self, pointer: ir.Value) -> ir.Value:
+        """Four elements, as doubles."""
+        element = pointer.type.pointee
+        vector = ir.VectorType(element, _LANES)
+        value = self.builder.load(self.builder.bitcast(pointer, vector.as_pointer()))
+        value.align = element.get_abi_size(self.context.target_data)
+        wide = ir.VectorType(ir.DoubleType(), _LANES)
+        return value if element == ir.DoubleType() else self.builder.fpext(value, wide)
+
+    def store(self, value: ir.Value, pointer: ir.Value) -> None:
+        """Four doubles, narrowed to what the array holds."""
+        element = pointer.type.pointee
+        vector = ir.VectorType(element, _LANES)
+        if element != ir.DoubleType():
+            value = self.builder.fptrunc(value, vector)
+        store = self.builder.store(value, self.builder.bitcast(pointer, vector.as_pointer()))
+        store.align = element.get_abi_size(self.context.target_data)
+
+    def spread(self, value: ir.Value) -> ir.Value:
+        """A double in all four lanes."""
+        vector = ir.Constant(ir.VectorType(ir.DoubleType(), _LANES), [0.0] * _LANES)
+        for lane in range(_LANES):
+            vector = self.builder.insert_element(vector, value, ir.Constant(ir.IntType(32), lane))
+        return vector
+
+    def transposed(self, rows: list[ir.Value]) -> list[ir.Value]:
+        """The four columns of four rows."""
+
+        def shuffle(a: ir.Value, b: ir.Value, *places: int) -> ir.Value:
+            mask = ir.Constant(ir.VectorType(ir.IntType(32), _LANES), list(places))
+            return self.builder.shuffle_vector(a, b, mask)
+
+        a, b, c, d = rows
+        even_low, odd_low = shuffle(a, b, 0, 4, 2, 6), shuffle(a, b, 1, 5, 3, 7)
+        even_high, odd_high = shuffle(c, d, 0, 4, 2, 6), shuffle(c, d, 1, 5, 3, 7)
+        return [
+            shuffle(even_low, even_high, 0, 1, 4, 5),
+            shuffle(odd_low, odd_high, 0, 1, 4, 5),
+            shuffle(even_low, even_high, 2, 3, 6, 7),
+            shuffle(odd_low, odd_high, 2, 3, 6, 7),
+        ]
+
+
+def _gather(combine: str | None):
+    """The intrinsic that brings a[i] ∘ a[j] (or a[i] alone) of four contacts into four columns."""
+
+    def typed(arguments: tuple[types.Type, ...]):
+        def emit(context, builder, signature, values):
+            writer = _Writer(context, builder, signature, values)
+            rows = []
+            for lane in range(_LANES):
+                value = writer.load(writer.row(3, 4 + lane))
+                if combine is not None:
+                    other = writer.load(writer.row(3, 8 + lane))
+                    value = getattr(builder, combine)(value, other)
+                rows.append(value)
+            for extra, column in enumerate(writer.transposed(rows)):
+                writer.store(column, writer.column(0, 1, 2, extra))
+            return context.get_dummy_value()
+
+        return types.void(*arguments), emit
+
+    return typed
+
+
+@intrinsic
+def gather_difference(typing, buffer, first, place, body, i0, i1, i2, i3, j0, j1, j2, j3):
+    """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i] − body[j]."""
+    return _gather("fsub")((buffer, first, place, body, i0, i1, i2, i3, j0, j1, j2, j3))
+
+
+@intrinsic
+def gather_sum(typing, buffer, first, place, body, i0, i1, i2, i3, j0, j1, j2, j3):
+    """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i] + body[j]."""
+    return _gather("fadd")((buffer, first, place, body, i0, i1, i2, i3, j0, j1, j2, j3))
+
+
+@intrinsic
+def gather_rows(typing, buffer, first, place, body, i0, i1, i2, i3):
+    """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i]."""
+    return _gather(None)((buffer, first, place, body, i0, i1, i2, i3))
+
+
+@intrinsic
+def scatter_rows(typing, body, i0, i1, i2, i3, buffer, first, place):
+    """body[i] becomes what columns ``first`` … ``first + 3`` hold at lanes ``place`` … ``place + 3``."""
+    arguments = (body, i0, i1, i2, i3, buffer, first, place)
+
+    def emit(context, builder, signature, values):
+        writer = _Writer(context, builder, signature, values)
+        columns = [writer.load(writer.column(5, 6, 7, extra)) for extra in range(4)]
+        for lane, row in enumerate(writer.transposed(columns)):
+            writer.store(row, writer.row(0, 1 + lane))
+        return context.get_dummy_value()
+
+    return types.void(*arguments), emit
+
+
+def _scatter_pairs(sign: str):
+    """The intrinsic that adds columns to body[i] and adds or subtracts them at body[j], contact after contact."""
+
+    def typed(arguments: tuple[types.Type, ...]):
+        def emit(context, builder, signature, values):
+            writer = _Writer(context, builder, signature, values)
+            columns = [writer.load(writer.column(9, 10, 11, extra)) for extra in range(4)]
+            for lane, row in enumerate(writer.transposed(columns)):
+                first = writer.row(0, 1 + lane)
+                writer.store(builder.fadd(writer.load(first), row), first)
+                second = writer.row(0, 5 + lane)
+                writer.store(getattr(builder, sign)(writer.load(second), row), second)
+            return context.get_dummy_value()
+
+        return types.void(*arguments), emit
+
+    return typed
+
+
+@intrinsic
+def scatter_opposite(typing, body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, place):
+    """body[i] gains columns ``first`` … ``first + 3`` at lanes ``place`` …, body[j] loses them."""
+    return _scatter_pairs("fsub")((body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, place))
+
+
+@intrinsic
+def scatter_alike(typing, body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, place):
+    """body[i] and body[j] gain columns ``first`` … ``first + 3`` at lanes ``place`` …."""
+    return _scatter_pairs("fadd")((body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, place))
+
+
+@intrinsic
+def scatter_sum(typing, body, i0, i1, i2, i3, buffer, first, place):
+    """body[i] gains columns ``first`` … ``first + 3`` at lanes ``place`` …, contact after contact."""
+    arguments = (body, i0, i1, i2, i3, buffer, first, place)
+
+    def emit(context, builder, signature, values):
+        writer = _Writer(context, builder, signature, values)
+        columns = [writer.load(writer.column(5, 6, 7, extra)) for extra in range(4)]
+        for lane, row in enumerate(writer.transposed(columns)):
+            target = writer.row(0, 1 + lane)
+            writer.store(builder.fadd(writer.load(target), row), target)
+        return context.get_dummy_value()
+
+    return types.void(*arguments), emit
+
+
+@intrinsic
+def squared_gap(typing, sphere, i, j, margin):
+    """‖x_j − x_i‖² − (r_i + r_j + margin)² of two rows (x, y, z, r), m²; negative where they are closer."""
+
+    def emit(context, builder, signature, values):
+        writer, double = _Writer(context, builder, signature, values), ir.DoubleType()
+        quad = ir.VectorType(double, _LANES)
+        first, second = writer.load(writer.row(0, 1)), writer.load(writer.row(0, 2))
+        zero = ir.Constant(quad, [0.0] * _LANES)
+        wide = context.cast(builder, values[3], signature.args[3], types.float64)
+        beyond = builder.insert_element(zero, wide, ir.Constant(ir.IntType(32), 3))
+        # Differences of the coordinates and the sum of the radii at once.
+        gap = builder.fadd(second, builder.fmul(first, ir.Constant(quad, [-1.0, -1.0, -1.0, 1.0])))
+        gap = builder.fadd(gap, beyond)
+        gap = builder.fmul(builder.fmul(gap, gap), ir.Constant(quad, [1.0, 1.0, 1.0, -1.0]))
+        low, high = (
+            builder.shuffle_vector(gap, gap, ir.Constant(ir.VectorType(ir.IntType(32), 2), places))
+            for places in ([0, 1], [2, 3])
+        )
+        pair = builder.fadd(low, high)
+        return builder.fadd(*(builder.extract_element(pair, ir.Constant(ir.IntType(32), k)) for k in (0, 1)))
+
+    return types.float64(sphere, i, j, margin), emit
+
+
+@intrinsic
+def kick_row(typing, body, load, i, gx, gy, gz, dt, ahead, rest):
+    """body[i] += Δt a with a = body[i, 3] load[i] + g; ahead[i] = rest × a; load[i] = 0.
+
+    The fourth place of a body is its 1/m or 1/I, and stays: the fourth of a load is zero.
+    """
+
+    def emit(context, builder, signature, values):
+        acceleration = _kick(_Writer(context, builder, signature, values), 1, 2, values[3:6], values[6])
+        writer = _Writer(context, builder, signature, values)
+        writer.store(builder.fmul(writer.spread(values[8]), acceleration), writer.row(7, 2))
+        return context.get_dummy_value()
+
+    return types.void(*(body, load, i, gx, gy, gz, dt, ahead, rest)), emit
+
+
+@intrinsic
+def twist_row(typing, body, load, i, dt):
+    """body[i] += Δt body[i, 3] load[i]; load[i] = 0."""
+
+    def emit(context, builder, signature, values):
+        _kick(_Writer(context, builder, signature, values), 1, 2, None, values[3])
+        return context.get_dummy_value()
+
+    return types.void(body, load, i, dt), emit
+
+
+@intrinsic
+def move_row(typing, source, target, i):
+    """target[i] += source[i]; source[i] = 0."""
+
+    def emit(context, builder, signature, values):
+        writer = _Writer(context, builder, signature, values)
+        origin, destination = writer.row(0, 2), writer.row(1, 2)
+        writer.store(builder.fadd(writer.load(destination), writer.load(origin)), destination)
+        writer.store(ir.Constant(ir.VectorType(ir.DoubleType(), _LANES), [0.0] * _LANES), origin)
+        return context.get_dummy_value()
+
+    return types.void(source, target, i), emit
+
+
+def _kick(writer: _Writer, load: int, index: int, gravity, dt):
+    """Emits the kick of the first argument by argument ``load``; returns the acceleration."""
+    builder, quad = writer.builder, ir.VectorType(ir.DoubleType(), _LANES)
+    place, source = writer.row(0, index), writer.row(load, index)
+    row = writer.load(place)
+    inverse = builder.shuffle_vector(row, row, ir.Constant(ir.VectorType(ir.IntType(32), _LANES), [3] * _LANES))
+    acceleration = builder.fmul(inverse, writer.load(source))
+    if gravity is not None:
+        g = ir.Constant(quad, [0.0] * _LANES)
+        for axis, component in enumerate(gravity):
+            g = builder.insert_element(g, component, ir.Constant(ir.IntType(32), axis))
+        acceleration = builder.fadd(acceleration, g)
+    writer.store(builder.fadd(row, builder.fmul(writer.spread(dt), acceleration)), place)
+    writer.store(ir.Constant(quad, [0.0] * _LANES), source)
+    return acceleration

@@ -1,0 +1,337 @@
+"""The loop of a stretch, as one thread runs it over its chunks (jitted).
+
+    kick and drift → meet → lists, where something moved far → forces → meet
+
+Chunk c adds the loads of its pairs to rows of its own, ``force[c]`` and ``torque[c]``, for its particles and for those
+of later chunks that its pairs reach. Before a kick the owner of a particle takes over what earlier chunks left there.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from gran_bench.dem.barrier import meet
+from gran_bench.dem.contact_blocks import BLOCK, BUFFER_SIZE, fill_law, fill_sizes, pair_forces
+from gran_bench.dem.contact_list import (
+    INNER_SHARE,
+    closer,
+    largest_displacement,
+    list_contacts,
+    touching_contacts,
+)
+from gran_bench.dem.rows import kick_row, move_row, twist_row
+from gran_bench.dem.wall_contacts import list_wall_contacts, wall_forces
+from gran_bench.neighbors import bin_cells
+
+# Edge of the cells that particles are sorted by, in diameters of the largest.
+CELL_EDGE = 1.1
+# What threads tell each other: places of a thread's row.
+FASTEST, CULPRIT, SINCE_PRUNING, SINCE_SEARCH = range(4)
+
+
+def keyed(sources: str):
+    """The jitted functions of a stretch, cached on disk under the digest of everything that they are compiled from.
+
+    Numba keys its cache by the file of the function alone; a kernel of another file that changed would be found
+    under the old key. A closure's variables are part of the key.
+    """
+
+    @njit(cache=True, error_model="numpy")
+    def in_order(position, velocity, spin, radius, material, density, period):
+        sources  # noqa: B018 (the key)
+        return bodies_in_order(position, velocity, spin, radius, material, density, period)
+
+    @njit(cache=True, error_model="numpy", nogil=True)
+    def run(
+        thread, threads, gate, bounds, reach, told, order, sphere, velocity, spin, ahead, material, force, torque,
+        first, second, known, pair_laws, wall_laws, walls, gravity, period, skin, dt, tangential, rolling, precision,
+    ):  # fmt: skip
+        sources  # noqa: B018 (the key)
+        return run_chunks(
+            thread, threads, gate, bounds, reach, told, order, sphere, velocity, spin, ahead, material, force, torque,
+            first, second, known, pair_laws, wall_laws, walls, gravity, period, skin, dt, tangential, rolling, precision,
+        )  # fmt: skip
+
+    return in_order, run
+
+
+@njit(error_model="numpy")
+def run_chunks(
+    thread, threads, gate, bounds, reach, told, order, sphere, velocity, spin, ahead, material, force, torque,
+    first, second, known, pair_laws, wall_laws, walls, gravity, period, skin, dt, tangential, rolling, precision,
+):  # fmt: skip
+    """One thread's share of ``len(walls) − 1`` steps; the bodies are advanced in place.
+
+    Args:
+        thread, threads: which of how many.
+        gate: of barrier.py.
+        bounds, reach: ``(C + 1,)`` first particle of each chunk; ``(C,)`` end of what its pairs touch.
+        told: ``(threads, ≥ 4)`` what threads tell each other.
+        order: ``(N,)`` particle of each row.
+        sphere, velocity, spin, ahead, material: rows in that order and two spare ones.
+        force, torque: ``(C, N + 2, 4)`` zeros.
+        first, second, known: ``(C,)``, ``(C,)``, ``(C, 7)`` contacts by particle.
+        pair_laws, wall_laws: ``(S, S, 5)``, ``(S, W, 5)``.
+        walls: ``(steps + 1, W, 21)`` poses.
+        gravity, period, skin, dt: SI.
+        tangential, rolling: what the scene needs.
+        precision: an array whose dtype the contact laws are computed in.
+
+    Returns:
+        The row that diverged or −1, the completed steps, and this thread's touching contacts with their memory.
+    """
+    count, steps, inner = len(order), len(walls) - 1, INNER_SHARE * skin
+    chunk, stop = thread * (len(bounds) - 1) // threads, (thread + 1) * (len(bounds) - 1) // threads
+    begin, end = bounds[chunk], bounds[stop]
+    rank = np.empty(count, np.int64)
+    for row in range(count):
+        rank[order[row]] = row
+    first, second, known = renamed(first, second, known, rank)
+    unequal, several = _sizes_differ(sphere, count), len(pair_laws) > 1
+    buffer, wall_buffer = np.zeros(BUFFER_SIZE, precision.dtype), np.zeros(BUFFER_SIZE, precision.dtype)
+    near_start = np.zeros(stop - chunk + 1, np.int64)
+    for lane in range(BLOCK):
+        fill_sizes(buffer, lane, sphere[0, 3], sphere[0, 3], 2.0 * velocity[0, 3])
+        fill_law(buffer, lane, pair_laws[0, 0])
+
+    # No lists yet: the first evaluation makes them.
+    pair_i, pair_j, start, near, active, wall_i, wall_w, wall_active = [np.empty(0, np.uint32) for _ in range(8)]
+    slot, moment, wall_slot, wall_moment, geometry, searched_at, pruned_at = [np.empty((0, 4)) for _ in range(7)]
+    touched, wall_touched = np.empty(0, np.int32), np.empty(0, np.int32)
+    culprit, done, travelled, since_search = np.int64(-1), 0, np.inf, np.inf
+    fastest_allowed = (0.25 * _smallest_radius(sphere, count) / dt) ** 2
+    # Evaluation 1 is of the state itself and loads no history. Number steps + 1 is the last of the stretch; after it
+    # comes half a kick.
+    for evaluation in range(1, steps + 3 if steps > 0 else 2):
+        span = 0.0 if evaluation == 1 else dt
+        if evaluation > 1:
+            last = evaluation == steps + 2
+            _take_over(force, torque, bounds, reach, chunk, stop, tangential)
+            told[thread, FASTEST], told[thread, CULPRIT] = _kick(
+                velocity, spin, ahead, force, torque, bounds, chunk, stop, gravity,
+                0.5 * dt if evaluation == 2 or last else dt, 0.0 if last else 0.5 * dt, tangential, fastest_allowed,
+            )  # fmt: skip
+            drifts = not last and told[thread, CULPRIT] < 0.0
+            if drifts:
+                _drift(sphere, velocity, begin, end, dt)
+            meet(gate, threads)
+            fastest = 0.0
+            for other in range(threads):
+                fastest = max(fastest, told[other, FASTEST])
+                if culprit < 0:
+                    culprit = np.int64(told[other, CULPRIT])
+            if culprit >= 0 and drifts:
+                _drift(sphere, velocity, begin, end, -dt)
+            if culprit >= 0 or last:
+                break
+            done += 1
+            # The path of the fastest bounds all displacements at no cost; only when it leaves the reach of the
+            # inner list is the true displacement looked at.
+            travelled += dt * math.sqrt(fastest)
+            if travelled > 0.5 * inner:
+                told[thread, SINCE_PRUNING] = largest_displacement(sphere, pruned_at, begin, end)
+                told[thread, SINCE_SEARCH] = largest_displacement(sphere, searched_at, begin, end)
+                meet(gate, threads)
+                travelled, since_search = 0.0, 0.0
+                for other in range(threads):
+                    travelled = max(travelled, told[other, SINCE_PRUNING])
+                    since_search = max(since_search, told[other, SINCE_SEARCH])
+        if travelled > 0.5 * inner:
+            if since_search > 0.5 * (skin - inner):
+                if evaluation > 1:
+                    first, second, known = _touching(
+                        pair_i, pair_j, slot, moment, touched,
+                        wall_i, wall_w, wall_slot, wall_moment, wall_touched, evaluation - 1,
+                    )  # fmt: skip
+                pair_i, pair_j, start, slot, moment, touched = list_contacts(
+                    sphere, count, begin, end, skin, period, first, second, known, np.int64(evaluation - 1), rolling
+                )
+                wall_i, wall_w, wall_slot, wall_moment, wall_touched = list_wall_contacts(
+                    sphere, material, begin, end, len(pair_laws), walls, evaluation - 1, 0.5 * skin,
+                    first, second, known, np.int64(evaluation - 1), rolling,
+                )  # fmt: skip
+                near, active = np.empty(len(pair_i), np.uint32), np.empty(len(pair_i) + 4, np.uint32)
+                wall_active, geometry = np.empty(len(wall_i) + 4, np.uint32), np.empty((len(wall_i) + 4, 4))
+                searched_at, since_search = sphere[begin:end].copy(), 0.0
+            found = 0
+            for c in range(chunk, stop):
+                low, high = start[bounds[c] - begin], start[bounds[c + 1] - begin]
+                found += closer(sphere, pair_i, pair_j, range(low, high), inner, period, near[found:])
+                near_start[c - chunk + 1] = found
+                reach[c] = _end_of_reach(pair_j, near, near_start[c - chunk], found, bounds[c + 1])
+            pruned_at, travelled = sphere[begin:end].copy(), 0.0
+        for c in range(chunk, stop):
+            pair_forces(
+                sphere, velocity, spin, ahead, material, force[c], torque[c], pair_i, pair_j,
+                near, near_start[c - chunk], near_start[c - chunk + 1], slot, moment, touched, evaluation,
+                active, buffer, pair_laws, period, tangential, rolling, unequal, several, span,
+            )  # fmt: skip
+        wall_forces(
+            sphere, velocity, spin, ahead, material, force, torque, bounds, chunk, wall_i, wall_w,
+            wall_slot, wall_moment, wall_touched, evaluation, wall_active, geometry, wall_buffer, wall_laws,
+            walls[evaluation - 1], tangential, rolling, span,
+        )  # fmt: skip
+        meet(gate, threads)
+    _wrap(sphere, begin, end, period)
+    first, second, known = _touching(
+        pair_i, pair_j, slot, moment, touched, wall_i, wall_w, wall_slot, wall_moment, wall_touched, steps + 1
+    )
+    first, second, known = renamed(first, second, known, order)
+    return culprit, done, first, second, known
+
+
+@njit(error_model="numpy")
+def bodies_in_order(position, velocity, spin, radius, material, density, period):
+    """Particles cell by cell, slab after slab along the longest axis, and rows of four in that order.
+
+    Two spare bodies that just touch follow, far away; they fill lanes that a block does not need.
+
+    Returns:
+        ``(N,)`` particle of each row; ``(N + 2, 4)`` rows (x, y, z, r), (v, 1/m), (ω, 1/I) and zeros; ``(N + 2,)``
+        materials.
+    """
+    count = len(position)
+    low, high, largest = np.full(3, np.inf), np.full(3, -np.inf), 0.0
+    for i in range(count):
+        largest = max(largest, radius[i])
+        for k in range(3):
+            low[k], high[k] = min(low[k], position[i, k]), max(high[k], position[i, k])
+    # Slabs across the longest axis meet in the fewest pairs. A periodic axis would make the first meet the last.
+    axes = np.array([0, 1, 2])
+    if high[0] - low[0] > high[2] - low[2]:
+        axes[0], axes[2] = 2, 0
+    if period == 0.0 and high[1] - low[1] > high[axes[2]] - low[axes[2]]:
+        axes[1], axes[2] = axes[2], 1
+    place = np.empty((count, 4))
+    for i in range(count):
+        for k in range(3):
+            place[i, k] = position[i, axes[k]]
+    order = bin_cells(place, 2.0 * CELL_EDGE * largest, period)[0]
+    sphere, rates, spins, ahead = (np.zeros((count + 2, 4)), np.zeros((count + 2, 4)),
+                                   np.zeros((count + 2, 4)), np.zeros((count + 2, 4)))  # fmt: skip
+    materials = np.zeros(count + 2, np.uint8)
+    for row in range(count):
+        i = order[row]
+        mass = 4.0 / 3.0 * math.pi * density[material[i]] * radius[i] ** 3
+        for k in range(3):
+            sphere[row, k], rates[row, k], spins[row, k] = position[i, k], velocity[i, k], spin[i, k]
+        sphere[row, 3], rates[row, 3], spins[row, 3] = radius[i], 1.0 / mass, 1.0 / (0.4 * mass * radius[i] ** 2)
+        materials[row] = material[i]
+    for spare in (count, count + 1):
+        for k in range(4):
+            sphere[spare, k], rates[spare, k], spins[spare, k] = sphere[0, k], 0.0, 0.0
+        rates[spare, 3], spins[spare, 3] = rates[0, 3], spins[0, 3]
+    sphere[count + 1, 0] += 2.0 * sphere[0, 3]
+    return order, sphere, rates, spins, ahead, materials
+
+
+@njit(error_model="numpy")
+def renamed(first, second, known, name):
+    """Contacts with their particles called ``name[i]`` instead of i; the lower name first, walls as they are."""
+    new_first, new_second, new_known = np.empty_like(first), np.empty_like(second), known.copy()
+    for c in range(len(first)):
+        a = name[first[c]]
+        b = name[second[c]] if second[c] >= 0 else second[c]
+        if 0 <= b < a:
+            a, b = b, a
+            for k in (0, 1, 2, 4, 5, 6):
+                new_known[c, k] = -known[c, k]
+        new_first[c], new_second[c] = a, b
+    return new_first, new_second, new_known
+
+
+@njit(error_model="numpy")
+def _sizes_differ(sphere, count):
+    for i in range(count):
+        if sphere[i, 3] != sphere[0, 3]:
+            return True
+    return False
+
+
+@njit(error_model="numpy")
+def _smallest_radius(sphere, count):
+    smallest = np.inf
+    for i in range(count):
+        smallest = min(smallest, sphere[i, 3])
+    return smallest
+
+
+@njit(error_model="numpy")
+def _end_of_reach(pair_j, near, begin, end, furthest):
+    """One more than the last particle that these pairs touch, and at least ``furthest``."""
+    for q in range(begin, end):
+        furthest = max(furthest, np.int64(pair_j[near[q]]) + 1)
+    return furthest
+
+
+@njit(error_model="numpy")
+def _touching(
+    pair_i, pair_j, slot, moment, touched, wall_i, wall_w, wall_slot, wall_moment, wall_touched, evaluation
+):  # fmt: skip
+    """The contacts that an evaluation found touching, pairs and then walls."""
+    pair_first, pair_second, pair_known = touching_contacts(pair_i, pair_j, slot, moment, touched, evaluation)
+    wall_first, wall, wall_known = touching_contacts(wall_i, wall_w, wall_slot, wall_moment, wall_touched, evaluation)
+    pairs, count = len(pair_first), len(pair_first) + len(wall_first)
+    first, second, known = np.empty(count, np.int64), np.empty(count, np.int64), np.empty((count, 7))
+    for c in range(count):
+        if c < pairs:
+            first[c], second[c] = pair_first[c], pair_second[c]
+        else:
+            first[c], second[c] = wall_first[c - pairs], -1 - wall[c - pairs]
+        for k in range(7):
+            known[c, k] = pair_known[c, k] if c < pairs else wall_known[c - pairs, k]
+    return first, second, known
+
+
+@njit(error_model="numpy")
+def _take_over(force, torque, bounds, reach, chunk, stop, tangential):
+    """Moves what earlier chunks left for the particles of ``chunk … stop − 1`` to the loads of their own chunk."""
+    for c in range(chunk, stop):
+        for earlier in range(c):
+            for i in range(bounds[c], min(reach[earlier], bounds[c + 1])):
+                move_row(force[earlier], force[c], i)
+                if tangential:
+                    move_row(torque[earlier], torque[c], i)
+
+
+@njit(error_model="numpy")
+def _kick(velocity, spin, ahead, force, torque, bounds, chunk, stop, gravity, dt, rest, tangential, fastest_allowed):
+    """Velocities forward by dt, and in ``ahead`` what the same acceleration adds in the ``rest`` of the step.
+
+    Returns the largest squared speed and the first row that is too fast or not finite.
+    """
+    fastest, culprit = 0.0, -1.0
+    gx, gy, gz = gravity[0], gravity[1], gravity[2]
+    for c in range(chunk, stop):
+        for i in range(bounds[c], bounds[c + 1]):
+            kick_row(velocity, force[c], i, gx, gy, gz, dt, ahead, rest)
+            squared = velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2
+            fastest = max(fastest, squared)
+            if not squared <= fastest_allowed and culprit < 0.0:
+                culprit = float(i)
+        if tangential:
+            for i in range(bounds[c], bounds[c + 1]):
+                twist_row(spin, torque[c], i, dt)
+    return fastest, culprit
+
+
+@njit(error_model="numpy")
+def _drift(sphere, velocity, begin, end, dt):
+    for i in range(begin, end):
+        sphere[i, 0] += dt * velocity[i, 0]
+        sphere[i, 1] += dt * velocity[i, 1]
+        sphere[i, 2] += dt * velocity[i, 2]
+
+
+@njit(error_model="numpy")
+def _wrap(sphere, begin, end, period):
+    """y into [−L/2, L/2); only where a stretch ends, so that displacements stay true in between."""
+    if period > 0.0:
+        for i in range(begin, end):
+            if not -0.5 * period <= sphere[i, 1] < 0.5 * period:
+                sphere[i, 1] -= period * math.floor(sphere[i, 1] / period + 0.5)
+                if sphere[i, 1] >= 0.5 * period:
+                    sphere[i, 1] -= period
