@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from gran_bench.dem.contact import PREDICTION_FADE
-from gran_bench.dem.contact_list import FORCE, MOMENT, OVERLAP, toward_wall
+from gran_bench.dem.contact_list import FORCE, MOMENT, OVERLAP
 
 BLOCK = 128  # contacts of a block: its buffer stays in the first-level cache
 # Rows of the buffer. Fixed offsets into one flat array let the compiler prove that rows do not overlap.
@@ -121,82 +121,6 @@ def pair_forces(
                     load[i, 4 + axis] += moment
                     load[j, 4 + axis] -= moment
                     slot[p, MOMENT + axis] = moment
-            slot[p, OVERLAP] = buffer[DELTA + k]
-            touched[p] = evaluation
-
-
-@njit(error_model="numpy")
-def wall_forces(
-    sphere, motion, ahead, load, wall_i, wall_w, slot, touched, evaluation, active, geometry, buffer,
-    law, walls, axis, density, tangential, rolling, speed, dt,
-):  # fmt: skip
-    """Adds the forces and torques of all touching walls to ``load`` and updates their slots.
-
-    Args:
-        wall_i, wall_w: ``(M,)`` particle and wall of each contact in reach.
-        walls: ``(W, 9)`` table.
-        axis: ``(3,)`` of rotation.
-        geometry: ``(≥ M + 1, 4)`` scratch: distance and direction of the touching ones.
-        speed: of rotation, rad/s.
-        The others: as in :func:`pair_forces`.
-    """
-    touching = 0
-    for p in range(len(wall_i)):
-        i = wall_i[p]
-        distance, nx, ny, nz = toward_wall(walls, wall_w[p], sphere[i, 0], sphere[i, 1], sphere[i, 2])
-        geometry[touching, 0], geometry[touching, 1] = distance, nx
-        geometry[touching, 2], geometry[touching, 3] = ny, nz
-        active[touching] = p
-        touching += distance < sphere[i, 3]
-    for begin in range(0, touching, BLOCK):
-        size = min(BLOCK, touching - begin)
-        for k in range(size):
-            p = active[begin + k]
-            i, w = wall_i[p], wall_w[p]
-            x, y, z, radius = sphere[i, 0], sphere[i, 1], sphere[i, 2], sphere[i, 3]
-            distance, nx = geometry[begin + k, 0], geometry[begin + k, 1]
-            ny, nz = geometry[begin + k, 2], geometry[begin + k, 3]
-            buffer[NX + k], buffer[NY + k], buffer[NZ + k] = nx, ny, nz
-            buffer[DELTA + k] = radius - distance
-            buffer[RS + k], buffer[MS + k] = radius, 4.0 / 3.0 * math.pi * density * radius**3
-            buffer[R1 + k], buffer[R2 + k] = distance, 0.0
-            vx, vy, vz = motion[i, 0], motion[i, 1], motion[i, 2]
-            turning = speed * walls[w, 8]
-            if turning != 0.0:
-                cx, cy, cz = x + distance * nx, y + distance * ny, z + distance * nz
-                vx -= turning * (axis[1] * cz - axis[2] * cy)
-                vy -= turning * (axis[2] * cx - axis[0] * cz)
-                vz -= turning * (axis[0] * cy - axis[1] * cx)
-            buffer[VX + k], buffer[VY + k], buffer[VZ + k] = vx, vy, vz
-            buffer[GAIN + k] = nx * ahead[i, 0] + ny * ahead[i, 1] + nz * ahead[i, 2]
-            if tangential:
-                buffer[PX + k], buffer[PY + k], buffer[PZ + k] = motion[i, 4], motion[i, 5], motion[i, 6]
-                # No lever arm, so that it counts only as what a sphere rolls against.
-                buffer[QX + k], buffer[QY + k], buffer[QZ + k] = turning * axis[0], turning * axis[1], turning * axis[2]
-                buffer[HX + k], buffer[HY + k], buffer[HZ + k] = slot[p, FORCE], slot[p, FORCE + 1], slot[p, FORCE + 2]
-                buffer[BEFORE + k] = slot[p, OVERLAP] if touched[p] == evaluation - 1 else 0.0
-            if rolling:
-                for c in range(3):
-                    buffer[MX + c * BLOCK + k] = slot[p, MOMENT + c]
-        _law(buffer, size, law, tangential, dt)
-        if rolling:
-            _roll(buffer, size, law, dt)
-        for k in range(size):
-            p = active[begin + k]
-            i = wall_i[p]
-            load[i, 0] += buffer[FX + k]
-            load[i, 1] += buffer[FY + k]
-            load[i, 2] += buffer[FZ + k]
-            if tangential:
-                arm = buffer[R1 + k]
-                load[i, 4] += arm * buffer[TX + k]
-                load[i, 5] += arm * buffer[TY + k]
-                load[i, 6] += arm * buffer[TZ + k]
-                slot[p, FORCE], slot[p, FORCE + 1], slot[p, FORCE + 2] = buffer[HX + k], buffer[HY + k], buffer[HZ + k]
-            if rolling:
-                for c in range(3):
-                    load[i, 4 + c] += buffer[MX + c * BLOCK + k]
-                    slot[p, MOMENT + c] = buffer[MX + c * BLOCK + k]
             slot[p, OVERLAP] = buffer[DELTA + k]
             touched[p] = evaluation
 

@@ -13,7 +13,6 @@ import math
 import numpy as np
 from numba import njit
 
-from gran_bench.dem.walls import CYLINDER
 from gran_bench.neighbors import list_pairs
 
 # Reach of the inner list beyond touch, as a share of the skin.
@@ -23,12 +22,12 @@ FORCE, OVERLAP, MOMENT = 0, 3, 4
 
 
 @njit(error_model="numpy")
-def list_contacts(sphere, walls, skin, period, known_first, known_second, known, evaluation, rolling):
+def list_contacts(sphere, wall_i, wall_w, skin, period, known_first, known_second, known, evaluation, rolling):
     """Pairs and wall contacts within the skin, with the history of the known contacts in their slots.
 
     Args:
         sphere: ``(N, 4)`` x, y, z, r, m.
-        walls: ``(W, 9)`` table.
+        wall_i, wall_w: ``(M,)`` particles and walls that may touch (:func:`wall_contacts.near_walls`).
         skin: m.
         period: of y, m; 0 for none.
         known_first, known_second: ``(C,)`` contacts that touch, first < second; wall w is the second −1 − w.
@@ -41,7 +40,6 @@ def list_contacts(sphere, walls, skin, period, known_first, known_second, known,
         ``(M,)`` number of the evaluation that last touched, −1 for none.
     """
     pair_i, pair_j = list_pairs(sphere, skin, period)
-    wall_i, wall_w = near_walls(sphere, walls, 0.5 * skin)
     columns = 7 if rolling else 4
     pair_slot, wall_slot = np.zeros((len(pair_i), columns)), np.zeros((len(wall_i), columns))
     pair_touched, wall_touched = np.full(len(pair_i), -1, np.int32), np.full(len(wall_i), -1, np.int32)
@@ -128,34 +126,6 @@ def prune(sphere, pair_i, pair_j, reach, period, near):
         near[found] = p
         found += dx * dx + dy * dy + dz * dz < closer * closer
     return found
-
-
-@njit(error_model="numpy")
-def toward_wall(walls, w, x, y, z):
-    """Distance of a point from wall w of the table, and the unit vector to it (zero on a cylinder's axis)."""
-    ox, oy, oz = x - walls[w, 1], y - walls[w, 2], z - walls[w, 3]
-    ax, ay, az = walls[w, 4], walls[w, 5], walls[w, 6]
-    along = ox * ax + oy * ay + oz * az
-    if walls[w, 0] != CYLINDER:
-        return along, -ax, -ay, -az
-    ox, oy, oz = ox - along * ax, oy - along * ay, oz - along * az
-    reach = math.sqrt(ox * ox + oy * oy + oz * oz)
-    inverse = 1.0 / reach if reach > 0.0 else 0.0
-    return walls[w, 7] - reach, ox * inverse, oy * inverse, oz * inverse
-
-
-@njit(error_model="numpy")
-def near_walls(sphere, walls, margin):
-    """Particles and walls whose surfaces are closer than ``margin``, ``(M,)`` uint32 each."""
-    room = len(sphere) * len(walls) + 1
-    wall_i, wall_w = np.empty(room, np.uint32), np.empty(room, np.uint32)
-    found = 0
-    for w in range(len(walls)):
-        for i in range(len(sphere)):
-            distance = toward_wall(walls, w, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
-            wall_i[found], wall_w[found] = i, w
-            found += distance - sphere[i, 3] < margin
-    return wall_i[:found].copy(), wall_w[:found].copy()
 
 
 @njit(error_model="numpy")

@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 
 from gran_bench import neighbors
-from gran_bench.dem.contact_blocks import BUFFER_SIZE, pair_forces, wall_forces
+from gran_bench.dem.contact_blocks import BUFFER_SIZE, pair_forces
 from gran_bench.dem.contact_list import (
     INNER_SHARE,
     largest_displacement,
@@ -32,18 +32,19 @@ from gran_bench.dem.contact_list import (
     touching_contacts,
 )
 from gran_bench.dem.integrate import Divergence, Physics
+from gran_bench.dem.wall_contacts import near_walls, wall_forces
 from gran_bench.neighbors import bin_cells
 from gran_bench.state import ContactHistory, FloatArray, ParticleState
 
 
-def advance(state: ParticleState, physics: Physics, time_step: float, wall_speed: FloatArray) -> ParticleState:
+def advance(state: ParticleState, physics: Physics, time_step: float, walls: FloatArray) -> ParticleState:
     """The state after a stretch of steps, its contact history included.
 
     Args:
         state: where the stretch starts.
-        physics: laws, walls and gravity.
+        physics: laws and gravity.
         time_step: Δt, s.
-        wall_speed: ``(steps + 1,)`` angular speed of the walls, rad/s: at the start, then at the middle of each step.
+        walls: ``(steps + 1, W, 21)`` pose of each wall at each force evaluation (see walls.py).
 
     Raises:
         Divergence: a speed that crosses a quarter of a radius in a step, or is not finite.
@@ -51,21 +52,24 @@ def advance(state: ParticleState, physics: Physics, time_step: float, wall_speed
     count, history = state.count, state.history
     if count == 0:
         return state
+    if len(physics.density) > 1:
+        raise NotImplementedError("several particle materials need dem.engine=numpy")
     position = np.array(state.position, np.float64)
     velocity = np.array(state.velocity, np.float64)
     spin = np.array(state.angular_velocity, np.float64)
     culprit, done, first, second, known = _stretch(
-        position, velocity, spin, np.array(state.radius, np.float64),
+        position, velocity, spin, np.array(state.radius, np.float64), np.array(state.material, np.uint8),
         np.array(history.first, np.int64), np.array(history.second, np.int64),
         np.column_stack((history.force, history.overlap, history.rolling_moment)),
-        physics.pair_constants, physics.wall_constants, physics.walls, physics.axis, physics.gravity,
+        physics.pair_laws, physics.wall_laws, physics.gravity,
         physics.density, physics.period, physics.skin, physics.tangential, physics.rolling,
-        float(time_step), np.array(wall_speed, np.float64),
+        float(time_step), np.ascontiguousarray(walls, np.float64),
     )  # fmt: skip
     if culprit >= 0:
         raise Divergence(int(culprit), int(done), position, velocity, spin)
     memory = ContactHistory(first, second, known[:, :3].copy(), known[:, 3].copy(), known[:, 4:].copy())
-    return ParticleState(position, velocity, spin, state.radius, state.time + done * time_step, memory)
+    time = state.time + done * time_step
+    return ParticleState(position, velocity, spin, state.radius, time, memory, state.material)
 
 
 def _keyed_stretch(sources: str):
@@ -77,13 +81,13 @@ def _keyed_stretch(sources: str):
 
     @njit(cache=True, error_model="numpy")
     def stretch(
-        position, velocity, spin, radius, first, second, known, pair_law, wall_law, walls, axis, gravity,
-        density, period, skin, tangential, rolling, dt, wall_speed,
+        position, velocity, spin, radius, material, first, second, known, pair_laws, wall_laws, gravity,
+        density, period, skin, tangential, rolling, dt, walls,
     ):  # fmt: skip
         sources  # noqa: B018 (the key)
         return _advance(
-            position, velocity, spin, radius, first, second, known, pair_law, wall_law, walls, axis, gravity,
-            density, period, skin, tangential, rolling, dt, wall_speed,
+            position, velocity, spin, radius, material, first, second, known, pair_laws, wall_laws, gravity,
+            density, period, skin, tangential, rolling, dt, walls,
         )  # fmt: skip
 
     return stretch
@@ -96,22 +100,23 @@ def _digest_of_sources() -> str:
 
 @njit(error_model="numpy")
 def _advance(
-    position, velocity, spin, radius, first, second, known, pair_law, wall_law, walls, axis, gravity,
-    density, period, skin, tangential, rolling, dt, wall_speed,
+    position, velocity, spin, radius, material, first, second, known, pair_laws, wall_laws, gravity,
+    density, period, skin, tangential, rolling, dt, walls,
 ):  # fmt: skip
-    """One stretch of ``len(wall_speed) − 1`` steps; position, velocity and spin are advanced in place.
+    """One stretch of ``len(walls) − 1`` steps; position, velocity and spin are advanced in place.
 
     Returns the particle that diverged or −1, the completed steps, and the touching contacts with their memory.
     """
-    steps, inner = len(wall_speed) - 1, INNER_SHARE * skin
+    steps, inner = len(walls) - 1, INNER_SHARE * skin
     order, rank = _order_in_space(position, radius, skin, period)
-    sphere, motion, smallest = _packed(position, velocity, spin, radius, density, order)
+    sphere, motion, species, smallest = _packed(position, velocity, spin, radius, material, density, order)
     ahead, load = np.zeros((len(order), 4)), np.zeros((len(order), 8))
     fastest_allowed = (0.25 * smallest / dt) ** 2
     first, second, known = _renamed(first, second, known, rank)
 
+    wall_i, wall_w = near_walls(sphere, species, len(density), walls, 0, 0.5 * skin)
     pair_i, pair_j, pair_slot, pair_touched, wall_i, wall_w, wall_slot, wall_touched = list_contacts(
-        sphere, walls, skin, period, first, second, known, np.int64(0), rolling
+        sphere, wall_i, wall_w, skin, period, first, second, known, np.int64(0), rolling
     )
     searched_at, pruned_at, travelled = sphere.copy(), sphere.copy(), 0.0
     near, active, geometry = _room(pair_i, wall_i)
@@ -140,11 +145,12 @@ def _advance(
                             wall_i, wall_w, wall_slot, wall_touched, evaluation - 1,
                         )  # fmt: skip
                         _wrap(sphere, period)
+                        wall_i, wall_w = near_walls(sphere, species, len(density), walls, evaluation - 1, 0.5 * skin)
                         (
                             pair_i, pair_j, pair_slot, pair_touched,
                             wall_i, wall_w, wall_slot, wall_touched,
                         ) = list_contacts(
-                            sphere, walls, skin, period, first, second, known, evaluation - 1, rolling
+                            sphere, wall_i, wall_w, skin, period, first, second, known, evaluation - 1, rolling
                         )  # fmt: skip
                         near, active, geometry = _room(pair_i, wall_i)
                         searched_at = sphere.copy()
@@ -154,12 +160,11 @@ def _advance(
             load[:] = 0.0
         pair_forces(
             sphere, motion, ahead, load, pair_i, pair_j, near, near_count, pair_slot, pair_touched, evaluation,
-            active, buffer, pair_law, density, period, tangential, rolling, span,
+            active, buffer, pair_laws[0, 0], density[0], period, tangential, rolling, span,
         )  # fmt: skip
         wall_forces(
-            sphere, motion, ahead, load, wall_i, wall_w, wall_slot, wall_touched, evaluation,
-            active, geometry, buffer, wall_law, walls, axis, density, tangential, rolling,
-            wall_speed[evaluation - 1], span,
+            sphere, motion, species, ahead, load, wall_i, wall_w, wall_slot, wall_touched, evaluation,
+            active, geometry, buffer, wall_laws, walls[evaluation - 1], density, tangential, rolling, span,
         )  # fmt: skip
     if steps > 0 and culprit < 0:
         _, culprit = _kick(motion, ahead, load, gravity, 0.5 * dt, 0.0, tangential, fastest_allowed)
@@ -192,18 +197,20 @@ def _order_in_space(position, radius, skin, period):
 
 
 @njit(error_model="numpy")
-def _packed(position, velocity, spin, radius, density, order):
-    """Rows (x, y, z, r) and (v, 1/m, ω, 1/I) in the given order, and the smallest radius."""
+def _packed(position, velocity, spin, radius, material, density, order):
+    """Rows (x, y, z, r) and (v, 1/m, ω, 1/I) in the given order, the material of each, and the smallest radius."""
     sphere, motion, smallest = np.empty((len(order), 4)), np.empty((len(order), 8)), np.inf
+    species = np.empty(len(order), np.uint8)
     for row in range(len(order)):
         i = order[row]
-        mass = 4.0 / 3.0 * math.pi * density * radius[i] ** 3
+        species[row] = material[i]
+        mass = 4.0 / 3.0 * math.pi * density[material[i]] * radius[i] ** 3
         for k in range(3):
             sphere[row, k], motion[row, k], motion[row, 4 + k] = position[i, k], velocity[i, k], spin[i, k]
         sphere[row, 3] = radius[i]
         motion[row, 3], motion[row, 7] = 1.0 / mass, 1.0 / (0.4 * mass * radius[i] ** 2)
         smallest = min(smallest, radius[i])
-    return sphere, motion, smallest
+    return sphere, motion, species, smallest
 
 
 @njit(error_model="numpy")
