@@ -18,46 +18,49 @@ from gran_bench.config import SceneConfig
 from gran_bench.dem import engine_numba
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.simulate import settle, simulate
-from gran_bench.dem.walls import wall_table
-from gran_bench.scene import Plane, Scene, Wall, build_scene
+from gran_bench.dem.walls import wall_poses
+from gran_bench.scene import Plane, Scene, build_scene
 from gran_bench.state import ContactHistory, ParticleState
 
 STEPS, STEP = 50, 2e-4  # a frame of 10 ms
 
 
-def seconds_a_step(state: ParticleState, physics: Physics, speed: float, frames: int) -> float:
+Case = tuple[Physics, np.ndarray]  # what an engine takes beside the state
+
+
+def seconds_a_step(state: ParticleState, case: Case, frames: int) -> float:
     """Processor time of a step, over a few frames from the same bed."""
-    speeds, started = np.full(STEPS + 1, speed), time.process_time()
+    (physics, walls), started = case, time.process_time()
     for _ in range(frames):
-        state = engine_numba.advance(state, physics, STEP, speeds)
+        state = engine_numba.advance(state, physics, STEP, walls)
     return (time.process_time() - started) / (frames * STEPS)
 
 
-def walled(physics: Physics, walls: tuple[Wall, ...]) -> Physics:
-    """The same physics with these walls beside those that it has."""
-    shapes = physics.shapes + walls
-    return replace(physics, shapes=shapes, walls=wall_table(shapes))
+def case_of(scene: Scene, **changes: object) -> Case:
+    """A scene as an engine takes it, or what ``changes`` make of its physics."""
+    walls = wall_poses(scene, scene.start_time, STEP, STEPS)
+    return replace(Physics.of(scene, scene.filling.radius), **changes), walls
 
 
-def rows(scene: Scene) -> dict[str, tuple[Physics, Physics, float]]:
-    """Name of each skip → physics with it, physics without it, speed of the walls in rad/s."""
-    radius, turning = scene.filling.radius, scene.rotation.largest_angular_speed
-    usual = Physics.of(scene, radius)
+def rows(scene: Scene) -> dict[str, tuple[Case, Case]]:
+    """Name of each skip → a case with it, and one without it."""
     smooth_material = replace(scene.material, friction=0.0)
-    smooth = Physics.of(replace(scene, material=smooth_material, wall_material=smooth_material), radius)
-    open_ended = Physics.of(replace(scene, walls=scene.walls[:1], periodic_axis=True), radius)
-    bare = replace(usual, shapes=(), walls=np.zeros((0, 9)))
+    smooth = replace(scene, material=smooth_material, wall_material=smooth_material)
     # Out of every particle's reach, so that they cost their search and change nothing.
-    far_caps = (Plane((0.0, -5.0, 0.0), (0.0, 1.0, 0.0)), Plane((0.0, 5.0, 0.0), (0.0, -1.0, 0.0)))
-    resting = walled(replace(usual, shapes=()), tuple(replace(wall, turns=False) for wall in scene.walls))
+    caps = (Plane((0.0, -5.0, 0.0), (0.0, 1.0, 0.0)), Plane((0.0, 5.0, 0.0), (0.0, -1.0, 0.0)))
+    open_ended = replace(scene, walls=scene.walls[:1], periodic_axis=True)
+    capped = replace(open_ended, walls=open_ended.walls + caps)
+    bare, far = replace(scene, walls=()), replace(scene, walls=caps)
+    creeping = replace(scene, rotation=replace(scene.rotation, speeds_rpm=(1e-290,)))
+    usual, table = case_of(scene)
     return {
-        "no tangential law where μ = 0": (smooth, replace(smooth, tangential=True), turning),
-        "no rolling model where μ_r = 0": (usual, replace(usual, rolling=True), turning),
-        "no wall velocity where walls rest": (resting, usual, 1e-300),
-        "no end caps where the axis is periodic": (open_ended, walled(open_ended, far_caps), turning),
-        "no walls where there are none": (bare, walled(bare, far_caps), turning),
-        "no pair looked at beyond a fitting skin": (usual, replace(usual, skin=0.1), turning),
-        "no search before the skin is crossed": (usual, replace(usual, skin=1e-3), turning),
+        "no tangential law where μ = 0": (case_of(smooth), case_of(smooth, tangential=True)),
+        "no rolling model where μ_r = 0": ((usual, table), case_of(scene, rolling=True)),
+        "no wall velocity where walls rest": (case_of(scene.at_rest()), case_of(creeping)),
+        "no end caps where the axis is periodic": (case_of(open_ended), case_of(capped)),
+        "no walls where there are none": (case_of(bare), case_of(far)),
+        "no pair looked at beyond a fitting skin": ((usual, table), case_of(scene, skin=0.1)),
+        "no search before the skin is crossed": ((usual, table), case_of(scene, skin=1e-3)),
     }
 
 
@@ -69,8 +72,8 @@ def main(rounds: int) -> None:
     cases = rows(scene)
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in cases}
     for turn in range(rounds + 1):
-        for name, (with_skip, without_skip, speed) in cases.items():
-            pair = tuple(seconds_a_step(without_memory, physics, speed, 4) for physics in (with_skip, without_skip))
+        for name, both in cases.items():
+            pair = tuple(seconds_a_step(without_memory, case, 4) for case in both)
             if turn:  # the first turn warms up
                 times[name].append(pair)
     print(f"{'skip':42s} µs a step with   without   saved")

@@ -114,15 +114,14 @@ def ask(worker: subprocess.Popen, question: int | str) -> float:
 class OurRun:
     """A bed that goes on in frames of 10 ms, as in `simulate`."""
 
-    def __init__(self, state, physics, engine: Callable) -> None:
-        self.state, self.physics, self.engine = state, physics, engine
-        self.speeds = np.full(101, RPM * 2 * np.pi / 60)
+    def __init__(self, state, physics, walls, engine: Callable) -> None:
+        self.state, self.physics, self.walls, self.engine = state, physics, walls, engine
 
     def seconds(self, steps: int) -> float:
         """Goes on by so many steps, a multiple of 100."""
         started = time.process_time()
         for _ in range(0, steps, 100):
-            self.state = self.engine(self.state, self.physics, TIME_STEP, self.speeds)
+            self.state = self.engine(self.state, self.physics, TIME_STEP, self.walls)
         return time.process_time() - started
 
 
@@ -132,11 +131,12 @@ def main(lammps_python: str, rounds: int, steps: int) -> None:
     from gran_bench.dem import engine_numba, engine_numpy
     from gran_bench.dem.integrate import Physics
     from gran_bench.dem.simulate import settle, simulate
+    from gran_bench.dem.walls import wall_poses
     from gran_bench.scene import build_scene
 
     scene = build_scene(SceneConfig(name="drum")).at_speed(RPM)
     turning = simulate(scene, settle(scene, 0), 3.5, dem=DemConfig()).final
-    physics = Physics.of(scene, 0.025)
+    physics, walls = Physics.of(scene, 0.025), wall_poses(scene, 3.5, TIME_STEP, 100)
     workers: list[subprocess.Popen] = []
     with tempfile.TemporaryDirectory() as folder:
         bed = Path(folder) / "bed.npz"
@@ -146,8 +146,8 @@ def main(lammps_python: str, rounds: int, steps: int) -> None:
             velocity=turning.velocity,
             angular_velocity=turning.angular_velocity,
         )
-        numba_run = OurRun(turning, physics, engine_numba.advance)
-        numpy_run = OurRun(turning, physics, engine_numpy.advance)
+        numba_run = OurRun(turning, physics, walls, engine_numba.advance)
+        numpy_run = OurRun(turning, physics, walls, engine_numpy.advance)
         runs: dict[str, Callable[[], float]] = {
             "gran-bench numba": lambda: numba_run.seconds(steps) / steps,
             "gran-bench numpy": lambda: numpy_run.seconds(100) / 100,

@@ -11,6 +11,7 @@ from gran_bench.config import ContainerConfig, DemConfig, FillingConfig, Materia
 from gran_bench.dem import engine_numba, engine_numpy
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.simulate import settle, simulate
+from gran_bench.dem.walls import wall_poses
 from gran_bench.scene import Filling, Material, Scene, build_scene
 from gran_bench.state import ContactHistory, ParticleState
 
@@ -40,9 +41,9 @@ def bed(request) -> tuple[Scene, ParticleState]:
 
 def test_forces_of_one_step_agree_to_rounding(bed):
     scene, state = bed
-    physics, speed = Physics.of(scene, 0.025), np.full(2, 3.0)
-    fast = engine_numba.advance(state, physics, STEP, speed)
-    reference = engine_numpy.advance(state, physics, STEP, speed)
+    physics, walls = Physics.of(scene, 0.025), wall_poses(scene, state.time, STEP, 1)
+    fast = engine_numba.advance(state, physics, STEP, walls)
+    reference = engine_numpy.advance(state, physics, STEP, walls)
     for name in FIELDS[1:]:
         gained = getattr(reference, name) - getattr(state, name)
         error = np.abs(getattr(fast, name) - getattr(reference, name)).max()
@@ -52,10 +53,10 @@ def test_forces_of_one_step_agree_to_rounding(bed):
 
 def test_both_engines_remember_the_same_contacts(bed):
     scene, state = bed
-    physics, speed = Physics.of(scene, 0.025), np.full(6, 3.0)
+    physics, walls = Physics.of(scene, 0.025), wall_poses(scene, state.time, STEP, 5)
     lists = []
     for engine in (engine_numba, engine_numpy):
-        history = engine.advance(state, physics, STEP, speed).history
+        history = engine.advance(state, physics, STEP, walls).history
         order = np.lexsort((history.second, history.first))
         lists.append([getattr(history, name)[order] for name in ("first", "second", "force", "rolling_moment")])
     (first, second, force, moment), expected = lists

@@ -70,14 +70,26 @@ def test_an_unsafe_step_that_is_allowed_is_recorded(scene):
 
 @pytest.mark.parametrize("engine", ["numba", "numpy"])
 def test_divergence_names_particle_and_time_and_keeps_the_frames(scene, engine):
-    state = at((0, 0, 0), (0.2, 0, 0))
-    state = replace(state, velocity=np.array([[0, 0, 0], [0, 0, 60.0]]))
-    with pytest.raises(SimulationError, match=r"diverged at t = 0 s: particle 1 moves at 60 m/s") as caught:
-        simulate(scene, state, 0.1, dem=DemConfig(engine=engine))
+    # In free fall at 1000 g a sphere passes 31.25 m/s, a quarter of its radius in a step, in the first frame.
+    heavy = replace(scene, walls=(), gravity=(0.0, 0.0, -9810.0))
+    dem = DemConfig(engine=engine, time_step=2e-4, allow_unsafe_step=True)
+    with pytest.raises(SimulationError, match=r"diverged at t = 0\.0032 s: particle 0 moves at 32\.4 m/s") as caught:
+        simulate(heavy, at((0, 0, 0), (0.2, 0, 0)), 0.1, dem=dem)
     trajectory = caught.value.trajectory
     assert trajectory.frame_count == 2
-    assert trajectory.velocity[-1, 1, 2] == pytest.approx(60.0, abs=0.01)
+    assert trajectory.velocity[-1, 1, 2] == pytest.approx(-32.4, abs=0.1)
     assert np.isnan(trajectory.diagnostics["overlap_max"][-1])
+
+
+@pytest.mark.parametrize("engine", ["numba", "numpy"])
+def test_a_speed_that_crosses_a_quarter_of_a_radius_in_a_step_is_refused_before_the_first(scene, engine):
+    free = replace(scene, walls=())
+    state = replace(at((0, 0, 0), (0.2, 0, 0)), velocity=np.array([[0, 0, 0], [0, 0, 60.0]]))
+    with pytest.raises(StateError, match=r"particles 1 cross .* less than 31.2 m/s, or set dem\.time_step") as caught:
+        simulate(free, state, 0.1, dem=DemConfig(engine=engine))
+    remedy = float(str(caught.value).rsplit("at most ", 1)[1].split(" s")[0])
+    dem = DemConfig(engine=engine, time_step=0.99 * remedy)
+    assert simulate(free, state, 0.01, dem=dem).final.velocity[1, 2] == pytest.approx(60.0, abs=0.1)
 
 
 def test_divergence_in_a_bed_is_caught_with_the_frames_so_far(scene):

@@ -11,7 +11,7 @@ from gran_bench.config import ContainerConfig, FillingConfig, MaterialConfig, Ro
 from gran_bench.dem import engine_numba, engine_numpy
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.simulate import simulate
-from gran_bench.dem.walls import wall_table
+from gran_bench.dem.walls import wall_poses
 from gran_bench.scene import Plane, Scene, build_scene
 from gran_bench.state import ParticleState
 
@@ -40,9 +40,11 @@ def falling(scene: Scene) -> ParticleState:
     )
 
 
-def run(advance, state: ParticleState, physics: Physics, speed: float = 3.0) -> ParticleState:
-    """A stretch with many impacts."""
-    final = advance(state, physics, STEP, np.full(STEPS + 1, speed))
+def run(advance, scene: Scene, state: ParticleState, **changes: object) -> ParticleState:
+    """A stretch with many impacts in a scene's physics, or what ``changes`` make of it."""
+    skin = changes.pop("skin", None)
+    walls = changes.pop("walls", wall_poses(scene, 0.0, STEP, STEPS))
+    final = advance(state, replace(Physics.of(scene, 0.025, skin), **changes), STEP, walls)
     assert len(final.history) > 20
     return final
 
@@ -55,45 +57,52 @@ def same(one: ParticleState, other: ParticleState) -> bool:
 @ENGINES
 def test_without_friction_no_tangential_law_is_bit_identical(advance):
     scene = scene_of(friction=0.0)
-    physics = Physics.of(scene, 0.025)
-    assert not physics.tangential
-    full = run(advance, falling(scene), replace(physics, tangential=True))
-    assert same(run(advance, falling(scene), physics), full)
+    assert not scene.needs.tangential
+    assert not Physics.of(scene, 0.025).tangential
+    assert same(run(advance, scene, falling(scene)), run(advance, scene, falling(scene), tangential=True))
 
 
 @ENGINES
 def test_without_rolling_friction_no_rolling_model_is_bit_identical(advance):
     scene = scene_of()
-    physics = Physics.of(scene, 0.025)
-    assert not physics.rolling
-    assert same(run(advance, falling(scene), physics), run(advance, falling(scene), replace(physics, rolling=True)))
+    assert not scene.needs.rolling
+    assert same(run(advance, scene, falling(scene)), run(advance, scene, falling(scene), rolling=True))
 
 
 @ENGINES
 def test_walls_at_rest_without_wall_velocity_are_bit_identical(advance):
+    scene = scene_of().at_rest()
+    assert not scene.needs.wall_motion
+    # A speed too small to change a digit goes through all of the arithmetic.
+    creeping = replace(scene, rotation=replace(scene.rotation, speeds_rpm=(1e-290,)))
+    assert creeping.needs.wall_motion
+    assert same(run(advance, scene, falling(scene)), run(advance, creeping, falling(scene)))
+
+
+@ENGINES
+def test_walls_whose_shape_rests_need_no_pose_for_every_step(advance):
     scene = scene_of()
-    physics = Physics.of(scene, 0.025)
-    shapes = tuple(replace(wall, turns=False) for wall in scene.walls)
-    still = replace(physics, shapes=shapes, walls=wall_table(shapes))
-    assert same(run(advance, falling(scene), physics, 0.0), run(advance, falling(scene), still, 3.0))
+    assert not scene.needs.wall_geometry
+    walls = wall_poses(scene, 0.0, STEP, STEPS)
+    assert walls.strides[0] == 0  # one row, seen many times
+    assert same(run(advance, scene, falling(scene)), run(advance, scene, falling(scene), walls=walls.copy()))
 
 
 @ENGINES
 def test_no_walls_are_bit_identical_to_walls_out_of_reach(advance):
     scene = scene_of()
-    bare = Physics.of(replace(scene, walls=()), 0.025)
-    far = (Plane((0.0, 0.0, -50.0), (0.0, 0.0, 1.0)),)
+    bare = replace(scene, walls=())
+    far = replace(scene, walls=(Plane((0.0, 0.0, -50.0), (0.0, 0.0, 1.0), turns=False),))
+    assert not bare.needs.walls
     # Squeezed, so that pairs touch without a container.
     state = falling(scene)
     state = replace(state, position=0.95 * state.position)
-    walled = replace(bare, shapes=far, walls=wall_table(far))
-    assert same(run(advance, state, bare), run(advance, state, walled))
+    assert same(run(advance, bare, state), run(advance, far, state))
 
 
 def test_wall_distances_of_particles_within_reach_alone_change_only_rounding():
     scene = scene_of()
-    near, all_of_them = Physics.of(scene, 0.025), Physics.of(scene, 0.025, skin=2.0)
-    one, other = (run(engine_numba.advance, falling(scene), physics) for physics in (near, all_of_them))
+    one, other = (run(engine_numba.advance, scene, falling(scene), skin=skin) for skin in (None, 2.0))
     assert np.abs(one.position - other.position).max() < 1e-12
 
 
@@ -101,13 +110,13 @@ def test_wall_distances_of_particles_within_reach_alone_change_only_rounding():
 def test_no_search_before_half_the_skin_is_crossed_changes_only_rounding(skin):
     # A skin of 0.1 mm is crossed in every step, so there every step searches.
     scene = scene_of()
-    usual, other = (run(engine_numba.advance, falling(scene), Physics.of(scene, 0.025, skin=s)) for s in (None, skin))
+    usual, other = (run(engine_numba.advance, scene, falling(scene), skin=s) for s in (None, skin))
     assert np.abs(usual.position - other.position).max() < 1e-12
 
 
 def test_no_end_caps_where_the_axis_is_periodic():
     scene = build_scene(SceneConfig(name="slice", container=ContainerConfig(length=0.2, periodic_axis=True)))
-    assert len(Physics.of(scene, 0.025).walls) == 1
+    assert wall_poses(scene, 0.0, STEP, 1).shape == (2, 1, 21)
     assert not scene.needs.end_caps
 
 

@@ -34,8 +34,49 @@ class ContainerConfig:
 
 
 @dataclass
+class BoxConfig:
+    """A closed box that stands on z = 0."""
+
+    kind: str = "box"
+    width: float = 1.0  # m, along x
+    length: float = 1.0  # m, along y
+    height: float = 1.0  # m, along z
+
+
+@dataclass
+class HopperConfig:
+    """A conical hopper: an upright tube above a cone with an orifice at z = 0, closed until the scene starts."""
+
+    kind: str = "hopper"
+    diameter: float = 0.5  # m, of the tube
+    height: float = 1.0  # m, of the tube
+    half_angle_deg: float = 45.0  # degrees between the cone and the vertical
+    orifice: float = 0.2  # m, diameter of the opening
+    outlet_depth: float = 0.1  # m under the orifice: where a sphere counts as discharged and is followed no more
+
+
+# The schema that a container's kind selects; a drum where none is said.
+CONTAINER_SCHEMAS: dict[str, type] = {
+    "drum": ContainerConfig,
+    "none": ContainerConfig,
+    "box": BoxConfig,
+    "hopper": HopperConfig,
+}
+
+
+@dataclass
+class SizesConfig:
+    """Distribution of the diameters, by number, as factors of filling.diameter."""
+
+    kind: str = "one"  # one | listed | uniform | lognormal
+    factors: list[float] = field(default_factory=list)  # of listed
+    fractions: list[float] = field(default_factory=list)  # share of each factor, sum 1
+    spread: float = 0.0  # half-width of uniform, standard deviation of ln d of lognormal (cut at two of them)
+
+
+@dataclass
 class FillingConfig:
-    """How many spheres, how large, and how they start."""
+    """How many spheres, how large, of which material, and how they start."""
 
     count: int = 3000
     diameter: float = 0.05  # m
@@ -43,6 +84,22 @@ class FillingConfig:
     jitter: float = 0.05  # in diameters, uniform in ±jitter
     settled_speed: float = 1.0e-3  # m/s, mean speed below which a bed is at rest
     longest_settling: float = 20.0  # s, an error beyond
+    settles: bool = True  # false: the scene starts with the spheres where and as fast as they are put
+    sizes: SizesConfig = field(default_factory=SizesConfig)
+    second_fraction: float = 0.0  # share of spheres of scene.second_material, by number
+    positions: list[list[float]] = field(default_factory=list)  # m, of each sphere; empty: a lattice
+    velocities: list[list[float]] = field(default_factory=list)  # m/s, of placed spheres; empty: at rest
+    spins: list[list[float]] = field(default_factory=list)  # rad/s, of placed spheres; empty: none
+    expansion: float = 0.0  # 1/s, H of a start with velocity H × position
+
+
+@dataclass
+class MixedConfig:
+    """Contacts between the two particle materials."""
+
+    restitution: float | None = None  # null: the geometric mean of the two materials' own, as for the others
+    friction: float | None = None
+    rolling_friction: float | None = None
 
 
 @dataclass
@@ -58,10 +115,12 @@ class SceneConfig:
     """A scene: container, filling, material, gravity, schedule."""
 
     name: str = MISSING
-    container: ContainerConfig = field(default_factory=ContainerConfig)
+    container: ContainerConfig | BoxConfig | HopperConfig = field(default_factory=ContainerConfig)  # by its kind
     filling: FillingConfig = field(default_factory=FillingConfig)
     material: MaterialConfig = field(default_factory=MaterialConfig)
     wall_material: MaterialConfig | None = None  # null: the particles' material, as is each key left out
+    second_material: MaterialConfig | None = None  # of further spheres; what it leaves out is the first's
+    mixed: MixedConfig = field(default_factory=MixedConfig)
     gravity: list[float] = field(default_factory=lambda: [0.0, 0.0, -9.81])  # m/s²
     rotation: RotationConfig = field(default_factory=RotationConfig)
     start_time: float = 1.5  # s, label of the settled state

@@ -13,7 +13,7 @@ from dataclasses import fields, is_dataclass
 from difflib import SequenceMatcher
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from gran_bench.config import MISSING, MODEL_SCHEMAS, SceneConfig
+from gran_bench.config import CONTAINER_SCHEMAS, MISSING, MODEL_SCHEMAS, SceneConfig
 from gran_bench.config_consistency import check_consistency
 from gran_bench.config_rules import ConfigError, hold_values
 
@@ -104,7 +104,7 @@ def _read_section(schema: type, values: Any, path: str, root: type) -> Any:
         names = ", ".join(get_type_hints(schema))
         raise ConfigError(f"{path[:-1]}={values} is no section; give it the keys {names}")
     if schema is SceneConfig:
-        values = _with_whole_wall_material(values)
+        values = _with_whole_materials(values)
     hints = get_type_hints(schema)
     for name in values:
         if name not in hints:
@@ -117,12 +117,13 @@ def _read_section(schema: type, values: Any, path: str, root: type) -> Any:
     return schema(**given)
 
 
-def _with_whole_wall_material(scene: Mapping[str, Any]) -> Mapping[str, Any]:
-    """A scene whose ``wall_material`` takes what it leaves out from ``material``, as a null one takes everything."""
-    material, wall = scene.get("material"), scene.get("wall_material")
-    if not isinstance(material, Mapping) or not isinstance(wall, Mapping):
+def _with_whole_materials(scene: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A scene whose further materials take what they leave out from ``material``; a null wall takes everything."""
+    material = scene.get("material")
+    further = {name: scene.get(name) for name in ("wall_material", "second_material")}
+    if not isinstance(material, Mapping):
         return scene
-    return {**scene, "wall_material": {**material, **wall}}
+    return {**scene, **{name: {**material, **m} for name, m in further.items() if isinstance(m, Mapping)}}
 
 
 def _read(hint: Any, value: Any, key: str, root: type) -> Any:
@@ -136,6 +137,8 @@ def _read(hint: Any, value: Any, key: str, root: type) -> Any:
     if get_origin(kind) is list:
         if not isinstance(value, list | tuple):
             raise ConfigError(f"{key}={value} is no list; write {key}=[{value}]")
+        if get_origin(get_args(kind)[0]) is list and any(not isinstance(row, list | tuple) for row in value):
+            raise ConfigError(f"{key}={value} is no list of vectors; write {key}=[[x, y, z]]")
         return [_read(get_args(kind)[0], element, f"{key}[{i}]", root) for i, element in enumerate(value)]
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
@@ -147,15 +150,19 @@ def _read(hint: Any, value: Any, key: str, root: type) -> Any:
 
 
 def _section_of(sections: list[type], value: Any, key: str) -> type:
-    """The dataclass that ``value`` is of: the only one there is, or the model that its name selects."""
+    """The dataclass that ``value`` is of: the only one there is, or the one that its name or kind selects."""
     if len(sections) == 1:
         return sections[0]
-    name = value.get("name") if isinstance(value, Mapping) else value
-    if name not in MODEL_SCHEMAS:
-        guess = nearest_key(str(name), list(MODEL_SCHEMAS))
-        meant = f"did you mean {guess}?" if guess else f"choose {' or '.join(MODEL_SCHEMAS)}"
-        raise ConfigError(f"{key}.name={name}: no such model; {meant}")
-    return MODEL_SCHEMAS[name]
+    if set(sections) <= set(CONTAINER_SCHEMAS.values()):
+        schemas, chooser, what, default = CONTAINER_SCHEMAS, "kind", "container", "drum"
+    else:
+        schemas, chooser, what, default = MODEL_SCHEMAS, "name", "model", None
+    name = value.get(chooser, default) if isinstance(value, Mapping) else value
+    if name not in schemas:
+        guess = nearest_key(str(name), list(schemas))
+        meant = f"did you mean {guess}?" if guess else f"choose {' or '.join(schemas)}"
+        raise ConfigError(f"{key}.{chooser}={name}: no such {what}; {meant}")
+    return schemas[name]
 
 
 def _dataclasses_of(hint: Any) -> Iterator[type]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from gran_bench.config import (
     BoundaryConfig,
+    BoxConfig,
     CconvModelConfig,
     ContactModelConfig,
     ContainerConfig,
@@ -16,13 +17,16 @@ from gran_bench.config import (
     EvaluateConfig,
     FillingConfig,
     GenerateConfig,
+    HopperConfig,
     JudgeConfig,
     LossConfig,
     MaterialConfig,
+    MixedConfig,
     OptimConfig,
     RolloutConfig,
     RotationConfig,
     SceneConfig,
+    SizesConfig,
     TrackingConfig,
     TrainConfig,
     TrainerConfig,
@@ -131,6 +135,31 @@ RULES: dict[type, dict[str, Rule]] = {
         "length": positive("m"),
         "periodic_axis": Switch(),
     },
+    BoxConfig: {
+        "kind": OneOf(("box",)),
+        "width": positive("m"),
+        "length": positive("m"),
+        "height": positive("m"),
+    },
+    HopperConfig: {
+        "kind": OneOf(("hopper",)),
+        "diameter": positive("m"),
+        "height": positive("m"),
+        "half_angle_deg": Range(0.0, 90.0, open_low=True, open_high=True, unit="degrees"),
+        "orifice": positive("m"),
+        "outlet_depth": positive("m"),
+    },
+    SizesConfig: {
+        "kind": OneOf(("one", "listed", "uniform", "lognormal")),
+        "factors": positive(),
+        "fractions": FRACTION,
+        "spread": Range(0.0, 1.0, open_high=True),
+    },
+    MixedConfig: {
+        "restitution": Range(0.0, 1.0, open_low=True),
+        "friction": at_least(0),
+        "rolling_friction": at_least(0),
+    },
     FillingConfig: {
         "count": at_least(1),
         "diameter": positive("m"),
@@ -138,6 +167,12 @@ RULES: dict[type, dict[str, Rule]] = {
         "jitter": at_least(0, "diameters"),
         "settled_speed": positive("m/s"),
         "longest_settling": positive("s"),
+        "settles": Switch(),
+        "second_fraction": FRACTION,
+        "positions": Range(unit="m"),
+        "velocities": Range(unit="m/s"),
+        "spins": Range(unit="rad/s"),
+        "expansion": Range(unit="1/s"),
     },
     RotationConfig: {"times": Range(unit="s"), "speeds_rpm": Range(unit="rpm")},
     SceneConfig: {
@@ -267,10 +302,17 @@ def hold_values(config: Any, path: str = "") -> None:
         if is_dataclass(value):
             hold_values(value, f"{key}.")
         elif isinstance(value, list):
-            for i, element in enumerate(value):
-                _hold(rules[entry.name], f"{key}[{i}]", element)
+            _hold_list(rules[entry.name], key, value)
         elif value is not None and entry.name in rules:
             _hold(rules[entry.name], key, value)
+
+
+def _hold_list(rule: Rule, key: str, values: list) -> None:
+    for i, element in enumerate(values):
+        if isinstance(element, list):
+            _hold_list(rule, f"{key}[{i}]", element)
+        else:
+            _hold(rule, f"{key}[{i}]", element)
 
 
 def _hold(rule: Rule, key: str, value: Any) -> None:

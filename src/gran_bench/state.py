@@ -60,6 +60,7 @@ class ParticleState:
         radius: ``(N,)`` m.
         time: s, in the scene's clock.
         history: what the contacts remember; empty for a fresh filling.
+        material: ``(N,)`` uint8, index into the scene's ``materials``; zeros unless given.
 
     Raises:
         StateError: a shape that does not fit, a value that is not finite, or a radius that is not positive.
@@ -71,9 +72,12 @@ class ParticleState:
     radius: FloatArray
     time: float = 0.0
     history: ContactHistory = field(default_factory=ContactHistory.empty)
+    material: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.position)
+        if self.material is None:
+            object.__setattr__(self, "material", np.zeros(count, np.uint8))
         for name in ("position", "velocity", "angular_velocity"):
             array = getattr(self, name)
             if array.shape != (count, 3):
@@ -89,6 +93,10 @@ class ParticleState:
         bad = np.flatnonzero(~(np.isfinite(self.radius) & (self.radius > 0)))
         if len(bad):
             raise StateError(f"radius must be positive and finite; particles {name_some(bad)} are not")
+        if self.material.shape != (count,) or self.material.dtype != np.uint8:
+            raise StateError(
+                f"material has shape {self.material.shape} of {self.material.dtype}; expected ({count},) of uint8"
+            )
 
     @property
     def count(self) -> int:

@@ -8,7 +8,7 @@
     angular_velocity  (F, N, 3)  float32  rad/s    chunked by frame, fletcher32
     diagnostics/*     (F,)       float64  overlaps and energies, computed in the engine in float64
     settled/          the state at the first frame in float64: position, velocity, angular_velocity (N, 3),
-                      radius (N,); attribute time
+                      radius (N,), material (N,) uint8; attribute time
     settled/history/  first, second (M,) int64, force (M, 3) N, overlap (M,) m, rolling_moment (M, 3) N m
 
 A file of a settled bed has the group ``settled`` alone. Attributes of the file: scene, material, engine, step,
@@ -186,6 +186,7 @@ def _write(path: Path, key: dict, arrays: dict[str, np.ndarray], state_time: flo
 
 def _state_arrays(state: ParticleState) -> dict[str, np.ndarray]:
     arrays = {f"settled/{name}": np.asarray(getattr(state, name), np.float64) for name in _STATE}
+    arrays["settled/material"] = state.material
     for name in _HISTORY:
         kind = np.int64 if name in ("first", "second") else np.float64
         arrays[f"settled/history/{name}"] = np.asarray(getattr(state.history, name), kind)
@@ -242,13 +243,16 @@ def _checked_attributes(file: h5py.File) -> dict[str, Any]:
 
 
 def _read_state_arrays(file: h5py.File) -> tuple[dict[str, np.ndarray], float]:
-    names = [f"settled/{name}" for name in _STATE] + [f"settled/history/{name}" for name in _HISTORY]
+    names = ["settled/material", *(f"settled/{name}" for name in _STATE)] + [
+        f"settled/history/{name}" for name in _HISTORY
+    ]
     return {name: file[name][...] for name in names}, float(file["settled"].attrs["time"])
 
 
 def _state(arrays: dict[str, np.ndarray], time: float) -> ParticleState:
     history = ContactHistory(*(arrays[f"settled/history/{name}"] for name in _HISTORY))
-    return ParticleState(**{name: arrays[f"settled/{name}"] for name in _STATE}, time=time, history=history)
+    values = {name: arrays[f"settled/{name}"] for name in (*_STATE, "material")}
+    return ParticleState(**values, time=time, history=history)
 
 
 # ---- integrity -----------------------------------------------------------------------------------------------

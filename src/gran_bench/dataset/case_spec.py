@@ -16,11 +16,11 @@ from gran_bench.dem.simulate import choose_time_step
 from gran_bench.scene import Scene
 from gran_bench.source_digest import source_digest
 
-FORMAT_VERSION = 1  # of the files; a change makes every case anew
+FORMAT_VERSION = 2  # of the files; a change makes every case anew
 NUDGE = 1.0e-9  # m, of a replica's settled state
 
 # The code that decides where particles go.
-_DEM_ROOMS = ("dem", "neighbors.py", "scene.py")
+_DEM_ROOMS = ("dem", "neighbors.py", "scene")
 
 
 class DatasetError(RuntimeError):

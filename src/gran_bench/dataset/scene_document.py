@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields
-from typing import Any
+import types
+from dataclasses import fields, is_dataclass
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
-from gran_bench.scene import Cylinder, Filling, Material, Plane, Rotation, Scene, SceneError
+from gran_bench.scene import Cone, Cylinder, Disc, Plane, Scene, SceneError, Spin, Translation, Vibration
 
-_WALLS = {"plane": Plane, "cylinder": Cylinder}
-_WHOLE_NUMBERS = {"count"}
+# Where a field may hold one of several things, its document says which.
+_KINDS = {
+    "plane": Plane,
+    "cylinder": Cylinder,
+    "disc": Disc,
+    "cone": Cone,
+    "spin": Spin,
+    "translation": Translation,
+    "vibration": Vibration,
+}
+_NAMES = {cls: kind for kind, cls in _KINDS.items()}
+_WHOLE_NUMBERS = {"count", "first", "second"}
 
 
 def to_document(scene: Scene) -> dict[str, Any]:
     """Every field of a scene as nested dicts, lists, floats and text; equal scenes give equal documents."""
-    document = _plain(asdict(scene))
-    for entry, wall in zip(document["walls"], scene.walls, strict=True):
-        entry["kind"] = next(kind for kind, cls in _WALLS.items() if type(wall) is cls)
-    return document
+    return _plain(scene)
 
 
 def from_document(document: dict[str, Any]) -> Scene:
@@ -26,34 +34,39 @@ def from_document(document: dict[str, Any]) -> Scene:
         SceneError: a key is missing or unknown, or a value is impossible.
     """
     try:
-        values = {name: _hashable(value) for name, value in document.items()}
-        values["walls"] = tuple(_wall(dict(entry)) for entry in document["walls"])
-        for name, cls in (("filling", Filling), ("material", Material), ("wall_material", Material)):
-            values[name] = cls(**document[name])
-        values["rotation"] = Rotation(**{name: _hashable(value) for name, value in document["rotation"].items()})
-        missing = {f.name for f in fields(Scene)} - set(values)
+        missing = {f.name for f in fields(Scene)} - set(document)
         if missing:
             raise SceneError(f"the scene's document lacks {', '.join(sorted(missing))}")
-        return Scene(**values)
+        return _read(Scene, document)
     except (AttributeError, KeyError, TypeError) as error:
         raise SceneError(f"not the document of a scene: {error}") from error
 
 
-def _wall(entry: dict[str, Any]) -> Plane | Cylinder:
-    cls = _WALLS[entry.pop("kind")]
-    return cls(**{name: _hashable(value) for name, value in entry.items()})
-
-
-def _hashable(value: Any) -> Any:
-    return tuple(_hashable(v) for v in value) if isinstance(value, list | tuple) else value
-
-
 def _plain(value: Any, name: str = "") -> Any:
     """Floats throughout, so that 30 and 30.0 are one speed; −0 is 0."""
-    if isinstance(value, dict):
-        return {key: _plain(entry, key) for key, entry in value.items()}
+    if is_dataclass(value):
+        document = {entry.name: _plain(getattr(value, entry.name), entry.name) for entry in fields(value)}
+        return document | ({"kind": _NAMES[type(value)]} if type(value) in _NAMES else {})
     if isinstance(value, list | tuple):
         return [_plain(entry) for entry in value]
     if value is None or isinstance(value, bool | str):
         return value
     return int(value) if name in _WHOLE_NUMBERS else float(value) + 0.0
+
+
+def _read(hint: Any, value: Any) -> Any:
+    """A value of the type that the scene's classes declare, from its document."""
+    if get_origin(hint) in (Union, types.UnionType):
+        if value is None:
+            return None
+        choices = [member for member in get_args(hint) if member is not type(None)]
+        if len(choices) == 1:
+            return _read(choices[0], value)
+        return _read(_KINDS[value["kind"]], value)
+    if get_origin(hint) is tuple:
+        return tuple(_read(get_args(hint)[0], entry) for entry in value)
+    if not is_dataclass(hint):
+        return value
+    hints = get_type_hints(hint)
+    given = {name: _read(hints[name], entry) for name, entry in value.items() if name != "kind" or "kind" in hints}
+    return hint(**given)

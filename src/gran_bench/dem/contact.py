@@ -58,15 +58,28 @@ class ContactLaw:
 
         1/E* = (1 − ν₁²)/E₁ + (1 − ν₂²)/E₂ and 1/G* = (2 − ν₁)/G₁ + (2 − ν₂)/G₂ (Johnson 1985, eqs. 4.20 and 7.42).
         """
+        return cls.of(first, second, second.restitution, second.friction, second.rolling_friction)
+
+    @classmethod
+    def of(
+        cls, first: Material, second: Material, restitution: float, friction: float, rolling_friction: float
+    ) -> ContactLaw:
+        """The law of a contact between two materials that has these coefficients."""
         normal = sum((1.0 - m.poisson_ratio**2) / m.youngs_modulus for m in (first, second))
         shear = sum((2.0 - m.poisson_ratio) / m.shear_modulus for m in (first, second))
         return cls(
             effective_modulus=1.0 / normal,
             effective_shear_modulus=1.0 / shear,
-            damping=damping_coefficient(second.restitution),
-            friction=second.friction,
-            rolling_friction=second.rolling_friction,
+            damping=damping_coefficient(restitution),
+            friction=friction,
+            rolling_friction=rolling_friction,
         )
+
+    @classmethod
+    def from_constants(cls, constants: FloatArray) -> ContactLaw:
+        """The laws of contacts, each attribute an array, from ``(..., 5)`` rows (4/3 E*, 8 G*, α, μ, μ_r)."""
+        modulus, shear, damping, friction, rolling = np.moveaxis(constants, -1, 0)
+        return cls(0.75 * modulus, 0.125 * shear, damping, friction, rolling)
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gran_bench.dem.contact import ContactForce, contact_force, sphere_mass
+from gran_bench.dem.contact import ContactForce, ContactLaw, contact_force, sphere_mass
 from gran_bench.dem.integrate import Divergence, Physics
 from gran_bench.dem.rolling import rolling_moment
-from gran_bench.dem.walls import surface_velocity, wall_contact
+from gran_bench.dem.walls import SPIN, surface_velocity, wall_contact
 from gran_bench.neighbors import nearest_image, tree_pairs
 from gran_bench.state import ContactHistory, FloatArray, ParticleState
 
@@ -28,17 +28,18 @@ class _Bodies:
     radius: FloatArray
     mass: FloatArray
     inertia: FloatArray
+    material: np.ndarray
     history: ContactHistory
 
 
-def advance(state: ParticleState, physics: Physics, time_step: float, wall_speed: FloatArray) -> ParticleState:
+def advance(state: ParticleState, physics: Physics, time_step: float, walls: FloatArray) -> ParticleState:
     """The state after a stretch of steps, its contact history included.
 
     Args:
         state: where the stretch starts.
-        physics: laws, walls and gravity.
+        physics: laws and gravity.
         time_step: Δt, s.
-        wall_speed: ``(steps + 1,)`` angular speed of the walls, rad/s: at the start, then at the middle of each step.
+        walls: ``(steps + 1, W, 21)`` pose of each wall at each force evaluation (see walls.py).
 
     Raises:
         Divergence: a speed that crosses a quarter of a radius in a step, or is not finite.
@@ -49,16 +50,18 @@ def advance(state: ParticleState, physics: Physics, time_step: float, wall_speed
         np.array(a, np.float64) for a in (state.position, state.velocity, state.angular_velocity)
     )
     radius = np.asarray(state.radius, np.float64)
-    mass = sphere_mass(physics.density, radius)
+    mass = sphere_mass(physics.density[state.material], radius)
     inertia = 0.4 * mass * radius**2
-    bodies = _Bodies(position, velocity, np.zeros_like(velocity), spin, radius, mass, inertia, state.history)
-    steps, fastest = len(wall_speed) - 1, 0.25 * radius.min() / time_step
-    force, torque = _loads(bodies, physics, 0.0, wall_speed[0])
+    bodies = _Bodies(
+        position, velocity, np.zeros_like(velocity), spin, radius, mass, inertia, state.material, state.history
+    )
+    steps, fastest = len(walls) - 1, 0.25 * radius.min() / time_step
+    force, torque = _loads(bodies, physics, 0.0, walls[0])
     for step in range(steps):
         _kick(bodies, physics, force, torque, 0.5 * time_step)
         _check_speeds(bodies, fastest, step)
         bodies.position += time_step * bodies.velocity
-        force, torque = _loads(bodies, physics, time_step, wall_speed[step + 1])
+        force, torque = _loads(bodies, physics, time_step, walls[step + 1])
         _kick(bodies, physics, force, torque, 0.5 * time_step)
     if steps:
         _check_speeds(bodies, fastest, steps)
@@ -69,6 +72,7 @@ def advance(state: ParticleState, physics: Physics, time_step: float, wall_speed
         state.radius,
         state.time + steps * time_step,
         bodies.history,
+        state.material,
     )
 
 
@@ -93,12 +97,12 @@ def _wrapped(position: FloatArray, period: float) -> FloatArray:
     return position
 
 
-def _loads(bodies: _Bodies, physics: Physics, time_step: float, wall_speed: float) -> tuple[FloatArray, FloatArray]:
+def _loads(bodies: _Bodies, physics: Physics, time_step: float, walls: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Force and torque on each particle, ``(N, 3)`` each; the history becomes that of this instant."""
     force, torque = np.zeros_like(bodies.position), np.zeros_like(bodies.position)
     parts = [_pair_loads(bodies, physics, time_step, force, torque)]
-    for index in range(len(physics.shapes)):
-        parts.append(_wall_loads(bodies, physics, index, time_step, wall_speed, force, torque))
+    for index, pose in enumerate(walls):
+        parts.append(_wall_loads(bodies, physics, index, pose, time_step, force, torque))
     names = ("first", "second", "force", "overlap", "rolling_moment")
     bodies.history = ContactHistory(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
     return force, torque
@@ -119,8 +123,9 @@ def _pair_loads(
     # Both lever arms end on the plane of the circle in which the spheres intersect.
     arm = 0.5 * (distance + (radius[i] ** 2 - radius[j] ** 2) / distance)
     old = _recall(bodies.history, i, j)
+    law = ContactLaw.from_constants(physics.pair_laws[bodies.material[i], bodies.material[j]])
     contact = contact_force(
-        physics.pair,
+        law,
         normal=normal,
         overlap=radius[i] + radius[j] - distance,
         effective_radius=radius[i] * radius[j] / (radius[i] + radius[j]),
@@ -137,7 +142,7 @@ def _pair_loads(
     torque += _sums(j, (distance - arm)[:, None] * contact.twist, len(torque))
     moment = old.rolling_moment
     if physics.rolling:
-        moment = _moment(physics, contact, moment, bodies.spin[i] - bodies.spin[j], False, time_step)
+        moment = _moment(law, contact, moment, bodies.spin[i] - bodies.spin[j], time_step)
         torque += _sums(i, moment, len(torque)) - _sums(j, moment, len(torque))
     return ContactHistory(i, j, contact.history, contact.overlap, moment)
 
@@ -146,26 +151,25 @@ def _wall_loads(
     bodies: _Bodies,
     physics: Physics,
     index: int,
+    pose: FloatArray,
     time_step: float,
-    wall_speed: float,
     force: FloatArray,
     torque: FloatArray,
 ) -> ContactHistory:
     """Adds the loads of one wall; returns what its contacts remember."""
-    wall = physics.shapes[index]
-    distance, normal = wall_contact(wall, bodies.position)
+    distance, normal = wall_contact(pose, bodies.position)
     i = np.flatnonzero(distance < bodies.radius)
     distance, normal = distance[i], normal[i]
-    speed = wall_speed if wall.turns else 0.0
     point = bodies.position[i] + distance[:, None] * normal
     old = _recall(bodies.history, i, np.full(len(i), -1 - index))
+    law = ContactLaw.from_constants(physics.wall_laws[bodies.material[i], index])
     contact = contact_force(
-        physics.wall,
+        law,
         normal=normal,
         overlap=bodies.radius[i] - distance,
         effective_radius=bodies.radius[i],
         effective_mass=bodies.mass[i],
-        velocity=bodies.velocity[i] - surface_velocity(physics.axis, speed, point),
+        velocity=bodies.velocity[i] - surface_velocity(pose, point),
         velocity_gain=bodies.velocity_gain[i],
         surface_spin=distance[:, None] * bodies.spin[i],
         history=old.force,
@@ -177,15 +181,14 @@ def _wall_loads(
     moment = old.rolling_moment
     if physics.rolling:
         # What rolls on a turning wall rolls against the wall's own rotation.
-        moment = _moment(physics, contact, moment, bodies.spin[i] - speed * physics.axis, True, time_step)
+        moment = _moment(law, contact, moment, bodies.spin[i] - pose[SPIN], time_step)
         torque[i] += moment
     return ContactHistory(i, np.full(len(i), -1 - index), contact.history, contact.overlap, moment)
 
 
 def _moment(
-    physics: Physics, contact: ContactForce, moment: FloatArray, spin: FloatArray, on_wall: bool, time_step: float
+    law: ContactLaw, contact: ContactForce, moment: FloatArray, spin: FloatArray, time_step: float
 ) -> FloatArray:
-    law = physics.wall if on_wall else physics.pair
     return rolling_moment(
         moment,
         spin,

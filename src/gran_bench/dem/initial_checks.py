@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gran_bench.dem.walls import largest_excess, wall_contact
+from gran_bench.dem.outlet import part_of, taking_part
+from gran_bench.dem.walls import largest_excess, wall_contact, wall_poses
 from gran_bench.neighbors import nearest_image, tree_pairs
 from gran_bench.scene import Scene
 from gran_bench.state import ParticleState, StateError, name_some
@@ -14,40 +15,25 @@ LARGEST_INITIAL_OVERLAP = 0.2
 
 
 def check_initial_state(scene: Scene, state: ParticleState) -> None:
-    """Refuses a state that cannot be simulated.
+    """Refuses a state that cannot be simulated. Spheres that have left through an outlet are not looked at.
 
     Raises:
         StateError: duplicates, pairs or walls overlapping by 20 % of the mean diameter (of the diameter for a wall)
-            or more, a centre outside the container, or a history that names particles or walls that do not exist.
+            or more, a centre outside the container, a material or a contact that the scene does not have.
     """
     if state.count == 0:
         return
-    pairs = tree_pairs(state.position, 2.0 * float(state.radius.max()), scene.period)
-    offset = nearest_image(state.position[pairs[:, 1]] - state.position[pairs[:, 0]], scene.period)
-    distance = np.linalg.norm(offset, axis=1)
-    same = pairs[distance == 0.0]
-    if len(same):
-        raise StateError(f"particles {_name_pairs(same)} have the same position; remove the duplicates before the run")
-    reach = state.radius[pairs[:, 0]] + state.radius[pairs[:, 1]]
-    squeezed = pairs[reach - distance >= LARGEST_INITIAL_OVERLAP * reach]
-    if len(squeezed):
+    unknown = np.flatnonzero(state.material >= len(scene.materials))
+    if len(unknown):
         raise StateError(
-            f"particles {_name_pairs(squeezed)} overlap by {LARGEST_INITIAL_OVERLAP:.0%} of their mean diameter "
-            "or more; move them apart before the run"
+            f"particles {name_some(unknown)} are of a material that the scene does not have (it has "
+            f"{len(scene.materials)}); describe it or change their material"
         )
-    outside = np.flatnonzero(largest_excess(scene.walls, state.position) > 0)
-    if len(outside):
-        raise StateError(
-            f"particles {name_some(outside)} have their centre outside the container; move them inside before the run"
-        )
-    for index, wall in enumerate(scene.walls):
-        overlap = state.radius - wall_contact(wall, state.position)[0]
-        squeezed = np.flatnonzero(overlap >= LARGEST_INITIAL_OVERLAP * 2.0 * state.radius)
-        if len(squeezed):
-            raise StateError(
-                f"particles {name_some(squeezed)} overlap wall {index} by {LARGEST_INITIAL_OVERLAP:.0%} of their "
-                "diameter or more; move them inside before the run"
-            )
+    inside = taking_part(scene, state.position)
+    here, number = (state, np.arange(state.count)) if inside is None else (part_of(state, inside), inside.nonzero()[0])
+    if here.count:
+        _check_overlaps(scene, here, number)
+        _check_walls(scene, here, number)
     history = state.history
     if len(history):
         known = (history.first >= 0) & (history.first < state.count)
@@ -56,6 +42,57 @@ def check_initial_state(scene: Scene, state: ParticleState) -> None:
             raise StateError(
                 f"the contact history names {np.count_nonzero(~known)} contacts whose particles or walls this scene "
                 "does not have; run the state in its own scene, or with ContactHistory.empty()"
+            )
+
+
+def check_initial_speed(state: ParticleState, time_step: float) -> None:
+    """Refuses particles that cross a quarter of the smallest radius in one step.
+
+    Raises:
+        StateError: names them, the fastest allowed speed and the largest step for what they do.
+    """
+    if state.count == 0:
+        return
+    quarter, speed = 0.25 * float(state.radius.min()), np.linalg.norm(state.velocity, axis=1)
+    wild = np.flatnonzero(~(speed * time_step <= quarter))
+    if len(wild):
+        raise StateError(
+            f"particles {name_some(wild)} cross more than a quarter of the smallest radius in one step of "
+            f"{time_step:g} s (particle {wild[0]} at {speed[wild[0]]:.3g} m/s); give them less than "
+            f"{quarter / time_step:.3g} m/s, or set dem.time_step to at most {quarter / speed.max():.3g} s"
+        )
+
+
+def _check_overlaps(scene: Scene, state: ParticleState, number: np.ndarray) -> None:
+    pairs = tree_pairs(state.position, 2.0 * float(state.radius.max()), scene.period)
+    offset = nearest_image(state.position[pairs[:, 1]] - state.position[pairs[:, 0]], scene.period)
+    distance = np.linalg.norm(offset, axis=1)
+    same = number[pairs[distance == 0.0]]
+    if len(same):
+        raise StateError(f"particles {_name_pairs(same)} have the same position; remove the duplicates before the run")
+    reach = state.radius[pairs[:, 0]] + state.radius[pairs[:, 1]]
+    squeezed = number[pairs[reach - distance >= LARGEST_INITIAL_OVERLAP * reach]]
+    if len(squeezed):
+        raise StateError(
+            f"particles {_name_pairs(squeezed)} overlap by {LARGEST_INITIAL_OVERLAP:.0%} of their mean diameter "
+            "or more; move them apart before the run"
+        )
+
+
+def _check_walls(scene: Scene, state: ParticleState, number: np.ndarray) -> None:
+    poses = wall_poses(scene, state.time, 0.0, 0)[0]
+    outside = number[largest_excess(scene, poses, state.position) > 0]
+    if len(outside):
+        raise StateError(
+            f"particles {name_some(outside)} have their centre outside the container; move them inside before the run"
+        )
+    for index, pose in enumerate(poses):
+        overlap = state.radius - wall_contact(pose, state.position)[0]
+        squeezed = number[overlap >= LARGEST_INITIAL_OVERLAP * 2.0 * state.radius]
+        if len(squeezed):
+            raise StateError(
+                f"particles {name_some(squeezed)} overlap wall {index} by {LARGEST_INITIAL_OVERLAP:.0%} of their "
+                "diameter or more; move them inside before the run"
             )
 
 

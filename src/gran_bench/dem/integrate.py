@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gran_bench.dem.contact import ContactLaw
-from gran_bench.dem.walls import check_walls, wall_table
+from gran_bench.dem.walls import check_walls
 from gran_bench.neighbors import check_period
-from gran_bench.scene import Scene, Wall
+from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
 
 # Verlet skin in diameters of the largest sphere: wide enough for tens of steps between searches, narrow enough that
@@ -46,31 +46,31 @@ class Divergence(ArithmeticError):
 class Physics:
     """A scene as the engines read it.
 
+    A law is (4/3 E*, 8 G*, α, μ, μ_r) in SI.
+
     Attributes:
-        pair: law between particles.
-        wall: law between particle and wall.
-        shapes: the scene's walls.
-        walls: the same as a table, ``(W, 9)`` (see :func:`gran_bench.dem.walls.wall_table`).
-        axis: ``(3,)`` axis of rotation through the origin.
+        pair_laws: ``(S, S, 5)`` between particles of S materials.
+        wall_laws: ``(S, W, 5)`` between particles and walls.
+        density: ``(S,)`` of the materials, kg/m³.
         gravity: ``(3,)`` m/s².
-        density: of the particles, kg/m³.
         period: length of the periodic y axis, m; 0 for none.
         skin: m by which the neighbour list reaches beyond contact.
         tangential: whether friction, and with it spin, is computed.
         rolling: whether the rolling model is computed.
+        threads: how many work together, where there are particles enough; changes no bit of the result.
+        single_precision: whether the contact laws are computed in float32. Positions and velocities never are.
     """
 
-    pair: ContactLaw
-    wall: ContactLaw
-    shapes: tuple[Wall, ...]
-    walls: FloatArray
-    axis: FloatArray
+    pair_laws: FloatArray
+    wall_laws: FloatArray
+    density: FloatArray
     gravity: FloatArray
-    density: float
     period: float
     skin: float
     tangential: bool
     rolling: bool
+    threads: int = 1
+    single_precision: bool = False
 
     @classmethod
     def of(cls, scene: Scene, largest_radius: float, skin: float | None = None) -> Physics:
@@ -92,31 +92,30 @@ class Physics:
         if not (np.isfinite(skin) and skin > 0):
             raise ValueError(f"dem.skin={skin:g} is impossible; choose a value > 0 m, or null")
         check_period(scene.period, 2.0 * largest_radius + skin)
-        check_walls(scene.walls, scene.rotation)
-        needs = scene.needs
+        check_walls(scene)
+        needs, kinds = scene.needs, range(len(scene.materials))
+        wall_laws = [[law_constants(wall_law(scene, kind)) for _ in scene.walls] for kind in kinds]
         return cls(
-            pair=ContactLaw.between(scene.material, scene.material),
-            wall=ContactLaw.between(scene.material, scene.wall_material),
-            shapes=scene.walls,
-            walls=wall_table(scene.walls),
-            axis=np.array(scene.rotation.axis, np.float64),
+            pair_laws=np.array([[law_constants(pair_law(scene, a, b)) for b in kinds] for a in kinds]),
+            wall_laws=np.array(wall_laws).reshape(len(kinds), len(scene.walls), 5),
+            density=np.array([material.density for material in scene.materials], np.float64),
             gravity=np.array(scene.gravity, np.float64),
-            density=float(scene.material.density),
             period=scene.period,
             skin=float(skin),
             tangential=needs.tangential,
             rolling=needs.rolling,
         )
 
-    @property
-    def pair_constants(self) -> FloatArray:
-        """(4/3 E*, 8 G*, α, μ, μ_r) of pairs, ``(5,)``."""
-        return law_constants(self.pair)
 
-    @property
-    def wall_constants(self) -> FloatArray:
-        """(4/3 E*, 8 G*, α, μ, μ_r) of walls, ``(5,)``."""
-        return law_constants(self.wall)
+def pair_law(scene: Scene, first: int, second: int) -> ContactLaw:
+    """The law of contacts between particles of two of the scene's materials."""
+    coefficients = scene.coefficients(first, second)
+    return ContactLaw.of(scene.materials[first], scene.materials[second], *coefficients)
+
+
+def wall_law(scene: Scene, kind: int) -> ContactLaw:
+    """The law of contacts of one of the scene's particle materials with the walls, whose coefficients count."""
+    return ContactLaw.between(scene.materials[kind], scene.wall_material)
 
 
 def law_constants(law: ContactLaw) -> FloatArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gran_bench.dem.contact import sphere_mass
+from gran_bench.dem.outlet import taking_part
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, ParticleState, Trajectory
 
@@ -21,16 +22,20 @@ class SimulationError(RuntimeError):
         self.trajectory = trajectory
 
 
-def contact_diagnostics(state: ParticleState, density: float) -> dict[str, float]:
+def contact_diagnostics(scene: Scene, state: ParticleState) -> dict[str, float]:
     """Energies and overlaps of a state whose history lists its touching contacts.
 
-    ½ Σ m v² and ½ Σ I ω² in J; mean and largest overlap of touching pairs and walls in m, 0 where none touch.
+    ½ Σ m v² and ½ Σ I ω² in J; mean and largest overlap of touching pairs and walls in m, 0 where none touch. In a
+    scene with an outlet, the number of spheres that have left, which count in no other figure.
 
     Args:
+        scene: materials and outlet.
         state: as an engine leaves it.
-        density: of the particles, kg/m³.
     """
-    mass = sphere_mass(density, state.radius)
+    mass = sphere_mass(np.array([material.density for material in scene.materials])[state.material], state.radius)
+    inside = taking_part(scene, state.position)
+    if inside is not None:
+        mass = np.where(inside, mass, 0.0)
     inertia = 0.4 * mass * state.radius**2
     touching_wall = state.history.second < 0
     figures = {
@@ -44,6 +49,8 @@ def contact_diagnostics(state: ParticleState, density: float) -> dict[str, float
         figures[f"{prefix}overlap_mean"] = float(overlap.mean()) if len(overlap) else 0.0
         figures[f"{prefix}overlap_max"] = float(overlap.max()) if len(overlap) else 0.0
         figures[f"{prefix}contact_count"] = float(len(overlap))
+    if scene.outlet is not None:
+        figures["discharged"] = 0.0 if inside is None else float(np.count_nonzero(~inside))
     return figures
 
 
@@ -51,7 +58,7 @@ class FrameRecord:
     """Frames and diagnostics as they come."""
 
     def __init__(self, scene: Scene, radius: FloatArray) -> None:
-        self.density, self.radius = scene.material.density, radius
+        self.scene, self.radius = scene, radius
         self.time: list[float] = []
         self.frames: list[tuple[FloatArray, FloatArray, FloatArray]] = []
         self.figures: list[dict[str, float]] = []
@@ -59,7 +66,7 @@ class FrameRecord:
     def add(self, state: ParticleState, time: float) -> None:
         self.time.append(time)
         self.frames.append((state.position, state.velocity, state.angular_velocity))
-        self.figures.append(contact_diagnostics(state, self.density))
+        self.figures.append(contact_diagnostics(self.scene, state))
 
     def trajectory(self, *failed: tuple[float, FloatArray, FloatArray, FloatArray]) -> Trajectory:
         """All frames, and a failed one that has no diagnostics."""

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-import threading
 import time as clock
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,13 +11,13 @@ from tqdm import tqdm
 
 from gran_bench.config import DemConfig
 from gran_bench.dem import engine_numba, engine_numpy
-from gran_bench.dem.initial_checks import check_initial_state
-from gran_bench.dem.integrate import Divergence, Physics
+from gran_bench.dem.frame import advance_frame, first_contacts
+from gran_bench.dem.initial_checks import check_initial_speed, check_initial_state
+from gran_bench.dem.integrate import Physics
 from gran_bench.dem.record import FrameRecord, SimulationError
 from gran_bench.dem.time_step import TimeStepError, choose_time_step, dividing_step
-from gran_bench.dem.walls import largest_excess
-from gran_bench.scene import Rotation, Scene
-from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory, name_some
+from gran_bench.scene import Scene
+from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
 
 __all__ = [
     "SimulationError", "SimulationResult", "TimeStepError", "choose_time_step", "dividing_step", "settle", "simulate",
@@ -86,17 +83,18 @@ def simulate(
     check_initial_state(scene, state)
     smallest, largest = _radius_range(scene, state)
     time_step, warnings = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step, smallest)
+    check_initial_speed(state, time_step)
     substeps = round(scene.frame_interval / time_step)
     physics, advance = Physics.of(scene, largest, dem.skin), _engine(dem)
     state = _as_float64(state)
     record = FrameRecord(scene, state.radius)
-    record.add(_first_contacts(advance, state, physics, scene, time_step), state.time)
+    record.add(first_contacts(advance, state, physics, scene, time_step), state.time)
     times = _frame_times(scene, state.time, frames)
     started = clock.perf_counter()
     listen = progress if callable(progress) else _nobody
     with _bar(progress is True, frames * substeps, "DEM") as bar:
         for time in times:
-            state = _advance_checked(advance, state, physics, scene, time_step, substeps, time, record)
+            state = advance_frame(advance, state, physics, scene, time_step, substeps, time, record)
             record.add(state, time)
             bar.update(substeps)
             bar.set_postfix_str(f"t = {time:.2f} s", refresh=False)
@@ -116,8 +114,9 @@ def settle(
 ) -> ParticleState:
     """Fills the container, lets the spheres fall and come to rest between walls that stand still.
 
-    At rest means a mean speed below ``filling.settled_speed``. The bed settles at least until ``start_time``, if
-    that is positive, and is then labelled ``start_time``, however long it took. The contact history is kept.
+    Where ``filling.settles`` is false, the filling is what the scene starts with. At rest means a mean speed below
+    ``filling.settled_speed``. The bed settles at least until ``start_time``, if that is positive, and is then
+    labelled ``start_time``, however long it took. The contact history is kept.
 
     Args:
         scene: to fill.
@@ -132,11 +131,13 @@ def settle(
     dem, still, filling = dem or DemConfig(), scene.at_rest(), scene.filling
     state = scene.fresh_filling(seed)
     check_initial_state(still, state)
+    if not filling.settles:
+        return replace(state, time=scene.start_time)
     time_step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
     look = min(SETTLING_LOOK, scene.frame_interval)
     substeps = max(1, round(look / time_step))
-    physics, advance = Physics.of(still, filling.radius, dem.skin), _engine(dem)
-    _first_contacts(advance, state, physics, still, time_step)
+    physics, advance = Physics.of(still, filling.largest_radius, dem.skin), _engine(dem)
+    first_contacts(advance, state, physics, still, time_step)
     speed, looks = np.inf, 0
     listen = progress if callable(progress) else _nobody
     with _bar(progress is True, None, "settling") as bar:
@@ -149,7 +150,7 @@ def settle(
                     _one_frame(state),
                 )
             looks += 1
-            state = _advance_checked(
+            state = advance_frame(
                 advance, state, physics, still, time_step, substeps, looks * substeps * time_step, None
             )
             speed = float(np.linalg.norm(state.velocity, axis=1).mean())
@@ -159,71 +160,10 @@ def settle(
     return replace(state, time=scene.start_time, history=_sorted_history(state.history))
 
 
-def _advance_checked(
-    advance: Callable[..., ParticleState],
-    state: ParticleState,
-    physics: Physics,
-    scene: Scene,
-    time_step: float,
-    substeps: int,
-    time: float,
-    record: FrameRecord | None,
-) -> ParticleState:
-    """One frame on; a failure leaves as a SimulationError that carries the frames so far and its own."""
-
-    def failed(*frame: FloatArray) -> Trajectory:
-        if record is not None:
-            return record.trajectory((time, *frame))
-        return Trajectory(np.array([time]), *(array[None] for array in frame), state.radius)
-
-    try:
-        state = advance(state, physics, time_step, _wall_speeds(scene.rotation, state.time, time_step, substeps))
-    except Divergence as divergence:
-        i, when = divergence.particle, state.time + divergence.steps * time_step
-        speed = float(np.linalg.norm(divergence.velocity[i]))
-        raise SimulationError(
-            f"the run diverged at t = {when:.6g} s: particle {i} moves at {speed:.3g} m/s, more than a quarter of "
-            f"the smallest radius in one step of {time_step:g} s; choose a smaller dem.time_step",
-            failed(divergence.position, divergence.velocity, divergence.angular_velocity),
-        ) from divergence
-    excess = largest_excess(scene.walls, state.position)
-    gone = np.flatnonzero(excess > state.radius)
-    if len(gone):
-        raise SimulationError(
-            f"particles {name_some(gone)} escaped by t = {time:.6g} s: particle {gone[0]} is {excess[gone[0]]:.3g} m "
-            "beyond a wall, more than its radius; choose a smaller dem.time_step or a stiffer material",
-            failed(state.position, state.velocity, state.angular_velocity),
-        )
-    # The frame's clock, not the sum of its steps: a restart finds the same number.
-    return replace(state, time=time)
-
-
 def _one_frame(state: ParticleState) -> Trajectory:
     return Trajectory(
         np.array([state.time]), state.position[None], state.velocity[None], state.angular_velocity[None], state.radius
     )
-
-
-def _first_contacts(
-    advance: Callable[..., ParticleState], state: ParticleState, physics: Physics, scene: Scene, time_step: float
-) -> ParticleState:
-    """The state with a list of its touching contacts; the first call of an engine, so it compiles here."""
-    with _compiling_notice():
-        touching = advance(state, physics, time_step, _wall_speeds(scene.rotation, state.time, time_step, 0))
-    return replace(state, history=touching.history)
-
-
-@contextmanager
-def _compiling_notice(patience: float = 3.0) -> Iterator[None]:
-    """Says on stderr what a user waits for when the kernels are not in Numba's cache."""
-    # A cached load takes less than the patience, so nothing has to be known of how Numba caches.
-    notice = threading.Timer(patience, lambda: print("compiling the DEM kernels (once) …", file=sys.stderr, flush=True))
-    notice.daemon = True
-    notice.start()
-    try:
-        yield
-    finally:
-        notice.cancel()
 
 
 def _engine(dem: DemConfig) -> Callable[..., ParticleState]:
@@ -234,7 +174,7 @@ def _engine(dem: DemConfig) -> Callable[..., ParticleState]:
 
 def _radius_range(scene: Scene, state: ParticleState) -> tuple[float, float]:
     if state.count == 0:
-        return scene.filling.radius, scene.filling.radius
+        return scene.filling.smallest_radius, scene.filling.largest_radius
     return float(state.radius.min()), float(state.radius.max())
 
 
@@ -268,16 +208,6 @@ def _frame_times(scene: Scene, start: float, frames: int) -> list[float]:
     if abs(scene.start_time + passed * interval - start) < 1e-6 * interval:
         return [scene.start_time + (passed + k) * interval for k in range(1, frames + 1)]
     return [start + k * interval for k in range(1, frames + 1)]
-
-
-def _wall_speeds(rotation: Rotation, start: float, time_step: float, steps: int) -> FloatArray:
-    """Angular speed of the walls at the start and at the middle of each step, ``(steps + 1,)`` rad/s."""
-    if rotation.is_still:
-        return np.zeros(steps + 1)
-    if start >= rotation.times[-1]:
-        return np.full(steps + 1, rotation.angular_speed(start))
-    middle = start + (np.arange(steps) + 0.5) * time_step
-    return np.array([rotation.angular_speed(t) for t in (start, *middle)])
 
 
 def _sorted_history(history: ContactHistory) -> ContactHistory:

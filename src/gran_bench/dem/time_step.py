@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 
-from gran_bench.dem.contact import ContactLaw, hertz_impact, sphere_mass
-from gran_bench.scene import Cylinder, Scene
+import numpy as np
+
+from gran_bench.dem.contact import hertz_impact, sphere_mass
+from gran_bench.dem.integrate import pair_law, wall_law
+from gran_bench.scene import Plane, Rotation, Scene
 
 # Of min(Rayleigh time, contact time). `drum` gets 2e-4 s, with which every bulk figure stays within the scatter
 # of nudged replicas; ten times as much biases its angle of repose by degrees.
@@ -37,38 +40,52 @@ def rayleigh_time(radius: float, density: float, shear_modulus: float, poisson_r
 
 
 def impact_speed(scene: Scene) -> float:
-    """Speed of the hardest impact to expect, max(√(2 g D), speed of the walls), m/s; 0 where nothing drives one."""
-    fall = 2.0 * scene.drum_radius if scene.drum_radius else NOMINAL_FALL
-    falling = math.sqrt(2.0 * scene.gravity_strength * fall)
-    if not scene.needs.wall_motion:
-        return falling
-    reach = max((w.radius + math.hypot(*w.point) for w in scene.walls if isinstance(w, Cylinder)), default=fall)
-    return max(falling, scene.rotation.largest_angular_speed * reach)
+    """Speed of the hardest impact to expect, m/s; 0 where nothing drives one.
+
+    The largest of √(2 g D) with D the height that a sphere can fall, twice the speed of spheres that are placed, and
+    the speed of the walls.
+    """
+    fall = scene.fall_height or NOMINAL_FALL
+    speeds, reaches = [math.sqrt(2.0 * scene.gravity_strength * fall), 2.0 * scene.filling.largest_speed], []
+    turning = 0.0
+    for wall in scene.walls:
+        motion = scene.motion_of(wall)
+        if isinstance(motion, Rotation):
+            turning = max(turning, motion.largest_angular_speed)
+            if not isinstance(wall, Plane):
+                off_axis = math.dist(wall.point, motion.point)
+                size = wall.radius if wall.meridian is None else max(math.hypot(*end) for end in wall.meridian)
+                reaches.append(off_axis + size)
+        elif motion is not None:
+            speeds.append(float(np.linalg.norm(motion.extreme_velocities, axis=1).max()))
+    return max(*speeds, turning * max(reaches, default=fall))
 
 
 def contact_times(scene: Scene, radius: float | None = None) -> tuple[float, float]:
     """Duration of an elastic impact at :func:`impact_speed`, and the time m*/γ of the damping at its deepest.
 
-    γ = α √(m* K) δmax^{1/4}. Of pair and wall the shorter, s; inf at speed 0.
+    γ = α √(m* K) δmax^{1/4}. Of all pairs of materials and walls the shortest, s; inf at speed 0.
 
     Args:
         scene: materials, walls and motion.
         radius: of the smallest sphere, m; the filling's where None.
     """
-    speed, r = impact_speed(scene), scene.filling.radius if radius is None else radius
+    speed, r = impact_speed(scene), scene.filling.smallest_radius if radius is None else radius
     if speed == 0.0:
         return math.inf, math.inf
-    mass, bodies = sphere_mass(scene.material.density, r), [(scene.material, 0.5)]
-    if scene.needs.walls:
-        bodies.append((scene.wall_material, 1.0))
+    mass = [sphere_mass(material.density, r) for material in scene.materials]
+    meetings, kinds = [], range(len(mass))
+    for a in kinds:
+        meetings += [(pair_law(scene, a, b), 0.5 * r, mass[a] * mass[b] / (mass[a] + mass[b])) for b in kinds if a <= b]
+        if scene.needs.walls:
+            meetings.append((wall_law(scene, a), r, mass[a]))
     elastic, damped = math.inf, math.inf
-    for partner, share in bodies:
-        law = ContactLaw.between(scene.material, partner)
-        overlap, _, duration = hertz_impact(law.effective_modulus, share * r, share * mass, speed)
+    for law, effective_radius, effective_mass in meetings:
+        overlap, _, duration = hertz_impact(law.effective_modulus, effective_radius, effective_mass, speed)
         elastic = min(elastic, duration)
         if law.damping > 0:
-            stiffness = 4.0 / 3.0 * law.effective_modulus * math.sqrt(share * r)
-            damped = min(damped, math.sqrt(share * mass / stiffness) / (law.damping * overlap**0.25))
+            stiffness = 4.0 / 3.0 * law.effective_modulus * math.sqrt(effective_radius)
+            damped = min(damped, math.sqrt(effective_mass / stiffness) / (law.damping * overlap**0.25))
     return elastic, damped
 
 
@@ -92,9 +109,8 @@ def choose_time_step(
     contact_time, damping_time = contact_times(scene, radius)
     warnings: list[str] = []
     if requested is None:
-        material = scene.material
-        r = scene.filling.radius if radius is None else radius
-        rayleigh = rayleigh_time(r, material.density, material.shear_modulus, material.poisson_ratio)
+        r = scene.filling.smallest_radius if radius is None else radius
+        rayleigh = min(rayleigh_time(r, m.density, m.shear_modulus, m.poisson_ratio) for m in scene.materials)
         largest = min(TIME_STEP_FRACTION * min(rayleigh, contact_time), DAMPING_FRACTION * damping_time)
         return dividing_step(scene.frame_interval, largest), ()
     if not (math.isfinite(requested) and requested > 0):

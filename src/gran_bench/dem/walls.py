@@ -1,82 +1,220 @@
-"""Analytic walls: distances, normals and surface velocities, and the table that jitted code reads."""
+"""Analytic walls as the engines see them: the pose of each at each force evaluation, distances, surface velocities.
+
+A row of a pose table is one wall at one instant, in SI and world coordinates:
+
+    0        kind: PLANE, CYLINDER (the inside of an infinite one), REVOLUTION, or ABSENT
+    1 … 3    a point of the plane or of the axis
+    4 … 6    unit normal into the container, or unit vector along the axis
+    7 … 10   radius of the cylinder; (ρ₀, s₀, ρ₁, s₁) of the segment that sweeps a surface of revolution
+    11 … 13  v, velocity of the reference point
+    14 … 16  ω, angular velocity
+    17 … 19  c, reference point: the surface moves with v + ω × (x − c)
+    20       path that its geometry travels in the step that ends here, m; 0 where only the surface moves
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from gran_bench.scene import Cylinder, Plane, Rotation, Wall
+from gran_bench.scene import Motion, Plane, Rotation, Scene, Translation, Vibration, Wall
+from gran_bench.scene.walls import turns_into_itself
 from gran_bench.state import FloatArray
 
-PLANE, CYLINDER = 0.0, 1.0
+PLANE, CYLINDER, REVOLUTION, ABSENT = 0.0, 1.0, 2.0, -1.0
+KIND, POINT, DIRECTION, SIZES = 0, slice(1, 4), slice(4, 7), slice(7, 11)
+VELOCITY, SPIN, REFERENCE, PATH = slice(11, 14), slice(14, 17), slice(17, 20), 20
+COLUMNS = 21
 
 
-def wall_table(walls: tuple[Wall, ...]) -> FloatArray:
-    """The walls as rows (kind, point, direction, radius, turns), ``(W, 9)``; direction is the normal or the axis."""
-    table = np.zeros((len(walls), 9))
-    for row, wall in zip(table, walls, strict=True):
-        if isinstance(wall, Plane):
-            row[:] = (PLANE, *wall.point, *wall.normal, 0.0, wall.turns)
-        else:
-            row[:] = (CYLINDER, *wall.point, *wall.axis, wall.radius, wall.turns)
-    return table
+def wall_poses(scene: Scene, start: float, time_step: float, steps: int) -> FloatArray:
+    """Every wall at every force evaluation of a stretch, ``(steps + 1, W, 21)``.
+
+    Row 0 is the start. Row k has the walls' shape at the end of step k and their velocity at its middle. Where
+    nothing changes the rows are one row, broadcast.
+
+    Args:
+        scene: walls, motion.
+        start: s in the scene's clock.
+        time_step: Δt, s.
+        steps: of the stretch.
+    """
+    rest = np.array([_drawn(wall) for wall in scene.walls]).reshape(-1, COLUMNS)
+    end = middle = None
+    table = rest[None]
+    for index, wall in enumerate(scene.walls):
+        motion = scene.motion_of(wall)
+        if motion is None and wall.opens is None:
+            continue
+        if end is None:
+            end = start + time_step * np.arange(steps + 1)
+            middle = end - 0.5 * time_step
+            middle[0] = start
+        rows = _moved(wall, rest[index], motion, end, middle, time_step)
+        if len(rows) == 1 and len(table) == 1:
+            table = table.copy()
+        elif len(table) == 1:
+            table = np.repeat(table, steps + 1, axis=0)
+        table[:, index] = rows
+    return np.broadcast_to(table, (steps + 1, *table.shape[1:]))
 
 
-def wall_contact(wall: Wall, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _drawn(wall: Wall) -> FloatArray:
+    """The row of a wall at rest, where it is drawn."""
+    row = np.zeros(COLUMNS)
+    row[POINT] = wall.point
+    if isinstance(wall, Plane):
+        row[KIND], row[DIRECTION] = PLANE, wall.normal
+    elif wall.meridian is None:
+        row[KIND], row[DIRECTION], row[7] = CYLINDER, wall.axis, wall.radius
+    else:
+        row[KIND], row[DIRECTION], row[SIZES] = REVOLUTION, wall.axis, np.ravel(wall.meridian)
+    return row
+
+
+def _moved(
+    wall: Wall,
+    drawn: FloatArray,
+    motion: Rotation | Motion | None,
+    end: FloatArray,
+    middle: FloatArray,
+    time_step: float,
+) -> FloatArray:
+    """Rows of one wall, ``(1, 21)`` where all are equal, else ``(steps + 1, 21)``."""
+    if isinstance(motion, Rotation):
+        rows = _turned(wall, drawn, motion, end, middle)
+    elif motion is not None:
+        rows = np.tile(drawn, (len(end), 1))
+        rows[:, POINT] += motion.displacement(end)
+        rows[:, VELOCITY] = motion.velocity(middle)
+        rows[1:, PATH] = _path(wall, motion, time_step)
+    else:
+        rows = drawn[None]
+    if wall.opens is not None:
+        # A clock that was added up may be a rounding error short of the opening.
+        gone = end >= wall.opens - 1e-9 * max(1.0, abs(wall.opens))
+        if gone.any():
+            rows = np.repeat(rows, len(end), axis=0) if len(rows) == 1 else rows
+            rows = rows.copy()
+            rows[gone, KIND] = ABSENT
+    return rows
+
+
+def _turned(wall: Wall, drawn: FloatArray, turn: Rotation, end: FloatArray, middle: FloatArray) -> FloatArray:
+    axis, point = np.asarray(turn.axis), np.asarray(turn.point)
+    symmetric = turns_into_itself(wall, turn.axis, turn.point)
+    if symmetric and end[0] >= turn.times[-1]:
+        rows = drawn[None].copy()
+        rows[:, SPIN], rows[:, REFERENCE] = turn.angular_speed(end[0]) * axis, point
+        return rows
+    rows = np.tile(drawn, (len(end), 1))
+    rows[:, SPIN], rows[:, REFERENCE] = np.outer(turn.angular_speeds(middle), axis), point
+    if symmetric:
+        return rows
+    angle = turn.angles(end)
+    rows[:, POINT] = point + _rotated(np.asarray(wall.point) - point, axis, angle)
+    rows[:, DIRECTION] = _rotated(drawn[DIRECTION], axis, angle)
+    # No point of the shape is farther from the axis than this, and nothing turns faster.
+    center = np.asarray(wall.point) - point
+    reach = np.linalg.norm(np.cross(center, axis)) + max(np.hypot(r, s) for r, s in wall.meridian)
+    rows[1:, PATH] = turn.largest_angular_speed * np.diff(end) * reach
+    return rows
+
+
+def _rotated(vector: FloatArray, axis: FloatArray, angle: FloatArray) -> FloatArray:
+    """A vector turned about a unit axis by each angle, ``(T, 3)`` (Rodrigues' formula)."""
+    along = (vector @ axis) * axis
+    return along + np.outer(np.cos(angle), vector - along) + np.outer(np.sin(angle), np.cross(axis, vector))
+
+
+def _path(wall: Wall, motion: Translation | Vibration, time_step: float) -> float:
+    """Most that a shape can travel in a step, m; a wall without an end that moves along itself travels nothing."""
+    velocity = motion.extreme_velocities
+    if wall.contains:
+        direction = np.asarray(wall.normal if isinstance(wall, Plane) else wall.axis)
+        along = np.outer(velocity @ direction, direction)
+        velocity = along if isinstance(wall, Plane) else velocity - along
+    return float(np.linalg.norm(velocity, axis=1).max()) * time_step
+
+
+def wall_contact(pose: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Closest point of a wall: distance of each centre, and the unit vector from it to the wall.
 
     Args:
-        wall: a plane, or the inside of a cylinder.
+        pose: ``(21,)`` a row of the table.
         position: ``(N, 3)`` m.
 
     Returns:
-        ``(N,)`` m, negative beyond the wall, and ``(N, 3)``. On a cylinder's axis, where every direction is as
-        close, the vector is zero: there is no contact to speak of.
+        ``(N,)`` m, negative beyond a plane or a cylinder, never negative for a surface that has two sides, and
+        infinite for an absent wall; and ``(N, 3)``. On the axis of a cylinder without an end, and right on a surface
+        that has two sides, no direction is closer than another: there the vector is zero, and no force acts.
     """
-    offset = position - np.asarray(wall.point)
-    if isinstance(wall, Plane):
-        normal = np.asarray(wall.normal)
-        return offset @ normal, np.broadcast_to(-normal, position.shape)
-    axis = np.asarray(wall.axis)
-    radial = offset - np.outer(offset @ axis, axis)
+    kind, direction = pose[KIND], pose[DIRECTION]
+    offset = position - pose[POINT]
+    if kind == ABSENT:
+        return np.full(len(position), np.inf), np.zeros_like(position)
+    along = offset @ direction
+    if kind == PLANE:
+        return along, np.broadcast_to(-direction, position.shape)
+    radial = offset - np.outer(along, direction)
     reach = np.linalg.norm(radial, axis=1)
     outward = np.divide(radial, reach[:, None], out=np.zeros_like(radial), where=reach[:, None] > 0)
-    return wall.radius - reach, outward
+    if kind == CYLINDER:
+        return pose[7] - reach, outward
+    # In the half plane (distance from the axis, height along it) the closest point is that of a straight segment.
+    r0, s0, r1, s1 = pose[SIZES]
+    dr, ds = r1 - r0, s1 - s0
+    share = np.clip(((reach - r0) * dr + (along - s0) * ds) / (dr * dr + ds * ds), 0.0, 1.0)
+    across, up = r0 + share * dr - reach, s0 + share * ds - along
+    distance = np.hypot(across, up)
+    outward[reach == 0.0] = any_normal_to(direction)
+    vector = across[:, None] * outward + np.outer(up, direction)
+    return distance, np.divide(vector, distance[:, None], out=np.zeros_like(vector), where=distance[:, None] > 0)
 
 
-def largest_excess(walls: tuple[Wall, ...], position: FloatArray) -> FloatArray:
-    """How far each centre lies beyond the wall that it passed furthest, ``(N,)`` m; negative inside."""
+def any_normal_to(direction: FloatArray) -> FloatArray:
+    """A unit vector across a unit vector, the same every time: where all ways out from an axis are alike."""
+    smallest = int(np.argmin(np.abs(direction)))
+    across = np.cross(direction, np.eye(3)[smallest])
+    return across / np.linalg.norm(across)
+
+
+def surface_velocity(pose: FloatArray, point: FloatArray) -> FloatArray:
+    """Velocity of a wall's material points, v + ω × (x − c), ``(N, 3)`` m/s.
+
+    Args:
+        pose: ``(21,)`` a row of the table.
+        point: ``(N, 3)`` on the wall, m.
+    """
+    return pose[VELOCITY] + np.cross(pose[SPIN], point - pose[REFERENCE])
+
+
+def largest_excess(scene: Scene, poses: FloatArray, position: FloatArray) -> FloatArray:
+    """How far each centre lies beyond the containing wall that it passed furthest, ``(N,)`` m; negative inside.
+
+    Args:
+        scene: says which walls contain: those that have one side.
+        poses: ``(W, 21)`` of this instant.
+        position: ``(N, 3)`` m.
+    """
     excess = np.full(len(position), -np.inf)
-    for wall in walls:
-        np.maximum(excess, -wall_contact(wall, position)[0], out=excess)
+    for wall, pose in zip(scene.walls, poses, strict=True):
+        if wall.contains:
+            np.maximum(excess, -wall_contact(pose, position)[0], out=excess)
     return excess
 
 
-def surface_velocity(axis: FloatArray, angular_speed: float, point: FloatArray) -> FloatArray:
-    """Velocity of a turning wall's material points, ω axis × x, ``(N, 3)`` m/s.
-
-    Args:
-        axis: ``(3,)`` unit vector; the axis runs through the origin.
-        angular_speed: ω, rad/s.
-        point: ``(N, 3)`` on the wall, m.
-    """
-    return np.cross(angular_speed * axis, point)
-
-
-def check_walls(walls: tuple[Wall, ...], rotation: Rotation) -> None:
-    """Refuses a turning wall whose shape would not turn into itself.
+def check_walls(scene: Scene) -> None:
+    """Refuses a turning wall without an end whose shape would not turn into itself.
 
     Raises:
-        ValueError: a turning plane or cylinder that is not symmetric about the axis of rotation.
+        ValueError: a turning plane or cylinder that is not symmetric about its axis of rotation.
     """
-    axis = np.asarray(rotation.axis)
-    for index, wall in enumerate(walls):
-        if not wall.turns or rotation.is_still:
+    for index, wall in enumerate(scene.walls):
+        turn = scene.motion_of(wall)
+        if not isinstance(turn, Rotation) or not wall.contains:
             continue
-        direction = np.asarray(wall.normal if isinstance(wall, Plane) else wall.axis)
-        tilted = np.linalg.norm(np.cross(axis, direction)) > 1e-9
-        shifted = isinstance(wall, Cylinder) and np.linalg.norm(np.cross(wall.point, axis)) > 1e-9
-        if tilted or shifted:
+        if not turns_into_itself(wall, turn.axis, turn.point):
             raise ValueError(
-                f"wall {index} turns about {rotation.axis} but is not symmetric about that axis through the origin; "
-                "set its turns=False or align it"
+                f"wall {index} turns about {turn.axis} through {turn.point} m but is not symmetric about that axis, "
+                "and it has no end; set its turns=False, align it, or give it an end (Disc, Cylinder with a length)"
             )

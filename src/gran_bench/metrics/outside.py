@@ -75,11 +75,11 @@ def distance_outside(position: FloatArray, radius: FloatArray, scene: Scene) -> 
     Args:
         position: ``(..., N, 3)`` m.
         radius: ``(N,)`` m.
-        scene: its walls; without walls nothing is outside.
+        scene: its walls that contain; without them nothing is outside.
     """
     outside = np.full(position.shape[:-1], -np.inf)
     with np.errstate(invalid="ignore", over="ignore"):
-        for wall in scene.walls:
+        for wall in filter(lambda wall: wall.contains, scene.walls):
             outside = np.maximum(outside, wall_overlap(position, radius, wall))
     return outside
 

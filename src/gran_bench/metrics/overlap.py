@@ -52,7 +52,7 @@ def overlap_series(trajectory: Trajectory, scene: Scene) -> dict[str, Series]:
 
     Args:
         trajectory: F states.
-        scene: its walls and its period.
+        scene: its walls (those that contain, where positions are all there is) and its period.
     """
     if all(name in trajectory.diagnostics for name in OVERLAP_SERIES):
         values = [np.asarray(trajectory.diagnostics[name], np.float64) for name in OVERLAP_SERIES]
@@ -69,7 +69,7 @@ def _figures(position: FloatArray, radius: FloatArray, scene: Scene) -> tuple[fl
     if not np.isfinite(position).all():
         return (np.nan,) * 4
     pairs = pair_overlaps(position, radius, scene.period)
-    walls = [wall_overlap(position, radius, wall) for wall in scene.walls]
+    walls = [wall_overlap(position, radius, wall) for wall in scene.walls if wall.contains]
     touching = np.concatenate([overlap[overlap > 0] for overlap in walls]) if walls else np.zeros(0)
     return (*_mean_and_max(pairs), *_mean_and_max(touching))
 

@@ -1,0 +1,163 @@
+"""The spheres of a scene: how many, how large, of what, and where they start."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gran_bench.scene.errors import SceneError
+from gran_bench.scene.motion import Vector
+from gran_bench.scene.sizes import Sizes, apportioned, check_fractions
+from gran_bench.state import FloatArray
+
+
+@dataclass(frozen=True)
+class Room:
+    """Where a lattice may stand when there is no drum: a box, or an upright tube about the z axis.
+
+    Attributes:
+        lower, upper: corners, m.
+        radius: of the tube, m; None for the whole box.
+    """
+
+    lower: Vector
+    upper: Vector
+    radius: float | None = None
+
+
+@dataclass(frozen=True)
+class Filling:
+    """Spheres on a jittered lattice, the lowest sites first, or where they are placed one by one.
+
+    Attributes:
+        count: N.
+        diameter: d, m.
+        lattice_spacing: distance of neighbouring sites, in largest diameters.
+        jitter: largest offset from a site along each axis, in largest diameters.
+        settled_speed: mean speed below which the bed is at rest, m/s.
+        longest_settling: s; a bed that still moves then is an error.
+        settles: whether the spheres fall and come to rest before the scene starts.
+        sizes: distribution of the diameters about d.
+        fractions: share of each of the scene's materials, by number, in random order; empty: all of the first.
+        positions: ``(N, 3)`` centres instead of a lattice, m; empty for the lattice.
+        velocities, spins: ``(N, 3)`` of placed spheres, m/s and rad/s; empty for rest.
+        expansion: H of a start with velocity v = H x, 1/s: spheres fly apart and never meet.
+    """
+
+    count: int
+    diameter: float
+    lattice_spacing: float = 1.12
+    jitter: float = 0.05
+    settled_speed: float = 1.0e-3
+    longest_settling: float = 20.0
+    settles: bool = True
+    sizes: Sizes = field(default_factory=Sizes)
+    fractions: tuple[float, ...] = ()
+    positions: tuple[Vector, ...] = ()
+    velocities: tuple[Vector, ...] = ()
+    spins: tuple[Vector, ...] = ()
+    expansion: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.count < 0:
+            raise SceneError(f"scene.filling.count={self.count} is impossible; choose 0 or more")
+        if not (math.isfinite(self.diameter) and self.diameter > 0):
+            raise SceneError(f"scene.filling.diameter={self.diameter:g} is impossible; choose a value > 0 m")
+        if self.lattice_spacing - 2.0 * self.jitter < 1.0 or self.jitter < 0:
+            raise SceneError(
+                f"scene.filling.jitter={self.jitter:g} lets spheres overlap at a spacing of "
+                f"{self.lattice_spacing:g} d; choose at most {(self.lattice_spacing - 1) / 2:.3g}"
+            )
+        for name in ("positions", "velocities", "spins"):
+            vectors = getattr(self, name)
+            if vectors and len(vectors) != self.count:
+                raise SceneError(
+                    f"scene.filling.{name} has {len(vectors)} entries for scene.filling.count={self.count}; "
+                    "give one for each sphere"
+                )
+            if any(len(v) != 3 or not all(map(math.isfinite, v)) for v in vectors):
+                raise SceneError(f"scene.filling.{name} has entries that are no three finite numbers; repair them")
+        moving = bool(self.velocities or self.spins or self.expansion)
+        if moving and self.settles:
+            raise SceneError("scene.filling.settles=true lets moving spheres come to rest; choose settles=false")
+        if self.fractions:
+            check_fractions("scene.filling.fractions", self.fractions, len(self.fractions))
+
+    @property
+    def radius(self) -> float:
+        """r = d/2, m."""
+        return 0.5 * self.diameter
+
+    @property
+    def smallest_radius(self) -> float:
+        """m, of all that can come."""
+        return self.radius * self.sizes.smallest
+
+    @property
+    def largest_radius(self) -> float:
+        """m, of all that can come."""
+        return self.radius * self.sizes.largest
+
+    @property
+    def largest_speed(self) -> float:
+        """Of the placed spheres, m/s."""
+        return max((math.hypot(*velocity) for velocity in self.velocities), default=0.0)
+
+    @property
+    def spacing(self) -> float:
+        """Distance of lattice sites, m."""
+        return self.lattice_spacing * 2.0 * self.largest_radius
+
+    @property
+    def offset(self) -> float:
+        """Largest offset from a site along each axis, m."""
+        return self.jitter * 2.0 * self.largest_radius
+
+    def materials(self, rng: np.random.Generator) -> np.ndarray:
+        """Index of each sphere's material, ``(N,)`` uint8."""
+        if not self.fractions:
+            return np.zeros(self.count, np.uint8)
+        counts = apportioned(self.count, self.fractions)
+        return rng.permutation(np.repeat(np.arange(len(counts), dtype=np.uint8), counts))
+
+
+def drum_sites(filling: Filling, drum_radius: float, length: float, periodic: bool) -> FloatArray:
+    """Sites of a cubic lattice in a drum about y whose jittered spheres stay clear of every wall, ``(S, 3)`` m."""
+    spacing, jitter, radius = filling.spacing, filling.offset, filling.largest_radius
+    clear = radius + jitter
+    across = int((drum_radius - clear) / spacing)
+    if periodic:
+        layers = int(length / spacing)
+        y = (np.arange(layers) + 0.5) * length / max(layers, 1) - 0.5 * length
+    else:
+        room = length - 2.0 * clear
+        y = np.linspace(-0.5 * room, 0.5 * room, int(room / spacing) + 1) if room > 0 else np.zeros(0)
+    line = np.arange(-across, across + 1) * spacing
+    grid = np.stack(np.meshgrid(line, y, line, indexing="ij"), axis=-1).reshape(-1, 3)
+    radial = np.hypot(np.abs(grid[:, 0]) + jitter, np.abs(grid[:, 2]) + jitter)
+    return grid[radial <= drum_radius - radius]
+
+
+def room_sites(filling: Filling, room: Room) -> FloatArray:
+    """Sites of a cubic lattice in a room whose jittered spheres stay clear of its sides, ``(S, 3)`` m."""
+    spacing, clear, lines = filling.spacing, filling.largest_radius + filling.offset, []
+    for low, high in zip(room.lower, room.upper, strict=True):
+        width = high - low - 2.0 * clear
+        sites = int(width / spacing + 1e-9) + 1 if width >= 0 else 0
+        lines.append(0.5 * (low + high) + (np.arange(sites) - 0.5 * (sites - 1)) * spacing)
+    if len(lines[2]):  # the lowest layer lies at the bottom
+        lines[2] = lines[2] - lines[2][0] + room.lower[2] + clear
+    grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+    if room.radius is None:
+        return grid
+    radial = np.hypot(np.abs(grid[:, 0]) + filling.offset, np.abs(grid[:, 1]) + filling.offset)
+    return grid[radial <= room.radius - filling.largest_radius]
+
+
+def open_sites(filling: Filling) -> FloatArray:
+    """Sites of a cubic lattice about the origin without any wall, N or a few more, ``(S, 3)`` m."""
+    side = math.ceil(round(filling.count ** (1.0 / 3.0), 9))
+    line = (np.arange(side) - 0.5 * (side - 1)) * filling.spacing
+    return np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)

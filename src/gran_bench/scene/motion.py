@@ -1,0 +1,224 @@
+"""How walls move: schedules that are piecewise linear in time, and sinusoidal vibration.
+
+Every motion is a pure function of the scene's clock, so that a run that goes on from a frame finds its walls where
+the run that did not stop had them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from gran_bench.scene.errors import SceneError
+from gran_bench.state import FloatArray
+
+RADIANS_PER_SECOND_PER_RPM = 2.0 * math.pi / 60.0
+
+Vector = tuple[float, float, float]
+
+
+def rate_at(times: Sequence[float], rates: Sequence[float], time: FloatArray) -> FloatArray:
+    """A schedule's rate: 0 before the first knot, piecewise linear, constant after the last; shape of ``time``."""
+    return np.where(np.asarray(time) < times[0], 0.0, np.interp(time, times, rates))
+
+
+def integral_to(times: Sequence[float], rates: Sequence[float], time: FloatArray) -> FloatArray:
+    """∫ of a schedule's rate from its first knot to each time; exact, 0 before the first knot."""
+    knots, values, time = np.asarray(times, float), np.asarray(rates, float), np.asarray(time, float)
+    passed = np.concatenate(([0.0], np.cumsum(0.5 * np.diff(knots) * (values[1:] + values[:-1]))))
+    last = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, len(knots) - 1)
+    # From the last knot passed: the mean of both ends' rates. Right of a jump, its second value counts.
+    since = np.maximum(0.0, time - knots[last])
+    return passed[last] + 0.5 * since * (values[last] + np.interp(time, knots, values))
+
+
+def check_schedule(name: str, times: Sequence[float], rates: Sequence[float]) -> None:
+    """Refuses a schedule that is none.
+
+    Raises:
+        SceneError: no knots, not one value for each time, times that go back, or a value that is not finite.
+    """
+    if len(times) != len(rates) or not times:
+        raise SceneError(f"{name} has {len(times)} times and {len(rates)} speeds; give one speed for each time")
+    if not all(map(math.isfinite, (*times, *rates))):
+        raise SceneError(f"{name}.speeds_rpm={list(rates)} at {list(times)} s is not finite")
+    if any(b < a for a, b in pairwise(times)):
+        raise SceneError(f"{name}.times={list(times)} must increase")
+
+
+def check_unit(name: str, vector: Sequence[float]) -> None:
+    """Refuses a direction that is no unit vector.
+
+    Raises:
+        SceneError: names it, its length and the remedy.
+    """
+    length = math.hypot(*vector)
+    if not abs(length - 1.0) < 1e-9:
+        raise SceneError(f"{name}={list(vector)} has length {length:g}; give a unit vector")
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """Rotation of the scene about an axis through the origin: at rest before the first knot, piecewise linear between
+    knots, constant after the last.
+
+    Attributes:
+        times: knots, s, increasing (equal times make a jump).
+        speeds_rpm: speed at each knot, revolutions a minute; positive turns +z into +x.
+        axis: unit vector.
+    """
+
+    times: tuple[float, ...] = (0.0,)
+    speeds_rpm: tuple[float, ...] = (0.0,)
+    axis: Vector = (0.0, 1.0, 0.0)
+
+    def __post_init__(self) -> None:
+        check_schedule("rotation", self.times, self.speeds_rpm)
+        check_unit("rotation.axis", self.axis)
+
+    def angular_speed(self, time: float) -> float:
+        """ω(t), rad/s."""
+        return float(self.angular_speeds(np.asarray(time)))
+
+    def angular_speeds(self, time: FloatArray) -> FloatArray:
+        """ω at each time, rad/s."""
+        return rate_at(self.times, self.speeds_rpm, time) * RADIANS_PER_SECOND_PER_RPM
+
+    def angle(self, start: float, end: float) -> float:
+        """Angle turned between two times, ∫ω dt, rad; exact for the piecewise linear schedule."""
+        before, after = self.angles(np.array([start, end]))
+        return float(after - before)
+
+    def angles(self, time: FloatArray) -> FloatArray:
+        """Angle turned from the first knot to each time, rad."""
+        return integral_to(self.times, self.speeds_rpm, time) * RADIANS_PER_SECOND_PER_RPM
+
+    @property
+    def point(self) -> Vector:
+        """A point of the axis, m."""
+        return (0.0, 0.0, 0.0)
+
+    @property
+    def is_still(self) -> bool:
+        """Whether nothing ever turns."""
+        return not any(self.speeds_rpm)
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether there is one speed, from the first knot on."""
+        return len(set(self.speeds_rpm)) == 1
+
+    @property
+    def largest_angular_speed(self) -> float:
+        """max |ω|, rad/s."""
+        return max(abs(s) for s in self.speeds_rpm) * RADIANS_PER_SECOND_PER_RPM
+
+
+@dataclass(frozen=True)
+class Spin(Rotation):
+    """Rotation of one wall about an axis of its own; a schedule as a scene's.
+
+    Attributes:
+        center: a point of the axis, m.
+    """
+
+    center: Vector = (0.0, 0.0, 0.0)
+
+    @property
+    def point(self) -> Vector:
+        """A point of the axis, m."""
+        return self.center
+
+
+@dataclass(frozen=True)
+class Translation:
+    """A wall that moves without turning; its velocity is piecewise linear in time.
+
+    Attributes:
+        times: knots, s; at rest before the first, constant after the last (equal times make a jump).
+        velocities: ``(K, 3)`` at each knot, m/s.
+    """
+
+    times: tuple[float, ...]
+    velocities: tuple[Vector, ...]
+
+    def __post_init__(self) -> None:
+        if any(len(velocity) != 3 for velocity in self.velocities):
+            raise SceneError(f"translation.velocities={list(self.velocities)} has no three components each, m/s")
+        for axis in range(3):
+            check_schedule("translation", self.times, [velocity[axis] for velocity in self.velocities])
+
+    @property
+    def is_still(self) -> bool:
+        """Whether it never moves."""
+        return not np.any(self.velocities)
+
+    @property
+    def extreme_velocities(self) -> FloatArray:
+        """``(K, 3)`` m/s; every velocity lies between two of them."""
+        return np.array(self.velocities, float)
+
+    def displacement(self, time: FloatArray) -> FloatArray:
+        """How far the wall is from where it is drawn, ``(T, 3)`` m."""
+        return np.stack([integral_to(self.times, rates, time) for rates in zip(*self.velocities, strict=True)], axis=-1)
+
+    def velocity(self, time: FloatArray) -> FloatArray:
+        """``(T, 3)`` m/s."""
+        return np.stack([rate_at(self.times, rates, time) for rates in zip(*self.velocities, strict=True)], axis=-1)
+
+
+@dataclass(frozen=True)
+class Vibration:
+    """A wall that shakes: u(t) = A [sin(2πf(t − t₀) + φ) − sin φ] along a direction from t₀ on, so that it begins
+    where it is drawn, whatever its phase.
+
+    Attributes:
+        amplitude: A, m.
+        frequency: f, Hz.
+        direction: unit vector.
+        phase: φ, rad.
+        start: t₀, s.
+    """
+
+    amplitude: float
+    frequency: float
+    direction: Vector
+    phase: float = 0.0
+    start: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (self.amplitude, self.frequency, self.phase, self.start))) or self.frequency < 0:
+            raise SceneError(
+                f"vibration of amplitude={self.amplitude:g} m at frequency={self.frequency:g} Hz is impossible; "
+                "give finite values and a frequency ≥ 0"
+            )
+        check_unit("vibration.direction", self.direction)
+
+    @property
+    def is_still(self) -> bool:
+        """Whether it never moves."""
+        return self.amplitude == 0.0 or self.frequency == 0.0
+
+    @property
+    def extreme_velocities(self) -> FloatArray:
+        """2πf A along the direction, ``(1, 3)`` m/s; the other end is its opposite."""
+        return 2.0 * math.pi * self.frequency * self.amplitude * np.array([self.direction])
+
+    def displacement(self, time: FloatArray) -> FloatArray:
+        """How far the wall is from where it is drawn, ``(T, 3)`` m."""
+        since = np.maximum(0.0, np.asarray(time, float) - self.start)
+        swing = np.sin(2.0 * math.pi * self.frequency * since + self.phase) - math.sin(self.phase)
+        return self.amplitude * swing[..., None] * np.asarray(self.direction)
+
+    def velocity(self, time: FloatArray) -> FloatArray:
+        """``(T, 3)`` m/s."""
+        time, omega = np.asarray(time, float), 2.0 * math.pi * self.frequency
+        rate = np.where(time < self.start, 0.0, omega * np.cos(omega * (time - self.start) + self.phase))
+        return self.amplitude * rate[..., None] * np.asarray(self.direction)
+
+
+Motion = Spin | Translation | Vibration

@@ -1,0 +1,224 @@
+"""A scene: a container and its motion, a filling, materials, gravity and a span of time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from gran_bench.scene.errors import SceneError
+from gran_bench.scene.filling import Filling, Room, drum_sites, open_sites, room_sites
+from gran_bench.scene.material import Material, PairCoefficients, mixed_coefficients
+from gran_bench.scene.motion import RADIANS_PER_SECOND_PER_RPM, Motion, Rotation
+from gran_bench.scene.needs import Needs
+from gran_bench.scene.walls import Outlet, Plane, Wall, turns_into_itself
+from gran_bench.state import FloatArray, ParticleState
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A container, its motion, a filling, materials, gravity and a span of time.
+
+    Attributes:
+        name: of the shipped or the user's scene.
+        walls: analytic walls; ``wall -1 - second`` of a contact history indexes this tuple.
+        filling: the spheres.
+        material: of the particles, of the first kind.
+        wall_material: of the walls.
+        gravity: m/s².
+        rotation: schedule in the scene's clock.
+        start_time: label of the settled state, s.
+        end_time: s.
+        frame_interval: Δt between stored states, s.
+        drum_radius: inner radius of the drum, m; None where there is no drum.
+        length: along y, m (between the caps, or the period).
+        periodic_axis: whether y wraps around.
+        more_materials: of further kinds of particles; ``ParticleState.material`` indexes ``materials``.
+        pair_coefficients: of two different particle materials, where the geometric mean is not wanted.
+        room: where the first lattice stands in a container that is no drum; None for open space.
+        outlet: where spheres leave; None where none do.
+    """
+
+    name: str
+    walls: tuple[Wall, ...]
+    filling: Filling
+    material: Material
+    wall_material: Material
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    rotation: Rotation = field(default_factory=Rotation)
+    start_time: float = 1.5
+    end_time: float = 5.5
+    frame_interval: float = 0.01
+    drum_radius: float | None = None
+    length: float | None = None
+    periodic_axis: bool = False
+    more_materials: tuple[Material, ...] = ()
+    pair_coefficients: tuple[PairCoefficients, ...] = ()
+    room: Room | None = None
+    outlet: Outlet | None = None
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.frame_interval) and self.frame_interval > 0):
+            raise SceneError(f"scene.frame_interval={self.frame_interval:g} is impossible; choose a value > 0 s")
+        if not self.end_time > self.start_time:
+            raise SceneError(
+                f"scene.end_time={self.end_time:g} is not after scene.start_time={self.start_time:g}; "
+                "choose a later end"
+            )
+        if not all(map(math.isfinite, self.gravity)):
+            raise SceneError(f"scene.gravity={list(self.gravity)} is not finite")
+        if len(self.filling.fractions) > len(self.materials):
+            raise SceneError(
+                f"scene.filling.fractions={list(self.filling.fractions)} shares out more materials than the scene's "
+                f"{len(self.materials)}; describe the others or leave their shares out"
+            )
+        for pair in self.pair_coefficients:
+            if not 0 <= min(pair.first, pair.second) <= max(pair.first, pair.second) < len(self.materials):
+                raise SceneError(
+                    f"pair coefficients of materials {pair.first} and {pair.second} name one that the scene does not "
+                    f"have; it has {len(self.materials)}"
+                )
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """Of the particles; ``ParticleState.material`` indexes this tuple."""
+        return (self.material, *self.more_materials)
+
+    def coefficients(self, first: int, second: int) -> tuple[float, float, float]:
+        """(e, μ, μ_r) of contacts between particles of two materials.
+
+        A material meets itself with its own coefficients. Two materials meet with the geometric means, unless
+        ``pair_coefficients`` say otherwise.
+        """
+        one, other = self.materials[first], self.materials[second]
+        own = next((pair for pair in self.pair_coefficients if {pair.first, pair.second} == {first, second}), None)
+        return mixed_coefficients(one, other, own)
+
+    @property
+    def frame_count(self) -> int:
+        """F: number of stored states, the settled one included."""
+        return round((self.end_time - self.start_time) / self.frame_interval) + 1
+
+    @property
+    def period(self) -> float:
+        """Length of the periodic axis y, m; 0 where nothing wraps."""
+        return float(self.length) if self.periodic_axis and self.length else 0.0
+
+    @property
+    def gravity_strength(self) -> float:
+        """g, m/s²."""
+        return float(np.linalg.norm(self.gravity))
+
+    @property
+    def needs(self) -> Needs:
+        """What this scene needs of the physics."""
+        kinds = range(len(self.materials))
+        meetings = [self.coefficients(a, b) for a in kinds for b in kinds if a <= b]
+        if self.walls:
+            meetings.append((1.0, self.wall_material.friction, self.wall_material.rolling_friction))
+        friction, rolling = (max(meeting[k] for meeting in meetings) for k in (1, 2))
+        return Needs(
+            tangential=friction > 0,
+            rolling=rolling > 0 and friction > 0,
+            walls=bool(self.walls),
+            wall_motion=any(self.motion_of(wall) is not None for wall in self.walls),
+            wall_geometry=any(self._moves_geometry(wall) for wall in self.walls),
+            end_caps=self.drum_radius is not None and any(isinstance(w, Plane) for w in self.walls),
+            periodic=self.periodic_axis,
+            gravity=self.gravity_strength > 0,
+            materials=bool(self.more_materials),
+            polydispersity=self.filling.smallest_radius < self.filling.largest_radius,
+            outlet=self.outlet is not None,
+        )
+
+    def motion_of(self, wall: Wall) -> Rotation | Motion | None:
+        """What a wall does: its own motion, or the scene's rotation; None where it rests for ever."""
+        motion = self.rotation if wall.motion is None and wall.turns else wall.motion
+        return None if motion is None or motion.is_still else motion
+
+    def _moves_geometry(self, wall: Wall) -> bool:
+        motion = self.motion_of(wall)
+        if motion is None or wall.opens is not None:
+            return wall.opens is not None
+        return not isinstance(motion, Rotation) or not turns_into_itself(wall, motion.axis, motion.point)
+
+    @property
+    def critical_speed_rpm(self) -> float:
+        """Speed at which a ball at the wall centrifuges, √(g/(R − r)), rpm."""
+        if self.drum_radius is None:
+            return math.inf
+        reach = self.drum_radius - self.filling.radius
+        return math.sqrt(self.gravity_strength / reach) / RADIANS_PER_SECOND_PER_RPM
+
+    @property
+    def has_angle_of_repose(self) -> bool:
+        """Whether the drum stays below its critical speed, so that a surface exists."""
+        fastest = self.rotation.largest_angular_speed / RADIANS_PER_SECOND_PER_RPM
+        return self.drum_radius is not None and fastest < self.critical_speed_rpm
+
+    @property
+    def takes_speeds(self) -> bool:
+        """Whether the cases of a data set give it their speeds: a drum that has no schedule of its own."""
+        return self.drum_radius is not None and self.rotation.is_constant
+
+    @property
+    def fall_height(self) -> float | None:
+        """The farthest that a sphere can fall inside, m; None in open space."""
+        if self.drum_radius is not None:
+            return 2.0 * self.drum_radius
+        return None if self.room is None else self.room.upper[2] - self.room.lower[2]
+
+    def at_speed(self, speed_rpm: float) -> Scene:
+        """The same scene turning at one constant speed from ``start_time`` on."""
+        rotation = replace(self.rotation, times=(self.start_time,), speeds_rpm=(float(speed_rpm),))
+        return replace(self, rotation=rotation)
+
+    def at_rest(self) -> Scene:
+        """The same scene with walls that never move or open, for filling and settling."""
+        walls = tuple(replace(wall, motion=None, opens=None) for wall in self.walls)
+        return replace(self, walls=walls, rotation=replace(self.rotation, times=(0.0,), speeds_rpm=(0.0,)))
+
+    def fresh_filling(self, seed: int) -> ParticleState:
+        """N spheres in the container without overlap, at time 0: on a jittered lattice, or where they are placed.
+
+        Args:
+            seed: of the jitter, of the choice among the topmost sites, and of which sphere has which size and
+                material.
+
+        Raises:
+            SceneError: more spheres than sites.
+        """
+        filling, rng = self.filling, np.random.default_rng(seed)
+        position = self._placed() if filling.positions else self._on_lattice(rng)
+        radius = filling.radius * filling.sizes.sample(filling.count, rng)
+        velocity, spin = (
+            np.array(given, float).reshape(-1, 3) if given else np.zeros_like(position)
+            for given in (filling.velocities, filling.spins)
+        )
+        velocity = velocity + filling.expansion * position
+        return ParticleState(position, velocity, spin, radius, material=filling.materials(rng))
+
+    def _placed(self) -> FloatArray:
+        return np.array(self.filling.positions, float).reshape(-1, 3)
+
+    def _on_lattice(self, rng: np.random.Generator) -> FloatArray:
+        filling, sites = self.filling, self._lattice_sites()
+        if len(sites) < filling.count:
+            raise SceneError(
+                f"scene.filling.count={filling.count} spheres of {2 * filling.largest_radius:g} m do not fit; "
+                f"this container has room for {len(sites)}"
+            )
+        # Lowest first; sites of one height in random order, so that a part-filled top layer is even.
+        order = np.lexsort((rng.random(len(sites)), np.round(sites[:, 2], 9)))
+        position = sites[order[: filling.count]]
+        return position + rng.uniform(-1.0, 1.0, position.shape) * filling.offset
+
+    def _lattice_sites(self) -> FloatArray:
+        if self.drum_radius is not None and self.length is not None:
+            return drum_sites(self.filling, self.drum_radius, self.length, self.periodic_axis)
+        if self.room is not None:
+            return room_sites(self.filling, self.room)
+        if self.walls:
+            raise SceneError(f"scene {self.name!r} has no container to fill; give a state or scene.filling.positions")
+        return open_sites(self.filling)

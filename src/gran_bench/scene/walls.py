@@ -1,0 +1,214 @@
+"""Analytic walls, a few lines each: where they are, how they move, and until when they are there.
+
+A flat wall and an infinite cylinder contain: particles live on one side. Every other wall is a thin surface of
+revolution, given by a straight segment in the half plane of (distance from the axis, height along it); particles
+may touch it from both sides and at its rims.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from gran_bench.scene.errors import SceneError
+from gran_bench.scene.motion import Motion, Vector, check_unit
+
+Segment = tuple[tuple[float, float], tuple[float, float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surface:
+    """What all walls have.
+
+    Attributes:
+        turns: whether the surface moves with the scene's rotation.
+        motion: what it does instead: ``Spin``, ``Translation`` or ``Vibration``; None for nothing of its own.
+        opens: time from which the wall is not there, s; None: it stays. While a bed settles, it is there.
+    """
+
+    turns: bool = True
+    motion: Motion | None = None
+    opens: float | None = None
+
+    @property
+    def contains(self) -> bool:
+        """Whether particles live on one side of it, so that one beyond has escaped."""
+        return self.meridian is None
+
+    @property
+    def meridian(self) -> Segment | None:
+        """(ρ₀, s₀) and (ρ₁, s₁) of a surface of revolution, m; None for a wall without an end."""
+        return None
+
+
+@dataclass(frozen=True)
+class Plane(Surface):
+    """A flat wall without an end; particles live on the side that ``normal`` points to.
+
+    Attributes:
+        point: a point of the plane, m.
+        normal: unit normal into the container.
+    """
+
+    point: Vector
+    normal: Vector
+
+    def __post_init__(self) -> None:
+        check_unit("plane.normal", self.normal)
+
+
+@dataclass(frozen=True)
+class Cylinder(Surface):
+    """The inside of an infinite cylinder, or with a length a thin tube that has two sides and two rims.
+
+    Attributes:
+        point: a point on the axis, m; with a length the middle of the tube.
+        axis: unit vector along the axis.
+        radius: m.
+        length: m; None for no end.
+    """
+
+    point: Vector
+    axis: Vector
+    radius: float
+    length: float | None = None
+
+    def __post_init__(self) -> None:
+        check_unit("cylinder.axis", self.axis)
+        _check_size("cylinder.radius", self.radius)
+        if self.length is not None:
+            _check_size("cylinder.length", self.length)
+
+    @property
+    def meridian(self) -> Segment | None:
+        """A line along the axis; None without an end."""
+        if self.length is None:
+            return None
+        return ((self.radius, -0.5 * self.length), (self.radius, 0.5 * self.length))
+
+
+@dataclass(frozen=True)
+class Disc(Surface):
+    """A thin disc with two sides, or a ring where it has a hole.
+
+    Attributes:
+        point: the middle, m.
+        normal: unit vector.
+        radius: m.
+        hole: radius of the hole, m.
+    """
+
+    point: Vector
+    normal: Vector
+    radius: float
+    hole: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_unit("disc.normal", self.normal)
+        _check_size("disc.radius", self.radius)
+        if not 0.0 <= self.hole < self.radius:
+            raise SceneError(f"disc.hole={self.hole:g} is impossible; choose a value in [0, {self.radius:g}) m")
+
+    @property
+    def axis(self) -> Vector:
+        """Of revolution."""
+        return self.normal
+
+    @property
+    def meridian(self) -> Segment:
+        """A line away from the axis."""
+        return ((self.hole, 0.0), (self.radius, 0.0))
+
+
+@dataclass(frozen=True)
+class Cone(Surface):
+    """A thin frustum of a cone with two sides.
+
+    Attributes:
+        point: where the axis meets the first rim's plane, m.
+        axis: unit vector from the first rim to the second.
+        radius: of the first rim, m; 0 for a tip.
+        end_radius: of the second rim, m.
+        length: along the axis, m.
+    """
+
+    point: Vector
+    axis: Vector
+    radius: float
+    end_radius: float
+    length: float
+
+    def __post_init__(self) -> None:
+        check_unit("cone.axis", self.axis)
+        _check_size("cone.length", self.length)
+        if not (min(self.radius, self.end_radius) >= 0 and math.isfinite(self.radius + self.end_radius)):
+            raise SceneError(
+                f"cone.radius={self.radius:g} and cone.end_radius={self.end_radius:g} are impossible; choose values ≥ 0"
+            )
+
+    @property
+    def meridian(self) -> Segment:
+        """The line that sweeps the cone."""
+        return ((self.radius, 0.0), (self.end_radius, self.length))
+
+
+Wall = Plane | Cylinder | Disc | Cone
+
+
+def turns_into_itself(wall: Wall, axis: Vector, point: Vector) -> bool:
+    """Whether a wall has the same shape after any rotation about an axis through a point."""
+    direction = wall.normal if isinstance(wall, Plane) else wall.axis
+    aligned = _length_of_cross(axis, direction) < 1e-9
+    offset = tuple(a - b for a, b in zip(wall.point, point, strict=True))
+    return aligned and (isinstance(wall, Plane) or _length_of_cross(offset, axis) < 1e-9)
+
+
+def _length_of_cross(a: Vector, b: Vector) -> float:
+    # Many times as fast as NumPy's for two single vectors, and asked for at every frame.
+    return math.hypot(a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def box(lower: Vector, upper: Vector, **common: object) -> tuple[Plane, ...]:
+    """The six planes of a box, at −x, +x, −y, +y, −z, +z.
+
+    Args:
+        lower, upper: corners, m.
+        common: what all six have: ``turns``, ``motion``, ``opens``.
+
+    Raises:
+        SceneError: a box without room.
+    """
+    if not all(a < b for a, b in zip(lower, upper, strict=True)):
+        raise SceneError(f"box from {list(lower)} to {list(upper)} has no room; give an upper corner above the lower")
+    planes = []
+    for axis in range(3):
+        for corner, sign in ((lower, 1.0), (upper, -1.0)):
+            normal = tuple(sign if k == axis else 0.0 for k in range(3))
+            planes.append(Plane(tuple(corner), normal, **common))
+    return tuple(planes)
+
+
+@dataclass(frozen=True)
+class Outlet:
+    """A plane through which spheres leave: one whose centre is beyond it at a frame takes no further part.
+
+    Attributes:
+        point: the middle of the outlet, m.
+        normal: unit vector towards the spheres that are still in.
+        radius: m; one that leaves farther than this from the middle came through a wall, which is an error.
+            None: wherever.
+    """
+
+    point: Vector
+    normal: Vector
+    radius: float | None = None
+
+    def __post_init__(self) -> None:
+        check_unit("outlet.normal", self.normal)
+        if self.radius is not None:
+            _check_size("outlet.radius", self.radius)
+
+
+def _check_size(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0):
+        raise SceneError(f"{name}={value:g} is impossible; choose a value > 0 m")
