@@ -252,7 +252,7 @@ def _law(buffer, size, law, tangential, dt):
             inside = (hx * hx + hy * hy + hz * hz) * before
             keep = math.sqrt(length * min(before, overlap) / inside) if inside > 0.0 else 0.0
             hx, hy, hz = (keep * hx, keep * hy, keep * hz) if before > 0.0 else (0.0, 0.0, 0.0)
-            load = shear * contact_radius * dt
+            load = shear * 0.5 * (contact_radius + math.sqrt(buffer[RS + k] * min(before, overlap))) * dt
             hx, hy, hz = hx - load * sx, hy - load * sy, hz - load * sz
             fx, fy, fz = hx - drag * sx, hy - drag * sy, hz - drag * sz
             squared, limit = fx * fx + fy * fy + fz * fz, friction * normal
