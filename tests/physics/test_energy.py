@@ -60,8 +60,9 @@ def cycle_work(path, substeps=400):
     material = Material(1e7, 0.3, 2500.0, 1.0, 50.0)  # no slip, no damping
     law = ContactLaw.between(material, material)
     normal = np.array([[1.0, 0.0, 0.0]])
-    history, before, work, force = np.zeros((1, 3)), np.zeros(1), 0.0, np.zeros(3)
     corners = np.array(path)
+    # The contact is there when the path starts.
+    history, before, work, force = np.zeros((1, 3)), corners[:1, 0], 0.0, np.zeros(3)
     for start, end in pairwise(corners):
         for k in range(1, substeps + 1):
             overlap = start[0] + (end[0] - start[0]) * k / substeps

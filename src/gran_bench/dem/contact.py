@@ -9,8 +9,9 @@ Tangential force on the first particle, with slip velocity v_t of its contact po
     f_t = h − α √(m* K) δ^{1/4} v_t,    |f_t| ≤ μ F_n
 
 where the elastic part h is the history. It is turned with the contact plane at constant length, reduced by
-√(δ/δ_before) when the normal load drops, and then loaded by −8 G* √(R* δ) v_t Δt. When f_t slips, h and f_t are
-rescaled together.
+√(δ/δ_before) when the normal load drops, and then loaded by −8 G* a v_t Δt, where a is √(R* δ), or while δ grows its
+mean over the step: with the last value alone, the spin that a sticking impact gives is wrong by 2 % at t_c/200. When
+f_t slips, h and f_t are rescaled together.
 """
 
 from __future__ import annotations
@@ -146,7 +147,8 @@ def contact_force(
     turned = np.divide(length, inside, out=np.zeros_like(length), where=inside > 0)
     ratio = np.divide(overlap, overlap_before, out=np.zeros_like(overlap), where=overlap_before > 0)
     history = (turned * np.sqrt(np.minimum(1.0, ratio)))[:, None] * history
-    history = history - (8.0 * law.effective_shear_modulus * contact_radius * time_step)[:, None] * slip
+    mean_radius = 0.5 * (contact_radius + np.sqrt(effective_radius * np.minimum(overlap, overlap_before)))
+    history = history - (8.0 * law.effective_shear_modulus * mean_radius * time_step)[:, None] * slip
     tangential = history - drag[:, None] * slip
     size, limit = np.linalg.norm(tangential, axis=1), law.friction * load
     scale = np.divide(limit, size, out=np.ones_like(size), where=size > limit)[:, None]
