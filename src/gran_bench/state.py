@@ -82,8 +82,8 @@ class ParticleState:
             array = getattr(self, name)
             if array.shape != (count, 3):
                 raise StateError(f"{name} has shape {array.shape}; expected ({count}, 3)")
-            bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
-            if len(bad):
+            if not np.isfinite(array).all():
+                bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
                 raise StateError(
                     f"{name} is not finite for particles {name_some(bad)}; "
                     "remove them or repair their values before the run"

@@ -20,7 +20,7 @@ FORMAT_VERSION = 2  # of the files; a change makes every case anew
 NUDGE = 1.0e-9  # m, of a replica's settled state
 
 # The code that decides where particles go.
-_DEM_ROOMS = ("dem", "neighbors.py", "scene")
+_DEM_ROOMS = ("dem", "neighbors", "scene")
 
 
 class DatasetError(RuntimeError):

@@ -10,9 +10,11 @@ import sys
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
+from gran_bench.dem.kernel import kernel
 from gran_bench.state import FloatArray
 
 # Places of a gate, a cache line apart.
@@ -53,9 +55,9 @@ def _yield_core(typing):
 
     def emit(context, builder, signature, values):
         if sys.platform != "win32":
-            function = ir.Function(
+            function = cgutils.get_or_insert_function(
                 builder.module, ir.FunctionType(ir.IntType(32), []), "sched_yield"
-            ) if "sched_yield" not in builder.module.globals else builder.module.globals["sched_yield"]
+            )
             builder.call(function, [])
         return context.get_dummy_value()
 
@@ -63,13 +65,11 @@ def _yield_core(typing):
 
 
 def _element(context, builder, signature, values):
-    from numba.core import cgutils
-
     array = cgutils.create_struct_proxy(signature.args[0])(context, builder, values[0])
     return builder.gep(array.data, [context.cast(builder, values[1], signature.args[1], types.int64)])
 
 
-@njit(error_model="numpy")
+@kernel
 def meet(gate, threads):
     """Waits until all threads are here, or one of them gave up."""
     if threads == 1:

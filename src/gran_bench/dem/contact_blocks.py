@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from gran_bench.dem.contact import PREDICTION_FADE
 from gran_bench.dem.contact_list import closer
+from gran_bench.dem.kernel import kernel
 from gran_bench.dem.rows import (
     BLOCK,
     gather_difference,
@@ -44,7 +44,7 @@ MODULUS, SHEAR, DAMPING, FRICTION, ROLLING = (k * BLOCK for k in range(45, 50)) 
 BUFFER_SIZE = 50 * BLOCK
 
 
-@njit(error_model="numpy")
+@kernel
 def fill_sizes(buffer, lane, r1, r2, inverse_mass):
     """Reach, skew, R* and m* of the contact of radii r₁ and r₂ into one lane; 1/m* is given."""
     buffer[REACH + lane], buffer[SKEW + lane] = r1 + r2, (r1 - r2) * (r1 + r2)
@@ -52,14 +52,14 @@ def fill_sizes(buffer, lane, r1, r2, inverse_mass):
     buffer[MS + lane], buffer[INVERSE_MS + lane] = 1.0 / inverse_mass, inverse_mass
 
 
-@njit(error_model="numpy")
+@kernel
 def fill_law(buffer, lane, law):
     """(4/3 E*, 8 G*, α, μ, μ_r) into one lane."""
     buffer[MODULUS + lane], buffer[SHEAR + lane], buffer[DAMPING + lane] = law[0], law[1], law[2]
     buffer[FRICTION + lane], buffer[ROLLING + lane] = law[3], law[4]
 
 
-@njit(error_model="numpy")
+@kernel
 def pair_forces(
     sphere, velocity, spin, ahead, material, force, torque, pair_i, pair_j, near, begin, end,
     slot, moment, touched, evaluation, active, buffer, laws, period, tangential, rolling, unequal, several, dt,
@@ -147,7 +147,7 @@ def pair_forces(
             touched[p3] = evaluation
 
 
-@njit(error_model="numpy")
+@kernel
 def pair_geometry(buffer, size, tangential, unequal):
     """Offsets of a block → normals, overlaps, gains along the normal, lever arms and surface spins."""
     half = buffer.dtype.type(0.5)
@@ -174,7 +174,7 @@ def pair_geometry(buffer, size, tangential, unequal):
             buffer[WX + k], buffer[WY + k], buffer[WZ + k], buffer[ARM_1 + k] = wx, wy, wz, arm
 
 
-@njit(error_model="numpy")
+@kernel
 def contact_law(buffer, size, tangential, dt):
     """Force on the first of each contact of a block, n × f_t, and the new history (see contact.py)."""
     zero, half, one = buffer.dtype.type(0.0), buffer.dtype.type(0.5), buffer.dtype.type(1.0)
@@ -219,7 +219,7 @@ def contact_law(buffer, size, tangential, dt):
         buffer[BEFORE + k] = overlap
 
 
-@njit(error_model="numpy")
+@kernel
 def rolling_law(buffer, size, dt):
     """Rolling moment on the first of each contact of a block (see rolling.py); after contact_law."""
     zero, one, step = buffer.dtype.type(0.0), buffer.dtype.type(1.0), buffer.dtype.type(dt)
@@ -243,7 +243,7 @@ def rolling_law(buffer, size, dt):
         buffer[MX + k], buffer[MY + k], buffer[MZ + k] = scale * mx, scale * my, scale * mz
 
 
-@njit(error_model="numpy")
+@kernel
 def pair_torques(buffer, size, unequal):
     """n × f_t of a block → torque on the first, and on the second where its lever arm is another."""
     for k in range(size):

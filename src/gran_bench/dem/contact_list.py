@@ -14,8 +14,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from gran_bench.dem.kernel import kernel
 from gran_bench.dem.rows import squared_gap
 from gran_bench.neighbors import list_pairs
 
@@ -25,7 +25,7 @@ INNER_SHARE = 0.25
 OVERLAP, ROLLING_MOMENT = 3, 4
 
 
-@njit(error_model="numpy")
+@kernel
 def list_contacts(sphere, count, begin, end, skin, period, known_first, known_second, known, evaluation, rolling):
     """The pairs within the skin whose first particle is in ``begin … end − 1``, with the history of known contacts.
 
@@ -65,7 +65,7 @@ def list_contacts(sphere, count, begin, end, skin, period, known_first, known_se
     return pair_i, pair_j, start, slot, moment, touched
 
 
-@njit(error_model="numpy")
+@kernel
 def _sorted_pairs(first, second, begin, end, count):
     """Pairs in the order of (first, second), the spare pair (N, N + 1) after them, and where each first's begin.
 
@@ -96,27 +96,44 @@ def _sorted_pairs(first, second, begin, end, count):
     return pair_i, pair_j, start[: end - begin + 1].copy()
 
 
-@njit(error_model="numpy")
-def touching_contacts(pair_i, pair_j, slot, moment, touched, evaluation):
-    """The pairs that an evaluation found touching: ``(C,)`` first, ``(C,)`` second, ``(C, 7)`` memory."""
+@kernel
+def touching_contacts(
+    pair_i, pair_j, slot, moment, touched, wall_i, wall_w, wall_slot, wall_moment, wall_touched, evaluation
+):  # fmt: skip
+    """The contacts that an evaluation found touching, pairs and then walls.
+
+    Returns:
+        ``(C,)`` first, ``(C,)`` second (−1 − w for wall w), ``(C, 7)`` what they remember.
+    """
     count = 0
-    for p in range(len(pair_i) - 1):
+    for p in range(len(touched) - 1):
         count += touched[p] == evaluation
+    pairs = count
+    for p in range(len(wall_touched) - 1):
+        count += wall_touched[p] == evaluation
     first, second, known = np.empty(count, np.int64), np.empty(count, np.int64), np.zeros((count, 7))
-    c = 0
-    for p in range(len(pair_i) - 1):
+    _copy_touching(pair_i, pair_j, 1, 0, slot, moment, touched, evaluation, first, second, known, 0)
+    _copy_touching(
+        wall_i, wall_w, -1, -1, wall_slot, wall_moment, wall_touched, evaluation, first, second, known, pairs
+    )
+    return first, second, known
+
+
+@kernel
+def _copy_touching(pair_i, pair_j, sign, shift, slot, moment, touched, evaluation, first, second, known, c):
+    """Writes the contacts that an evaluation found touching from place c on; their second is ``sign × j + shift``."""
+    for p in range(len(touched) - 1):
         if touched[p] == evaluation:
-            first[c], second[c] = pair_i[p], pair_j[p]
+            first[c], second[c] = pair_i[p], sign * np.int64(pair_j[p]) + shift
             for k in range(4):
                 known[c, k] = slot[p, k]
             if len(moment) > 1:
                 for k in range(3):
                     known[c, ROLLING_MOMENT + k] = moment[p, k]
             c += 1
-    return first, second, known
 
 
-@njit(error_model="numpy")
+@kernel
 def closer(sphere, pair_i, pair_j, among, reach, period, near):
     """Fills ``near`` with the pairs whose surfaces are closer than ``reach``, in their order; returns their number.
 
@@ -141,7 +158,7 @@ def closer(sphere, pair_i, pair_j, among, reach, period, near):
     return found
 
 
-@njit(error_model="numpy")
+@kernel
 def wrapped_gap(sphere, i, j, margin, period):
     """``squared_gap`` with y taken to the nearest image, m²."""
     dx, dy, dz = sphere[j, 0] - sphere[i, 0], sphere[j, 1] - sphere[i, 1], sphere[j, 2] - sphere[i, 2]
@@ -150,7 +167,7 @@ def wrapped_gap(sphere, i, j, margin, period):
     return dx * dx + dy * dy + dz * dz - reach * reach
 
 
-@njit(error_model="numpy")
+@kernel
 def largest_displacement(sphere, reference, begin, end):
     """max ‖x − x_ref‖ over the particles ``begin … end − 1``, m; ``reference`` begins with particle ``begin``."""
     largest = 0.0

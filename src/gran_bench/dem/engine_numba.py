@@ -20,14 +20,16 @@ from __future__ import annotations
 
 import hashlib
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numba import njit
 
 from gran_bench import neighbors
 from gran_bench.dem import barrier
 from gran_bench.dem.integrate import Divergence, Physics
-from gran_bench.dem.stretch import bodies_in_order, keyed, run_chunks
+from gran_bench.dem.stretch import bodies_in_order, run_chunks
 from gran_bench.state import ContactHistory, FloatArray, ParticleState
 
 # Particles from which on a bed is cut into 2, 4, 8, 16 chunks: each large beside what lies at its rim.
@@ -60,11 +62,11 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
     if state.count == 0:
         return state
     history, bounds = state.history, chunk_bounds(state.count)
-    order, *bodies = _bodies_in_order(
-        np.array(state.position, np.float64), np.array(state.velocity, np.float64),
-        np.array(state.angular_velocity, np.float64), np.array(state.radius, np.float64),
-        np.array(state.material, np.uint8), physics.density, physics.period,
-    )  # fmt: skip
+    position, velocity, spin = (
+        np.array(array, np.float64) for array in (state.position, state.velocity, state.angular_velocity)
+    )
+    radius, material = np.array(state.radius, np.float64), np.array(state.material, np.uint8)
+    bodies = _bodies_in_order(position, velocity, spin, radius, material, physics.density, physics.period)
     chunks = len(bounds) - 1
     threads = max(1, min(physics.threads, chunks))
     shape = (chunks, state.count + 2, 4)
@@ -80,15 +82,12 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
     )  # fmt: skip
 
     def run(thread: int):
-        return _run_chunks(thread, threads, *shared, order, *bodies, *loads, *what)
+        return _run_chunks(thread, threads, *shared, position, velocity, spin, *bodies, *loads, *what)
 
     results = run_together(run, threads, shared[0])
-    position, velocity, spin = (np.empty((state.count, 3)) for _ in range(3))
-    for body, target in zip(bodies[:3], (position, velocity, spin), strict=True):
-        target[order] = body[: state.count, :3]
     culprit, done = results[0][:2]
     if culprit >= 0:
-        raise Divergence(int(order[culprit]), int(done), position, velocity, spin)
+        raise Divergence(int(bodies[0][culprit]), int(done), position, velocity, spin)
     first, second, memory = (np.concatenate([result[k] for result in results]) for k in (2, 3, 4))
     contacts = ContactHistory(first, second, memory[:, :3].copy(), memory[:, 3].copy(), memory[:, 4:].copy())
     return ParticleState(
@@ -121,9 +120,17 @@ def run_together(run, threads: int, gate: np.ndarray) -> list:
     return results
 
 
-def _digest_of_sources() -> str:
-    files = [*sorted(Path(__file__).parent.glob("*.py")), Path(neighbors.__file__)]
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+def _compiled(function: Callable, **options) -> Callable:
+    """The jitted function, cached on disk under the digest of everything that it is compiled from.
+
+    Numba keys its cache by the file of the function alone; a kernel of another file that changed would be found under
+    the old key. The function's name is part of the name of the cache.
+    """
+    files = [path for room in (__file__, neighbors.__file__) for path in sorted(Path(room).parent.glob("*.py"))]
+    digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+    function.__qualname__ = f"{function.__name__}_{digest[:16]}"
+    return njit(cache=True, error_model="numpy", **options)(function)
 
 
-_bodies_in_order, _run_chunks = keyed(_digest_of_sources())
+_bodies_in_order = _compiled(bodies_in_order)
+_run_chunks = _compiled(run_chunks, nogil=True)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from gran_bench.dem.barrier import meet
 from gran_bench.dem.contact_blocks import BLOCK, BUFFER_SIZE, fill_law, fill_sizes, pair_forces
@@ -22,6 +21,7 @@ from gran_bench.dem.contact_list import (
     list_contacts,
     touching_contacts,
 )
+from gran_bench.dem.kernel import kernel
 from gran_bench.dem.rows import kick_row, move_row, twist_row
 from gran_bench.dem.wall_contacts import list_wall_contacts, wall_forces
 from gran_bench.neighbors import bin_cells
@@ -32,44 +32,20 @@ CELL_EDGE = 1.1
 FASTEST, CULPRIT, SINCE_PRUNING, SINCE_SEARCH = range(4)
 
 
-def keyed(sources: str):
-    """The jitted functions of a stretch, cached on disk under the digest of everything that they are compiled from.
-
-    Numba keys its cache by the file of the function alone; a kernel of another file that changed would be found
-    under the old key. A closure's variables are part of the key.
-    """
-
-    @njit(cache=True, error_model="numpy")
-    def in_order(position, velocity, spin, radius, material, density, period):
-        sources  # noqa: B018 (the key)
-        return bodies_in_order(position, velocity, spin, radius, material, density, period)
-
-    @njit(cache=True, error_model="numpy", nogil=True)
-    def run(
-        thread, threads, gate, bounds, reach, told, order, sphere, velocity, spin, ahead, material, force, torque,
-        first, second, known, pair_laws, wall_laws, walls, gravity, period, skin, dt, tangential, rolling, precision,
-    ):  # fmt: skip
-        sources  # noqa: B018 (the key)
-        return run_chunks(
-            thread, threads, gate, bounds, reach, told, order, sphere, velocity, spin, ahead, material, force, torque,
-            first, second, known, pair_laws, wall_laws, walls, gravity, period, skin, dt, tangential, rolling, precision,
-        )  # fmt: skip
-
-    return in_order, run
-
-
-@njit(error_model="numpy")
 def run_chunks(
-    thread, threads, gate, bounds, reach, told, order, sphere, velocity, spin, ahead, material, force, torque,
+    thread, threads, gate, bounds, reach, told, position, linear, angular, order, sphere, velocity, spin, ahead, material, force, torque,
     first, second, known, pair_laws, wall_laws, walls, gravity, period, skin, dt, tangential, rolling, precision,
 ):  # fmt: skip
-    """One thread's share of ``len(walls) − 1`` steps; the bodies are advanced in place.
+    """One thread's share of ``len(walls) − 1`` steps.
+
+    Positions are wrapped only where the stretch ends, so that displacements stay true in between.
 
     Args:
         thread, threads: which of how many.
         gate: of barrier.py.
         bounds, reach: ``(C + 1,)`` first particle of each chunk; ``(C,)`` end of what its pairs touch.
         told: ``(threads, ≥ 4)`` what threads tell each other.
+        position, linear, angular: ``(N, 3)`` position, velocity and spin at the end, written here.
         order: ``(N,)`` particle of each row.
         sphere, velocity, spin, ahead, material: rows in that order and two spare ones.
         force, torque: ``(C, N + 2, 4)`` zeros.
@@ -89,7 +65,8 @@ def run_chunks(
     rank = np.empty(count, np.int64)
     for row in range(count):
         rank[order[row]] = row
-    first, second, known = renamed(first, second, known, rank)
+    first, second, known = first.copy(), second.copy(), known.copy()
+    rename(first, second, known, rank)
     unequal, several = _sizes_differ(sphere, count), len(pair_laws) > 1
     buffer, wall_buffer = np.zeros(BUFFER_SIZE, precision.dtype), np.zeros(BUFFER_SIZE, precision.dtype)
     near_start = np.zeros(stop - chunk + 1, np.int64)
@@ -98,9 +75,11 @@ def run_chunks(
         fill_law(buffer, lane, pair_laws[0, 0])
 
     # No lists yet: the first evaluation makes them.
-    pair_i, pair_j, start, near, active, wall_i, wall_w, wall_active = [np.empty(0, np.uint32) for _ in range(8)]
-    slot, moment, wall_slot, wall_moment, geometry, searched_at, pruned_at = [np.empty((0, 4)) for _ in range(7)]
-    touched, wall_touched = np.empty(0, np.int32), np.empty(0, np.int32)
+    nobody, nothing, never = np.empty(0, np.uint32), np.empty((0, 4)), np.empty(0, np.int32)
+    pair_i, pair_j, start, everyone, near, active = nobody, nobody, nobody, nobody, nobody, nobody
+    wall_i, wall_w, wall_active, wall_start = nobody, nobody, nobody, np.empty(0, np.int64)
+    slot, moment, wall_slot, wall_moment, geometry = nothing, nothing, nothing, nothing, nothing
+    searched_at, pruned_at, touched, wall_touched = nothing, nothing, never, never
     culprit, done, travelled, since_search = np.int64(-1), 0, np.inf, np.inf
     fastest_allowed = (0.25 * _smallest_radius(sphere, count) / dt) ** 2
     # Evaluation 1 is of the state itself and loads no history. Number steps + 1 is the last of the stretch; after it
@@ -142,24 +121,25 @@ def run_chunks(
         if travelled > 0.5 * inner:
             if since_search > 0.5 * (skin - inner):
                 if evaluation > 1:
-                    first, second, known = _touching(
+                    first, second, known = touching_contacts(
                         pair_i, pair_j, slot, moment, touched,
                         wall_i, wall_w, wall_slot, wall_moment, wall_touched, evaluation - 1,
                     )  # fmt: skip
                 pair_i, pair_j, start, slot, moment, touched = list_contacts(
                     sphere, count, begin, end, skin, period, first, second, known, np.int64(evaluation - 1), rolling
                 )
-                wall_i, wall_w, wall_slot, wall_moment, wall_touched = list_wall_contacts(
-                    sphere, material, begin, end, len(pair_laws), walls, evaluation - 1, 0.5 * skin,
+                wall_i, wall_w, wall_start, wall_slot, wall_moment, wall_touched = list_wall_contacts(
+                    sphere, material, bounds, chunk, stop, len(pair_laws), walls, evaluation - 1, 0.5 * skin,
                     first, second, known, np.int64(evaluation - 1), rolling,
                 )  # fmt: skip
+                everyone = np.arange(len(pair_i)).astype(np.uint32)
                 near, active = np.empty(len(pair_i), np.uint32), np.empty(len(pair_i) + 4, np.uint32)
                 wall_active, geometry = np.empty(len(wall_i) + 4, np.uint32), np.empty((len(wall_i) + 4, 4))
                 searched_at, since_search = sphere[begin:end].copy(), 0.0
             found = 0
             for c in range(chunk, stop):
                 low, high = start[bounds[c] - begin], start[bounds[c + 1] - begin]
-                found += closer(sphere, pair_i, pair_j, range(low, high), inner, period, near[found:])
+                found += closer(sphere, pair_i, pair_j, everyone[low:high], inner, period, near[found:])
                 near_start[c - chunk + 1] = found
                 reach[c] = _end_of_reach(pair_j, near, near_start[c - chunk], found, bounds[c + 1])
             pruned_at, travelled = sphere[begin:end].copy(), 0.0
@@ -169,21 +149,25 @@ def run_chunks(
                 near, near_start[c - chunk], near_start[c - chunk + 1], slot, moment, touched, evaluation,
                 active, buffer, pair_laws, period, tangential, rolling, unequal, several, span,
             )  # fmt: skip
-        wall_forces(
-            sphere, velocity, spin, ahead, material, force, torque, bounds, chunk, wall_i, wall_w,
-            wall_slot, wall_moment, wall_touched, evaluation, wall_active, geometry, wall_buffer, wall_laws,
-            walls[evaluation - 1], tangential, rolling, span,
-        )  # fmt: skip
+            wall_forces(
+                sphere, velocity, spin, ahead, material, force[c], torque[c], wall_i, wall_w,
+                wall_start[c - chunk], wall_start[c - chunk + 1], wall_slot, wall_moment, wall_touched, evaluation,
+                wall_active, geometry, wall_buffer, wall_laws, walls[evaluation - 1], tangential, rolling, span,
+            )  # fmt: skip
         meet(gate, threads)
-    _wrap(sphere, begin, end, period)
-    first, second, known = _touching(
+    for row in range(begin, end):
+        i = order[row]
+        for k in range(3):
+            position[i, k], linear[i, k], angular[i, k] = sphere[row, k], velocity[row, k], spin[row, k]
+        if period > 0.0:
+            position[i, 1] = _wrapped(position[i, 1], period)
+    first, second, known = touching_contacts(
         pair_i, pair_j, slot, moment, touched, wall_i, wall_w, wall_slot, wall_moment, wall_touched, steps + 1
     )
-    first, second, known = renamed(first, second, known, order)
+    rename(first, second, known, order)
     return culprit, done, first, second, known
 
 
-@njit(error_model="numpy")
 def bodies_in_order(position, velocity, spin, radius, material, density, period):
     """Particles cell by cell, slab after slab along the longest axis, and rows of four in that order.
 
@@ -228,22 +212,21 @@ def bodies_in_order(position, velocity, spin, radius, material, density, period)
     return order, sphere, rates, spins, ahead, materials
 
 
-@njit(error_model="numpy")
-def renamed(first, second, known, name):
-    """Contacts with their particles called ``name[i]`` instead of i; the lower name first, walls as they are."""
-    new_first, new_second, new_known = np.empty_like(first), np.empty_like(second), known.copy()
+@kernel
+def rename(first, second, known, name):
+    """Calls the particles of contacts ``name[i]`` instead of i, in place; the lower name first, walls as they are."""
     for c in range(len(first)):
-        a = name[first[c]]
-        b = name[second[c]] if second[c] >= 0 else second[c]
-        if 0 <= b < a:
-            a, b = b, a
-            for k in (0, 1, 2, 4, 5, 6):
-                new_known[c, k] = -known[c, k]
-        new_first[c], new_second[c] = a, b
-    return new_first, new_second, new_known
+        a, b = name[first[c]], second[c]
+        if b >= 0:
+            b = name[b]
+            if b < a:
+                a, b = b, a
+                for k in (0, 1, 2, 4, 5, 6):
+                    known[c, k] = -known[c, k]
+        first[c], second[c] = a, b
 
 
-@njit(error_model="numpy")
+@kernel
 def _sizes_differ(sphere, count):
     for i in range(count):
         if sphere[i, 3] != sphere[0, 3]:
@@ -251,7 +234,7 @@ def _sizes_differ(sphere, count):
     return False
 
 
-@njit(error_model="numpy")
+@kernel
 def _smallest_radius(sphere, count):
     smallest = np.inf
     for i in range(count):
@@ -259,7 +242,7 @@ def _smallest_radius(sphere, count):
     return smallest
 
 
-@njit(error_model="numpy")
+@kernel
 def _end_of_reach(pair_j, near, begin, end, furthest):
     """One more than the last particle that these pairs touch, and at least ``furthest``."""
     for q in range(begin, end):
@@ -267,26 +250,7 @@ def _end_of_reach(pair_j, near, begin, end, furthest):
     return furthest
 
 
-@njit(error_model="numpy")
-def _touching(
-    pair_i, pair_j, slot, moment, touched, wall_i, wall_w, wall_slot, wall_moment, wall_touched, evaluation
-):  # fmt: skip
-    """The contacts that an evaluation found touching, pairs and then walls."""
-    pair_first, pair_second, pair_known = touching_contacts(pair_i, pair_j, slot, moment, touched, evaluation)
-    wall_first, wall, wall_known = touching_contacts(wall_i, wall_w, wall_slot, wall_moment, wall_touched, evaluation)
-    pairs, count = len(pair_first), len(pair_first) + len(wall_first)
-    first, second, known = np.empty(count, np.int64), np.empty(count, np.int64), np.empty((count, 7))
-    for c in range(count):
-        if c < pairs:
-            first[c], second[c] = pair_first[c], pair_second[c]
-        else:
-            first[c], second[c] = wall_first[c - pairs], -1 - wall[c - pairs]
-        for k in range(7):
-            known[c, k] = pair_known[c, k] if c < pairs else wall_known[c - pairs, k]
-    return first, second, known
-
-
-@njit(error_model="numpy")
+@kernel
 def _take_over(force, torque, bounds, reach, chunk, stop, tangential):
     """Moves what earlier chunks left for the particles of ``chunk … stop − 1`` to the loads of their own chunk."""
     for c in range(chunk, stop):
@@ -297,7 +261,7 @@ def _take_over(force, torque, bounds, reach, chunk, stop, tangential):
                     move_row(torque[earlier], torque[c], i)
 
 
-@njit(error_model="numpy")
+@kernel
 def _kick(velocity, spin, ahead, force, torque, bounds, chunk, stop, gravity, dt, rest, tangential, fastest_allowed):
     """Velocities forward by dt, and in ``ahead`` what the same acceleration adds in the ``rest`` of the step.
 
@@ -318,7 +282,7 @@ def _kick(velocity, spin, ahead, force, torque, bounds, chunk, stop, gravity, dt
     return fastest, culprit
 
 
-@njit(error_model="numpy")
+@kernel
 def _drift(sphere, velocity, begin, end, dt):
     for i in range(begin, end):
         sphere[i, 0] += dt * velocity[i, 0]
@@ -326,12 +290,11 @@ def _drift(sphere, velocity, begin, end, dt):
         sphere[i, 2] += dt * velocity[i, 2]
 
 
-@njit(error_model="numpy")
-def _wrap(sphere, begin, end, period):
-    """y into [−L/2, L/2); only where a stretch ends, so that displacements stay true in between."""
-    if period > 0.0:
-        for i in range(begin, end):
-            if not -0.5 * period <= sphere[i, 1] < 0.5 * period:
-                sphere[i, 1] -= period * math.floor(sphere[i, 1] / period + 0.5)
-                if sphere[i, 1] >= 0.5 * period:
-                    sphere[i, 1] -= period
+@kernel
+def _wrapped(y, period):
+    """y in [−L/2, L/2)."""
+    if not -0.5 * period <= y < 0.5 * period:
+        y -= period * math.floor(y / period + 0.5)
+        if y >= 0.5 * period:
+            y -= period
+    return y

@@ -8,18 +8,57 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from gran_bench.dem.contact_blocks import (
-    BEFORE, BLOCK, DELTA, FX, FY, FZ, GAIN, HX, HY, HZ, INVERSE_MS, MS, MX, NX, NY, NZ, PX, PY, PZ,
-    RS, TX, TY, TZ, VX, VY, VZ, WX, WY, WZ,
-    contact_law, fill_law, rolling_law,
+    AHEAD,
+    ARM_1,
+    AX,
+    AY,
+    AZ,
+    BEFORE,
+    BLOCK,
+    DELTA,
+    FORCE,
+    GAIN,
+    HX,
+    HY,
+    HZ,
+    INVERSE_MS,
+    MOMENT,
+    MS,
+    MX,
+    MY,
+    MZ,
+    NX,
+    NY,
+    NZ,
+    OFFSET,
+    PX,
+    PY,
+    PZ,
+    RS,
+    SLOT,
+    SPIN_SUM,
+    TORQUE,
+    VELOCITY,
+    VX,
+    VY,
+    VZ,
+    WX,
+    WY,
+    WZ,
+    contact_law,
+    fill_law,
+    pair_torques,
+    rolling_law,
 )  # fmt: skip
 from gran_bench.dem.contact_list import ROLLING_MOMENT
+from gran_bench.dem.kernel import kernel
+from gran_bench.dem.rows import gather_rows, scatter_rows, scatter_sum
 from gran_bench.dem.walls import ABSENT, CYLINDER, PATH, PLANE
 
 
-@njit(error_model="numpy")
+@kernel
 def toward_wall(walls, w, x, y, z):
     """Distance of a point from wall w, and the unit vector to it; the rules of :func:`walls.wall_contact`.
 
@@ -55,7 +94,7 @@ def toward_wall(walls, w, x, y, z):
     return distance, across * ox + up * ax, across * oy + up * ay, across * oz + up * az
 
 
-@njit(error_model="numpy")
+@kernel
 def _any_normal_to(ax, ay, az):
     """A unit vector across a unit vector; the one of :func:`walls.any_normal_to`."""
     if abs(ax) <= abs(ay) and abs(ax) <= abs(az):
@@ -68,15 +107,17 @@ def _any_normal_to(ax, ay, az):
     return inverse * x, inverse * y, inverse * z
 
 
-@njit(error_model="numpy")
+@kernel
 def list_wall_contacts(
-    sphere, material, begin, end, kinds, walls, row, margin, known_first, known_second, known, evaluation, rolling
+    sphere, material, bounds, chunk, stop, kinds, walls, row, margin, known_first, known_second, known, evaluation,
+    rolling,
 ):  # fmt: skip
-    """Particles ``begin … end − 1`` and walls that may touch in the rest of a stretch, with what they remember.
+    """Particles of ``chunk … stop − 1`` and walls that may touch in the rest of a stretch, with what they remember.
 
     Args:
         sphere, material: ``(N + 2, 4)`` x, y, z, r, m; ``(N + 2,)`` index.
-        begin, end: range of particles.
+        bounds: ``(C + 1,)`` first particle of each chunk.
+        chunk, stop: range of chunks.
         kinds: S, how many materials there are.
         walls: ``(steps + 1, W, 21)`` poses.
         row: of the poses that belong to these positions.
@@ -84,23 +125,28 @@ def list_wall_contacts(
         known_first, known_second, known, evaluation, rolling: as in :func:`contact_list.list_contacts`.
 
     Returns:
-        ``(M + 1,)`` particle and wall, wall by wall, material by material; ``(M + 1, 4)`` slots, ``(M + 1 or 1, 4)``
-        rolling moments and ``(M + 1,)`` number of the evaluation that last touched. The last place is spare.
+        ``(M + 1,)`` particle and wall, chunk by chunk, wall by wall, material by material; ``(chunks + 1,)`` place
+        of the first contact of each chunk; ``(M + 1, 4)`` slots, ``(M + 1 or 1, 4)`` rolling moments and ``(M + 1,)``
+        number of the evaluation that last touched. The last place is spare: the spare body N at the first wall.
     """
-    count = walls.shape[1]
+    begin, end, count = bounds[chunk], bounds[stop], walls.shape[1]
     room = (end - begin) * count + 1
     wall_i, wall_w = np.empty(room, np.uint32), np.empty(room, np.uint32)
+    start = np.zeros(stop - chunk + 1, np.int64)
     found = 0
-    for w in range(count):
-        reach = margin
-        for later in range(row + 1, len(walls)):
-            reach += walls[later, w, PATH]
-        for kind in range(kinds):
-            for i in range(begin, end):
-                distance = toward_wall(walls[row], w, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
-                wall_i[found], wall_w[found] = i, w
-                found += distance - sphere[i, 3] < reach and material[i] == kind
+    for c in range(chunk, stop):
+        for w in range(count):
+            reach = margin
+            for later in range(row + 1, len(walls)):
+                reach += walls[later, w, PATH]
+            for kind in range(kinds):
+                for i in range(bounds[c], bounds[c + 1]):
+                    distance = toward_wall(walls[row], w, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
+                    wall_i[found], wall_w[found] = i, w
+                    found += distance - sphere[i, 3] < reach and material[i] == kind
+        start[c - chunk + 1] = found
     wall_i, wall_w = wall_i[: found + 1].copy(), wall_w[: found + 1].copy()
+    wall_i[found], wall_w[found] = len(sphere) - 2, 0
     slot, touched = np.zeros((found + 1, 4)), np.full(found + 1, -1, np.int32)
     moment = np.zeros((found + 1 if rolling else 1, 4))
     # Known wall contacts of each particle as a chain.
@@ -121,100 +167,122 @@ def list_wall_contacts(
                 for k in range(3):
                     moment[p, k] = known[c, ROLLING_MOMENT + k]
             touched[p] = evaluation
-    return wall_i, wall_w, slot, moment, touched
+    return wall_i, wall_w, start, slot, moment, touched
 
 
-@njit(error_model="numpy")
+@kernel
 def wall_forces(
-    sphere, velocity, spin, ahead, material, force, torque, bounds, chunk, wall_i, wall_w, slot, moment, touched,
+    sphere, velocity, spin, ahead, material, force, torque, wall_i, wall_w, begin, end, slot, moment, touched,
     evaluation, active, geometry, buffer, laws, walls, tangential, rolling, dt,
 ):  # fmt: skip
-    """Adds the forces and torques of all touching walls and updates their slots.
+    """Adds the forces and torques of the touching walls among ``begin … end − 1`` and updates their slots.
 
     Args:
-        force, torque: ``(C, N + 2, 4)`` of all chunks; a particle's load goes to its own.
-        bounds, chunk: first particle of each chunk; the first chunk of this thread.
-        wall_i, wall_w: ``(M + 1,)`` particle and wall of each contact in reach, wall by wall, material by material.
-        active: ``(≥ M + 1,)`` scratch.
-        geometry: ``(≥ M + 1, 4)`` scratch: distance and direction of the touching ones.
+        wall_i, wall_w: ``(M + 1,)`` particle and wall of each contact in reach; those of one wall and one material
+            side by side.
+        begin, end: which of them.
+        active: ``(≥ M + 4,)`` scratch.
+        geometry: ``(≥ M + 4, 4)`` scratch: direction and distance of the touching ones.
         laws: ``(S, W, 5)`` of each material with each wall.
         walls: ``(W, 21)`` poses of this evaluation.
         The others: as in :func:`contact_blocks.pair_forces`.
     """
     touching = 0
-    for p in range(len(wall_i) - 1):
+    for p in range(begin, end):
         i = wall_i[p]
         distance, nx, ny, nz = toward_wall(walls, wall_w[p], sphere[i, 0], sphere[i, 1], sphere[i, 2])
-        geometry[touching, 0], geometry[touching, 1] = distance, nx
-        geometry[touching, 2], geometry[touching, 3] = ny, nz
+        geometry[touching, 0] = nx
+        geometry[touching, 1] = ny
+        geometry[touching, 2] = nz
+        geometry[touching, 3] = distance
         active[touching] = p
         touching += distance < sphere[i, 3]
-    begin = 0
-    while begin < touching:
-        w, kind = wall_w[active[begin]], material[wall_i[active[begin]]]
-        size = 1
+    first = 0
+    while first < touching:
+        w, kind = wall_w[active[first]], material[wall_i[active[first]]]
+        last = first + 1
         while (
-            size < BLOCK
-            and begin + size < touching
-            and wall_w[active[begin + size]] == w
-            and material[wall_i[active[begin + size]]] == kind
+            last < min(first + BLOCK, touching)
+            and wall_w[active[last]] == w
+            and material[wall_i[active[last]]] == kind
         ):
-            size += 1
+            last += 1
+        size = (last - first + 3) // 4 * 4
+        for k in range(0, size, 4):
+            g = np.uint32(first + k)
+            p0, p1, p2, p3 = _four(active, first + k, last, len(wall_i) - 1)
+            i0, i1, i2, i3 = wall_i[p0], wall_i[p1], wall_i[p2], wall_i[p3]
+            gather_rows(buffer, OFFSET, k, geometry, g, g + 1, g + 2, g + 3)
+            gather_rows(buffer, VELOCITY, k, velocity, i0, i1, i2, i3)
+            gather_rows(buffer, AHEAD, k, ahead, i0, i1, i2, i3)
+            if tangential:
+                gather_rows(buffer, SPIN_SUM, k, spin, i0, i1, i2, i3)
+                gather_rows(buffer, SLOT, k, slot, p0, p1, p2, p3)
+            if rolling:
+                gather_rows(buffer, MOMENT, k, moment, p0, p1, p2, p3)
+        for k in range(BLOCK):
+            fill_law(buffer, k, laws[kind, w])
         v0, v1, v2 = walls[w, 11], walls[w, 12], walls[w, 13]
         w0, w1, w2 = walls[w, 14], walls[w, 15], walls[w, 16]
         c0, c1, c2 = walls[w, 17], walls[w, 18], walls[w, 19]
         moves = v0 != 0.0 or v1 != 0.0 or v2 != 0.0 or w0 != 0.0 or w1 != 0.0 or w2 != 0.0
-        for k in range(size):
-            p = active[begin + k]
+        for k in range(last - first):
+            p = active[first + k]
             i = wall_i[p]
-            x, y, z, radius = sphere[i, 0], sphere[i, 1], sphere[i, 2], sphere[i, 3]
-            distance, nx = geometry[begin + k, 0], geometry[begin + k, 1]
-            ny, nz = geometry[begin + k, 2], geometry[begin + k, 3]
-            buffer[NX + k], buffer[NY + k], buffer[NZ + k], buffer[DELTA + k] = nx, ny, nz, radius - distance
-            buffer[RS + k] = radius
-            buffer[MS + k], buffer[INVERSE_MS + k] = 1.0 / velocity[i, 3], velocity[i, 3]
-            fill_law(buffer, k, laws[kind, w])
-            vx, vy, vz = velocity[i, 0], velocity[i, 1], velocity[i, 2]
+            nx, ny, nz = buffer[NX + k], buffer[NY + k], buffer[NZ + k]
+            distance = geometry[first + k, 3]
+            buffer[DELTA + k] = sphere[i, 3] - distance
+            buffer[ARM_1 + k] = distance
+            buffer[RS + k] = sphere[i, 3]
+            buffer[MS + k] = 1.0 / velocity[i, 3]
+            buffer[INVERSE_MS + k] = velocity[i, 3]
+            buffer[GAIN + k] = nx * buffer[AX + k] + ny * buffer[AY + k] + nz * buffer[AZ + k]
             if moves:
-                cx, cy, cz = x + distance * nx - c0, y + distance * ny - c1, z + distance * nz - c2
-                vx -= v0 + (w1 * cz - w2 * cy)
-                vy -= v1 + (w2 * cx - w0 * cz)
-                vz -= v2 + (w0 * cy - w1 * cx)
-            buffer[VX + k], buffer[VY + k], buffer[VZ + k] = vx, vy, vz
-            buffer[GAIN + k] = nx * ahead[i, 0] + ny * ahead[i, 1] + nz * ahead[i, 2]
-            if tangential:
-                sx, sy, sz = spin[i, 0], spin[i, 1], spin[i, 2]
-                buffer[WX + k], buffer[WY + k], buffer[WZ + k] = distance * sx, distance * sy, distance * sz
+                cx = sphere[i, 0] + distance * nx - c0
+                cy = sphere[i, 1] + distance * ny - c1
+                cz = sphere[i, 2] + distance * nz - c2
+                buffer[VX + k] -= v0 + (w1 * cz - w2 * cy)
+                buffer[VY + k] -= v1 + (w2 * cx - w0 * cz)
+                buffer[VZ + k] -= v2 + (w0 * cy - w1 * cx)
+            if rolling:
                 # What rolls on a turning wall rolls against the wall's own rotation.
-                buffer[PX + k], buffer[PY + k], buffer[PZ + k] = sx - w0, sy - w1, sz - w2
-                known = touched[p] == evaluation - 1
-                buffer[HX + k], buffer[HY + k], buffer[HZ + k] = slot[p, 0], slot[p, 1], slot[p, 2]
-                buffer[BEFORE + k] = slot[p, 3] if known else 0.0
-                if rolling:
-                    for c in range(3):
-                        buffer[MX + c * BLOCK + k] = moment[p, c] if known else 0.0
+                buffer[PX + k] = buffer[WX + k] - w0
+                buffer[PY + k] = buffer[WY + k] - w1
+                buffer[PZ + k] = buffer[WZ + k] - w2
+            if tangential:
+                buffer[WX + k] *= distance
+                buffer[WY + k] *= distance
+                buffer[WZ + k] *= distance
+                if touched[p] != evaluation - 1:
+                    buffer[HX + k], buffer[HY + k], buffer[HZ + k] = 0.0, 0.0, 0.0
+                    buffer[BEFORE + k] = 0.0
+                    if rolling:
+                        buffer[MX + k], buffer[MY + k], buffer[MZ + k] = 0.0, 0.0, 0.0
+            touched[p] = evaluation
         contact_law(buffer, size, tangential, dt)
         if rolling:
             rolling_law(buffer, size, dt)
-        home = chunk
-        for k in range(size):
-            p = active[begin + k]
-            i = wall_i[p]
-            while i >= bounds[home + 1]:
-                home += 1
-            force[home, i, 0] += buffer[FX + k]
-            force[home, i, 1] += buffer[FY + k]
-            force[home, i, 2] += buffer[FZ + k]
+        if tangential:
+            pair_torques(buffer, size, False)
+        for k in range(0, size, 4):
+            p0, p1, p2, p3 = _four(active, first + k, last, len(wall_i) - 1)
+            i0, i1, i2, i3 = wall_i[p0], wall_i[p1], wall_i[p2], wall_i[p3]
+            scatter_sum(force, i0, i1, i2, i3, buffer, FORCE, k)
             if tangential:
-                arm = geometry[begin + k, 0]
-                torque[home, i, 0] += arm * buffer[TX + k]
-                torque[home, i, 1] += arm * buffer[TY + k]
-                torque[home, i, 2] += arm * buffer[TZ + k]
-                slot[p, 0], slot[p, 1], slot[p, 2] = buffer[HX + k], buffer[HY + k], buffer[HZ + k]
+                scatter_sum(torque, i0, i1, i2, i3, buffer, TORQUE, k)
             if rolling:
-                for c in range(3):
-                    torque[home, i, c] += buffer[MX + c * BLOCK + k]
-                    moment[p, c] = buffer[MX + c * BLOCK + k]
-            slot[p, 3] = buffer[DELTA + k]
-            touched[p] = evaluation
-        begin += size
+                scatter_sum(torque, i0, i1, i2, i3, buffer, MOMENT, k)
+                scatter_rows(moment, p0, p1, p2, p3, buffer, MOMENT, k)
+            scatter_rows(slot, p0, p1, p2, p3, buffer, SLOT, k)
+        first = last
+
+
+@kernel
+def _four(active, begin, end, spare):
+    """Four of the active contacts from ``begin`` on; the spare one from ``end`` on."""
+    return (
+        active[begin],
+        active[begin + 1] if begin + 1 < end else np.uint32(spare),
+        active[begin + 2] if begin + 2 < end else np.uint32(spare),
+        active[begin + 3] if begin + 3 < end else np.uint32(spare),
+    )

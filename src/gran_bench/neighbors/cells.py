@@ -1,7 +1,4 @@
-"""Neighbour pairs: a KD-tree (readable, exact) and a jitted cell list (fast), with the same answer.
-
-A period L > 0 makes the y axis periodic: y lives in [−L/2, L/2) and distances take the nearest image.
-"""
+"""Neighbour pairs from a jitted cell list: fast, with the answer of the KD-tree (tree.py)."""
 
 from __future__ import annotations
 
@@ -9,63 +6,10 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from gran_bench.neighbors.lanes import LANES, clear_lowest, lowest_lane, near_lanes
+from gran_bench.neighbors.tree import IndexArray, check_period, wrapped
 from gran_bench.state import FloatArray
-
-IndexArray = NDArray[np.int64]
-
-
-def tree_pairs(position: FloatArray, reach: float, period: float = 0.0) -> IndexArray:
-    """All pairs closer than ``reach``, ``(M, 2)`` with i < j, sorted by i, then j.
-
-    Args:
-        position: ``(N, 3)`` m.
-        reach: m.
-        period: length of the periodic y axis, m; 0 for none.
-
-    Raises:
-        ValueError: a period that is shorter than twice the reach, so that images are ambiguous.
-    """
-    if len(position) == 0:
-        return np.zeros((0, 2), np.int64)
-    pairs = _tree(position, period, reach).query_pairs(reach, output_type="ndarray").astype(np.int64)
-    # The tree counts a distance equal to the reach in; a neighbour list means closer.
-    offset = nearest_image(position[pairs[:, 1]] - position[pairs[:, 0]], period)
-    pairs = pairs[np.einsum("mk,mk->m", offset, offset) < reach**2]
-    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-
-
-def tree_neighbors(
-    query: FloatArray, source: FloatArray, reach: float, period: float = 0.0
-) -> tuple[IndexArray, IndexArray]:
-    """Every source point closer than ``reach`` to every query point, without a cap.
-
-    Args:
-        query: ``(Q, 3)`` m.
-        source: ``(S, 3)`` m.
-        reach: m.
-        period: length of the periodic y axis, m; 0 for none.
-
-    Returns:
-        Query index and source index of each hit, ``(M,)`` each, sorted by query, then source. A point that is
-        among both is its own neighbour.
-
-    Raises:
-        ValueError: a period that is shorter than twice the reach.
-    """
-    if len(query) == 0 or len(source) == 0:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    tree = _tree(source, period, reach)
-    wrapped = _wrapped(query, period)
-    hits = tree.query_ball_point(wrapped, reach, return_sorted=True)
-    count = np.fromiter(map(len, hits), np.int64, len(hits))
-    query_index = np.repeat(np.arange(len(query)), count)
-    source_index = np.concatenate([np.asarray(h, np.int64) for h in hits]) if count.any() else np.zeros(0, np.int64)
-    offset = nearest_image(source[source_index] - query[query_index], period)
-    near = np.einsum("mk,mk->m", offset, offset) < reach**2
-    return query_index[near], source_index[near]
 
 
 def cell_pairs(position: FloatArray, reach: float, period: float = 0.0) -> IndexArray:
@@ -81,7 +25,7 @@ def cell_pairs(position: FloatArray, reach: float, period: float = 0.0) -> Index
     """
     check_period(period, reach)
     sphere = np.zeros((len(position), 4))
-    sphere[:, :3] = _wrapped(position, period)
+    sphere[:, :3] = wrapped(position, period)
     first, second = list_pairs(sphere, reach, period)
     pairs = np.stack((first, second), axis=1).astype(np.int64)
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
@@ -104,47 +48,7 @@ def cell_neighbors(
     check_period(period, reach)
     if len(query) == 0 or len(source) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    return _list_neighbors(_wrapped(np.concatenate((query, source)), period), len(query), reach, period)
-
-
-def nearest_image(offset: FloatArray, period: float) -> FloatArray:
-    """Relative vectors with y taken to the nearest image, ``(M, 3)`` m; the same array where nothing wraps."""
-    if period > 0:
-        offset = offset.copy()
-        offset[:, 1] -= period * np.rint(offset[:, 1] / period)
-    return offset
-
-
-def check_period(period: float, reach: float) -> None:
-    """Refuses a period in which a particle could meet two images of another.
-
-    Raises:
-        ValueError: a period that is shorter than twice the reach.
-    """
-    if period and period < 2.0 * reach:
-        raise ValueError(
-            f"the periodic length {period:g} m is shorter than twice the reach {reach:g} m; lengthen the scene"
-        )
-
-
-def _tree(position: FloatArray, period: float, reach: float) -> cKDTree:
-    check_period(period, reach)
-    if period == 0:
-        return cKDTree(position)
-    # cKDTree wants [0, L) on a periodic axis, and takes 0 as "does not wrap".
-    return cKDTree(_shifted(position, period), boxsize=(0.0, period, 0.0))
-
-
-def _shifted(position: FloatArray, period: float) -> FloatArray:
-    shifted = np.array(position, dtype=np.float64)
-    shifted[:, 1] = np.mod(shifted[:, 1] + 0.5 * period, period)
-    shifted[shifted[:, 1] >= period, 1] = 0.0  # np.mod rounds −1e-17 up to the period itself
-    return shifted
-
-
-def _wrapped(position: FloatArray, period: float) -> FloatArray:
-    """The coordinates that the searches use: as given, or with y wrapped into one period from 0."""
-    return position if period == 0 else _shifted(position, period)
+    return _list_neighbors(wrapped(np.concatenate((query, source)), period), len(query), reach, period)
 
 
 @njit(cache=True, error_model="numpy")
@@ -220,92 +124,84 @@ def list_pairs(sphere, margin, period, begin=0, end=-1):
     for i in range(count):
         largest = max(largest, sphere[i, 3])
     order, start, _, cells = bin_cells(sphere, 2.0 * largest + margin, period)
-    # What a cell may meet lies side by side in memory, so that one particle is held against all of it in SIMD.
-    name, hit, excess = np.empty(count, np.uint32), np.empty(count, np.uint32), np.empty(count)
-    x, y, z, r = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    # In the order of the cells, so that what a cell may meet is a few runs of neighbours in memory, held against one
+    # particle in SIMD. The last lanes of a run may lie beyond the last particle.
+    x, y, z, r = np.empty(count + LANES), np.empty(count + LANES), np.empty(count + LANES), np.empty(count + LANES)
+    for rank in range(count + LANES):
+        i = order[min(rank, count - 1)]
+        x[rank] = sphere[i, 0]
+        y[rank] = sphere[i, 1]
+        z[rank] = sphere[i, 2]
+        r[rank] = sphere[i, 3]
+    inverse_period = 1.0 / period if period > 0.0 else 0.0
     first, second = np.empty(8 * count + 64, np.uint32), np.empty(8 * count + 64, np.uint32)
+    run_begin, run_end = np.empty(5, np.int64), np.empty(5, np.int64)
     found = 0
     for cell in range(len(start) - 1):
         own = start[cell + 1] - start[cell]
         if own == 0:
             continue
-        met = _gather_half_shell(cell, cells, start, order, sphere, period, name, x, y, z, r)
-        if stop - begin < count and not _any_between(name, met, begin, stop):
+        met = _half_shell(cell, cells, start, period, run_begin, run_end)
+        if stop - begin < count and not _any_between(order, run_begin, run_end, begin, stop):
             continue
         if found + own * met >= len(first):
-            room = 2 * (len(first) + own * met) + 1
+            room = 2 * (len(first) + own * met)
             first, second = _enlarged(first, room), _enlarged(second, room)
-        for a in range(own):
-            _excess_over_reach(x, y, z, r, a, met, margin, period, excess)
-            hits = 0
-            for b in range(a + 1, met):
-                # Written always, kept only if near: no branch to mispredict.
-                hit[hits] = b
-                hits += excess[b] < 0.0
-            i = name[a]
-            for h in range(hits):
-                j = name[hit[h]]
-                first[found], second[found] = min(i, j), max(i, j)
-                found += begin <= min(i, j) < stop
+        for a in range(start[cell], start[cell + 1]):
+            i = order[a]
+            for run in range(5):
+                b = a + 1 if run == 0 else run_begin[run]
+                while b < run_end[run]:
+                    hits = near_lanes(x, y, z, r, b, x[a], y[a], z[a], r[a] + margin, period, inverse_period)
+                    while hits != 0:
+                        lane = b + lowest_lane(hits)
+                        if lane >= run_end[run]:
+                            break
+                        j = order[lane]
+                        low = min(i, j)
+                        first[found], second[found] = low, max(i, j)
+                        found += begin <= low < stop
+                        hits = clear_lowest(hits)
+                    b += LANES
     return first[:found].copy(), second[:found].copy()
 
 
 @njit(cache=True, error_model="numpy")
-def _any_between(name, met, begin, end):
-    """Whether one of the first ``met`` names is in ``begin … end − 1``."""
-    for b in range(met):
-        if begin <= name[b] < end:
-            return True
-    return False
+def _half_shell(cell, cells, start, period, run_begin, run_end):
+    """The runs of ranks that a cell may meet: itself and the 13 of its 26 neighbours that come after it.
 
-
-@njit(cache=True, error_model="numpy")
-def _excess_over_reach(x, y, z, r, a, met, margin, period, excess):
-    """Squared distance of point a from the first ``met`` points, less the squared reach, into ``excess``."""
-    xa, ya, za, ra = x[a], y[a], z[a], r[a] + margin
-    if period > 0.0:
-        for b in range(met):
-            dx, dy, dz = x[b] - xa, y[b] - ya, z[b] - za
-            dy -= period * np.rint(dy / period)
-            reach = ra + r[b]
-            excess[b] = dx * dx + dy * dy + dz * dz - reach * reach
-    else:
-        for b in range(met):
-            dx, dy, dz = x[b] - xa, y[b] - ya, z[b] - za
-            reach = ra + r[b]
-            excess[b] = dx * dx + dy * dy + dz * dz - reach * reach
-
-
-@njit(cache=True, error_model="numpy")
-def _gather_half_shell(cell, cells, start, order, sphere, period, name, x, y, z, r):
-    """The particles of a cell, then those of the 13 of its 26 neighbours that come after it; returns their number.
-
-    Three cells of a row are one run of ranks, so the half shell is five runs: the rest of the row, the next row, and
-    three rows of the layer above.
+    Three cells of a row are one run, so the half shell is five: the rest of the row, the next row, and three rows of
+    the layer above. Returns how many particles they hold.
     """
     nx, ny, nz = cells[0], cells[1], cells[2]
     column, line, layer = cell % nx, (cell // nx) % ny, cell // (nx * ny)
     left, right = max(0, column - 1), min(nx - 1, column + 1)
-    met = 0
-    for row in range(5):
-        if row == 0:
-            begin, end = start[cell], start[cell - column + right + 1]
-        else:
-            to_layer = layer if row == 1 else layer + 1
-            to_line = line + 1 if row == 1 else line + row - 3
-            if to_layer >= nz:
+    run_begin[0], run_end[0] = start[cell], start[cell - column + right + 1]
+    met = run_end[0] - run_begin[0]
+    for row in range(1, 5):
+        run_begin[row], run_end[row] = 0, 0
+        to_layer = layer if row == 1 else layer + 1
+        to_line = line + 1 if row == 1 else line + row - 3
+        if to_layer >= nz:
+            continue
+        if to_line < 0 or to_line >= ny:
+            if period == 0.0 or ny == 1:
                 continue
-            if to_line < 0 or to_line >= ny:
-                if period == 0.0 or ny == 1:
-                    continue
-                to_line = (to_line + ny) % ny
-            base = (to_layer * ny + to_line) * nx
-            begin, end = start[base + left], start[base + right + 1]
-        for rank in range(begin, end):
-            i = order[rank]
-            name[met], x[met], y[met], z[met], r[met] = i, sphere[i, 0], sphere[i, 1], sphere[i, 2], sphere[i, 3]
-            met += 1
+            to_line = (to_line + ny) % ny
+        base = (to_layer * ny + to_line) * nx
+        run_begin[row], run_end[row] = start[base + left], start[base + right + 1]
+        met += run_end[row] - run_begin[row]
     return met
+
+
+@njit(cache=True, error_model="numpy")
+def _any_between(order, run_begin, run_end, begin, end):
+    """Whether one of the particles of the five runs is in ``begin … end − 1``."""
+    for run in range(5):
+        for rank in range(run_begin[run], run_end[run]):
+            if begin <= order[rank] < end:
+                return True
+    return False
 
 
 @njit(cache=True, error_model="numpy")
