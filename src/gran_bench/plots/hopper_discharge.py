@@ -30,6 +30,9 @@ def draw_discharge(path: Path | str, result: HopperDischarge) -> None:
         axes.set(xlabel=f"D − {result.rim:g} d, m", ylabel="mass flow, kg/s")
         ticks = np.round(result.opening, 3)
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        levels = [level for level in (1, 2, 5, 10, 20, 50, 100, 200) if 0.8 * result.flow.min() < level]
+        levels = [level for level in levels if level < 1.4 * result.flow.max()]
+        axes.set_yticks(levels, [f"{level:g}" for level in levels])
         axes.minorticks_off()
         axes.legend(loc="upper left")
         axes.set_title("Discharge of a conical hopper")
