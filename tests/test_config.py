@@ -25,6 +25,7 @@ from gran_bench.config import (
 from gran_bench.config_check import dotted_keys, nearest_key, read_config, validate
 from gran_bench.config_identity import UNDECIDING, deciding_keys
 from gran_bench.config_rules import RULES, ConfigError, Range
+from gran_bench.dem.initial_checks import check_initial_state
 from gran_bench.entry import checked_config, compose
 from gran_bench.metrics.position_error import HORIZONS
 from gran_bench.scene import build_scene
@@ -59,7 +60,7 @@ def test_one_word_swaps_the_model_of_every_recipe(recipe, model):
     assert isinstance(config.model, MODEL_SCHEMAS[model])
 
 
-@pytest.mark.parametrize("group", [group.name for group in GROUPS if group.name != "experiment"])
+@pytest.mark.parametrize("group", [group.name for group in GROUPS if group.name not in ("experiment", "scene")])
 def test_every_choice_of_every_group_composes(group):
     for path in sorted((CONF / group).glob("*.yaml")):
         # A speed must belong to one split: the judge's choices need the data set that has their speeds.
@@ -71,9 +72,21 @@ def test_every_choice_of_every_group_composes(group):
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_a_shipped_scene_carries_its_file_name_and_has_room_for_its_spheres(scene):
-    built = build_scene(train_config(f"scene={scene}").scene)
+    built = build_scene(checked_config(compose("generate", [f"scene={scene}"]), GenerateConfig).scene)
     assert built.name == scene
-    assert len(built.fresh_filling(seed=0).position) == built.filling.count
+    state = built.fresh_filling(seed=0)
+    assert state.count == built.filling.count
+    check_initial_state(built, state)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_a_shipped_scene_trains_a_surrogate_or_says_politely_why_it_does_not(scene):
+    built = build_scene(checked_config(compose("generate", [f"scene={scene}"]), GenerateConfig).scene)
+    if built.takes_speeds:
+        assert train_config(f"scene={scene}").scene.name == scene
+    else:
+        with pytest.raises(ConfigError, match=r"scene\.\S+=.* nothing to train on|no data set to train on"):
+            train_config(f"scene={scene}")
 
 
 def test_the_papers_training_is_the_papers():

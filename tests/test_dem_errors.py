@@ -110,6 +110,52 @@ def test_escape_names_the_particle_and_saves_the_frame(scene):
     assert np.hypot(*caught.value.trajectory.position[-1, 0, ::2]) > 0.525
 
 
+def test_a_particle_that_is_not_a_number_or_has_no_size_is_named():
+    for field, words in (
+        ("position", "position is not finite for particles 1; remove them or repair"),
+        ("velocity", "velocity is not finite for particles 1"),
+        ("angular_velocity", "angular_velocity is not finite for particles 1"),
+        ("radius", "radius must be positive and finite; particles 1 are not"),
+    ):
+        values = np.array(getattr(at((0, 0, 0), (0.2, 0, 0)), field))
+        values[1] = np.nan
+        with pytest.raises(StateError, match=words):
+            replace(at((0, 0, 0), (0.2, 0, 0)), **{field: values})
+    for radius in (0.0, -0.025, np.inf):
+        with pytest.raises(StateError, match="particles 0 are not"):
+            replace(at((0, 0, 0), (0.2, 0, 0)), radius=np.array([radius, 0.025]))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "legal"),
+    [
+        ("restitution", 1.01, r"\(0, 1\]"),
+        ("restitution", 0.0, r"\(0, 1\]"),
+        ("poisson_ratio", 0.5, r"\(−1, 0.5\)"),
+        ("density", 0.0, "> 0 kg/m³"),
+        ("youngs_modulus", -1e7, "> 0 Pa"),
+        ("friction", -0.1, "≥ 0"),
+    ],
+)
+def test_an_impossible_material_names_key_value_and_what_is_legal(scene, key, value, legal):
+    with pytest.raises(SceneError, match=rf"material\.{key}=\S+ is impossible; choose a value .*{legal}"):
+        replace(scene.material, **{key: value})
+
+
+@pytest.mark.parametrize("step", [0.0, -1e-4, np.nan])
+def test_an_impossible_step_is_refused_before_the_first(scene, step):
+    with pytest.raises(TimeStepError, match=r"dem\.time_step=.* choose a value > 0 s, or null"):
+        simulate(scene, at((0, 0, 0)), 0.1, dem=DemConfig(time_step=step))
+
+
+def test_a_material_that_the_scene_lacks_is_refused_with_the_particles(scene):
+    state = replace(at((0, 0, 0), (0.2, 0, 0)), material=np.array([0, 1], np.uint8))
+    with pytest.raises(StateError, match=r"particles 1 are of a material that the scene does not have \(it has 1\)"):
+        simulate(scene, state, 0.1)
+    with pytest.raises(StateError, match=r"material has shape \(2,\) of int64; expected \(2,\) of uint8"):
+        replace(state, material=np.array([0, 1]))
+
+
 def test_a_bed_that_never_rests_is_an_error(scene):
     restless = replace(scene, filling=replace(scene.filling, longest_settling=0.05))
     with pytest.raises(SimulationError, match=r"still moves at .* m/s after 0\.05 s"):

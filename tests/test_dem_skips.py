@@ -12,7 +12,7 @@ from gran_bench.dem import engine_numba, engine_numpy
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.simulate import simulate
 from gran_bench.dem.walls import wall_poses
-from gran_bench.scene import Plane, Scene, build_scene
+from gran_bench.scene import Disc, Plane, Scene, Sizes, build_scene
 from gran_bench.state import ParticleState
 
 STEP, STEPS = 2e-4, 150
@@ -126,3 +126,50 @@ def test_without_rotation_the_schedule_is_not_read():
     assert not still.needs.wall_motion
     state = falling(scene)
     assert same(simulate(still, state, 0.03).final, simulate(zero, state, 0.03).final)
+
+
+@pytest.mark.parametrize(
+    "advance",
+    [
+        pytest.param(
+            engine_numba.advance,
+            marks=pytest.mark.xfail(raises=NotImplementedError, strict=True, reason="one material so far"),
+            id="numba",
+        ),
+        pytest.param(engine_numpy.advance, id="numpy"),
+    ],
+)
+def test_one_material_needs_no_law_for_each_pair_of_them(advance):
+    scene = scene_of()
+    assert not scene.needs.materials
+    twice = replace(scene, more_materials=(scene.material,))
+    assert twice.needs.materials
+    state = falling(scene)
+    mixed = replace(state, material=np.arange(state.count, dtype=np.uint8) % 2)
+    assert same(run(advance, scene, state), run(advance, twice, mixed))
+
+
+@ENGINES
+def test_one_size_needs_no_distribution_and_is_what_a_distribution_of_one_size_gives(advance):
+    scene = scene_of()
+    assert not scene.needs.polydispersity
+    listed = replace(scene, filling=replace(scene.filling, sizes=Sizes("listed", (1.0,), (1.0,))))
+    assert same(run(advance, scene, falling(scene)), run(advance, listed, falling(listed)))
+
+
+@ENGINES
+def test_no_gravity_is_bit_identical_to_a_gravity_too_small_to_change_a_digit(advance):
+    scene = replace(scene_of(), gravity=(0.0, 0.0, 0.0))
+    assert not scene.needs.gravity
+    weak = replace(scene, gravity=(0.0, 0.0, -1e-150))
+    assert weak.needs.gravity
+    assert same(run(advance, scene, falling(scene)), run(advance, weak, falling(scene)))
+
+
+@ENGINES
+def test_a_lid_that_never_opens_needs_no_pose_for_every_step(advance):
+    lid = Disc((0.0, 0.0, -0.2), (0.0, 0.0, 1.0), 0.4, turns=False)
+    kept, opening = (replace(scene_of(), walls=(*scene_of().walls, replace(lid, opens=time))) for time in (None, 1e9))
+    assert not kept.needs.wall_geometry
+    assert opening.needs.wall_geometry
+    assert same(run(advance, kept, falling(kept)), run(advance, opening, falling(kept)))

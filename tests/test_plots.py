@@ -19,18 +19,22 @@ from gran_bench.plots import (
     angle_of_repose,
     case_card,
     diagnostics,
+    draw_discharge,
     draw_evaluation,
     flow_animation,
     flow_pattern,
     loss_curves,
     nearest_cases,
     position_error,
+    scene_state,
     speed_by_depth,
     speed_distribution,
     style,
     time_against_error,
 )
 from gran_bench.plots.spheres import draw_spheres, halved, shaded, view_along_axis
+from gran_bench.shipped import shipped_scene
+from gran_bench.verification.hopper_discharge import HopperDischarge
 
 SCENE = replace(drum(end_time=2.6), frame_interval=0.1)
 
@@ -302,3 +306,27 @@ def test_drawing_leaves_the_users_matplotlib_alone(tmp_path, replicas):
     before = dict(matplotlib.rcParams)
     speed_distribution({}, replicas, tmp_path / "speed.png")
     assert dict(matplotlib.rcParams) == before
+
+
+@pytest.mark.parametrize("name", ["hopper", "packing_polydisperse", "collision", "free_flight", "drum_ramp"])
+def test_any_scene_can_be_drawn_cut_open(tmp_path, texts, name):
+    scene = shipped_scene(name)
+    state = replace(scene.fresh_filling(0), time=scene.start_time)
+    if name == "hopper":  # some have left
+        state = replace(
+            state, position=np.where(np.arange(state.count)[:, None] < 20, [0.0, 0.0, -0.07], state.position)
+        )
+    scene_state(tmp_path / "state.png", scene, state)
+    assert {"x, m", "z, m", "speed, m/s"} <= set(texts)
+    picture = np.asarray(Image.open(tmp_path / "state.png").convert("RGB"), int)
+    coloured = np.ptp(picture, axis=2) > 60
+    assert coloured[:, : int(0.7 * picture.shape[1])].any()  # spheres, beside the colour bar
+
+
+def test_the_discharge_is_drawn_with_both_exponents(tmp_path, texts):
+    opening = np.array([0.09, 0.12, 0.15, 0.18])
+    result = HopperDischarge(opening + 0.028, 1e3 * opening**2.4, 10 * opening**2.5, 2.4, 0.03, 0.6, 0.02, 1450.0)
+    draw_discharge(tmp_path / "flow.png", result)
+    assert any("exponent 2.5, C = 0.600" in text for text in texts)
+    assert any("exponent 2.400 ± 0.030" in text for text in texts)
+    assert "mass flow, kg/s" in texts

@@ -87,9 +87,15 @@ def unknown_key(key: str, value: Any, schema: type, present: list[str] | None = 
     everywhere = list(dotted_keys(schema))
     keys = everywhere if present is None else present
     shown = f"{key}={value}"
-    if key.startswith("model.") and key in everywhere:
-        owners = [name for name, model in MODEL_SCHEMAS.items() if key.partition(".")[2] in get_type_hints(model)]
-        return ConfigError(f"{shown}: the chosen model has no such key; it belongs to model={' or '.join(owners)}")
+    place, _, name = key.rpartition(".")
+    for section, choice, schemas in (
+        ("model", "model", MODEL_SCHEMAS),
+        ("scene.container", "scene.container.kind", CONTAINER_SCHEMAS),
+    ):
+        if place == section and key in everywhere:
+            owners = " or ".join(owner for owner, its in schemas.items() if name in get_type_hints(its))
+            what = section.rpartition(".")[2]
+            return ConfigError(f"{shown}: the chosen {what} has no such key; it belongs to {choice}={owners}")
     if key in everywhere:
         return ConfigError(f"{shown}: {key.rpartition('.')[0]} is null here; write +{shown}")
     guess = nearest_key(key, keys) or nearest_key(key, everywhere)

@@ -37,6 +37,7 @@ def check_consistency(config: object) -> None:
     if isinstance(config, TrainConfig | GenerateConfig | EvaluateConfig):
         _check_dataset(config.dataset)
     if isinstance(config, TrainConfig):
+        _check_trainable(config.scene)
         _check_model(config)
         _check_training(config)
     if isinstance(config, TrainConfig | EvaluateConfig):
@@ -73,14 +74,76 @@ def _check_scene(scene: SceneConfig) -> None:
         f"scene.filling.jitter={filling.jitter:g} lets spheres overlap at a spacing of "
         f"{filling.lattice_spacing:g} diameters; choose at most {largest:.3g}",
     )
-    if scene.container.kind == "drum":
-        for name in ("diameter", "length"):
-            room = getattr(scene.container, name)
+    if scene.container.kind != "none":
+        for name in ("diameter", "width", "length", "height", "orifice"):
+            room = getattr(scene.container, name, filling.diameter * 2.0)
             _require(
                 filling.diameter < room,
                 f"scene.filling.diameter={filling.diameter:g} does not fit into scene.container.{name}={room:g}; "
                 "choose smaller spheres",
             )
+    _check_filling(scene)
+
+
+def _check_filling(scene: SceneConfig) -> None:
+    filling = scene.filling
+    for name in ("positions", "velocities", "spins"):
+        rows = getattr(filling, name)
+        _require(
+            all(len(row) == 3 for row in rows) and len(rows) in (0, filling.count),
+            f"scene.filling.{name} does not give three numbers for each of scene.filling.count={filling.count} "
+            "spheres; give them, or [] for none",
+        )
+    _require(
+        scene.second_material is not None or filling.second_fraction == 0,
+        f"scene.filling.second_fraction={filling.second_fraction:g} needs a second material; describe it "
+        "(+scene.second_material.density=7800)",
+    )
+    for entry in fields(scene.mixed):
+        value = getattr(scene.mixed, entry.name)
+        _require(
+            scene.second_material is not None or value is None,
+            f"scene.mixed.{entry.name}={value} is of contacts with a second material, and there is none; describe it "
+            "(+scene.second_material.density=7800) or leave the key null",
+        )
+
+
+def _check_trainable(scene: SceneConfig) -> None:
+    kind, speeds = scene.container.kind, scene.rotation.speeds_rpm
+    _require(
+        scene.filling.count >= 1,
+        f"scene.filling.count={scene.filling.count} leaves nothing to learn from; choose a value ≥ 1",
+    )
+    _require(
+        kind != "none",
+        "scene.container.kind=none has no container that could turn at the speeds of a data set, so there is nothing "
+        "to train on; choose a drum",
+    )
+    _require(
+        kind == "drum",
+        f"scene.container.kind={kind} does not turn, so it makes one case and no data set to train on; choose a drum "
+        "(python -m gran_bench.generate makes the case)",
+    )
+    _require(
+        len(set(speeds)) == 1,
+        f"scene.rotation.speeds_rpm={speeds} is a schedule, which its one case keeps, so there is no data set to train "
+        "on; train on a drum with one speed",
+    )
+    unlike = [
+        name
+        for name, differs in (
+            ("filling.sizes.kind", scene.filling.sizes.kind != "one"),
+            ("filling.second_fraction", scene.filling.second_fraction != 0),
+            ("filling.settles", not scene.filling.settles),
+            ("filling.positions", bool(scene.filling.positions)),
+        )
+        if differs
+    ]
+    _require(
+        not unlike,
+        f"scene.{unlike[0] if unlike else ''} makes spheres that the surrogates cannot tell apart or do not start from "
+        "a settled bed; train on a drum of equal spheres",
+    )
 
 
 def _check_dataset(dataset: DatasetConfig) -> None:

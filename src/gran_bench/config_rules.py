@@ -161,7 +161,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "rolling_friction": at_least(0),
     },
     FillingConfig: {
-        "count": at_least(1),
+        "count": at_least(0),
         "diameter": positive("m"),
         "lattice_spacing": at_least(1, "diameters"),
         "jitter": at_least(0, "diameters"),

@@ -120,8 +120,10 @@ def checked_config(composed: DictConfig, schema: type[Config]) -> Config:
         scene = build_scene(config.scene)
         scene.fresh_filling(seed=0)
         data = config.dataset
-        fastest = max(data.training_speeds_rpm + data.validation_speeds_rpm + data.holdout_speeds_rpm, default=0.0)
-        choose_time_step(scene.at_speed(fastest), config.dem.time_step, config.dem.allow_unsafe_step)
+        if scene.takes_speeds:
+            speeds = data.training_speeds_rpm + data.validation_speeds_rpm + data.holdout_speeds_rpm
+            scene = scene.at_speed(max(speeds, default=0.0))
+        choose_time_step(scene, config.dem.time_step, config.dem.allow_unsafe_step)
     return config
 
 

@@ -143,8 +143,14 @@ def split_cases(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> Split:
     """The cases of a data set, one for each speed, all from one packing.
 
     Raises:
-        DatasetError: a speed is in two splits or twice in one, or nothing is left to train on.
+        DatasetError: a scene that keeps its own motion, a speed that is in two splits or twice in one, or nothing
+            left to train on.
     """
+    if not scene.takes_speeds:
+        raise DatasetError(
+            f"scene {scene.name!r} keeps its own motion, so it makes one case and no splits by speed; "
+            "choose a drum with one speed"
+        )
     sides = {
         "training": dataset.training_speeds_rpm,
         "validation": dataset.validation_speeds_rpm,
@@ -167,6 +173,11 @@ def split_cases(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> Split:
             for side, speeds in sides.items()
         }
     )
+
+
+def own_case(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> CaseSpec:
+    """The one case of a scene that keeps its own motion: a schedule, or a container that is no drum."""
+    return CaseSpec(scene, dem, dataset.packing_seed)
 
 
 def key_hash(key: dict[str, Any]) -> str:

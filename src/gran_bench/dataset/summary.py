@@ -11,7 +11,7 @@ import numpy as np
 
 from gran_bench.config import GenerateConfig
 from gran_bench.dataset.case_file import read_attributes, read_case
-from gran_bench.dataset.case_spec import DatasetError, Split, dem_source_hash, rotation_label, split_cases
+from gran_bench.dataset.case_spec import DatasetError, Split, dem_source_hash, own_case, rotation_label, split_cases
 from gran_bench.dataset.generation import ensure_cases
 from gran_bench.scene import build_scene
 
@@ -24,7 +24,7 @@ class CaseRow:
 
     Attributes:
         label: speed of the case.
-        side: ``training``, ``validation`` or ``holdout``.
+        side: ``training``, ``validation`` or ``holdout``; – where a scene makes one case.
         particles: N.
         frames: F.
         time_step: s.
@@ -54,14 +54,20 @@ def generate(config: GenerateConfig) -> list[Path]:
         DatasetError: a case that cannot be made, or a damaged file.
     """
     scene = build_scene(config.scene)
-    split = split_cases(scene, config.dem, config.dataset)
+    root = config.dataset.root
     print(f"scene {scene.name}: {scene.needs}")
-    paths = ensure_cases(split.all, config.dataset.root, config.dataset.workers)
-    print(table(case_rows(split, config.dataset.root)))
-    beds = {spec.settled_path(config.dataset.root) for spec in split.all}
+    if scene.takes_speeds:
+        split = split_cases(scene, config.dem, config.dataset)
+        specs = split.all
+    else:
+        split, specs = None, [own_case(scene, config.dem, config.dataset)]
+        print("it keeps its own motion, so it makes one case; dataset.*_speeds_rpm are not read")
+    paths = ensure_cases(specs, root, config.dataset.workers)
+    print(table(case_rows(split, root) if split else [_row(paths[0], "–")]))
+    beds = {spec.settled_path(root) for spec in specs}
     for path in sorted(path for path in beds if path.exists()):
         print(f"settled bed {path}: {read_attributes(path)['wall_seconds']:.1f} s")
-    if old := files_of_older_code(config.dataset.root):
+    if old := files_of_older_code(root):
         size = sum(path.stat().st_size for path in old) / 1e6
         print(f"{len(old)} files ({size:.0f} MB) are of older solver code and not used any more, such as {old[0]}")
     return paths
@@ -87,9 +93,8 @@ def _row(path: Path, side: str) -> CaseRow:
     case = read_case(path)
     scene, motion = case.scene, case.trajectory
     steady = motion.time >= scene.start_time + STEADY_AFTER - 0.5 * scene.frame_interval
-    constant = len(set(scene.rotation.speeds_rpm)) == 1
     speed = None
-    if constant and steady.any() and case.settled.count:
+    if scene.takes_speeds and steady.any() and case.settled.count:
         speed = float(np.linalg.norm(motion.velocity[steady], axis=2).mean(dtype=np.float64))
     return CaseRow(
         label=rotation_label(scene),

@@ -1,0 +1,98 @@
+"""One state of any scene, cut open: the spheres of its vertical middle plane, coloured by speed, and its walls."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.patches import Circle
+
+from gran_bench.dem.outlet import taking_part
+from gran_bench.dem.walls import ABSENT, KIND, PLANE, wall_contact, wall_poses
+from gran_bench.plots.style import BAND, SPEED_MAP, drawing
+from gran_bench.scene import Scene
+from gran_bench.state import FloatArray, ParticleState
+
+LATTICE = 900  # points of the plane along its longer side, at which the distance to a wall is looked up
+
+
+def scene_state(path: Path | str, scene: Scene, state: ParticleState, title: str = "") -> None:
+    """Draw the spheres that the plane y = 0 cuts as the circles that it cuts out, and the walls as lines.
+
+    Spheres that have left through the outlet are grey. Where y = 0 cuts no sphere, the nearest centre's y is taken.
+
+    Args:
+        path: of the PNG.
+        scene: its walls, where they are at the state's time.
+        state: N spheres.
+        title: of the figure.
+    """
+    (low, high), depth = _view(scene, state), _depth(state)
+    width, height = high - low
+    scale = 6.0 / max(width, height)
+    with drawing(path, max(4.2, scale * width + 1.3), max(2.4, scale * height + 0.9)) as figure:
+        axes = figure.add_subplot()
+        axes.grid(False)
+        _draw_spheres(axes, scene, state, depth)
+        _draw_walls(axes, scene, state.time, depth, low, high)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x, m", ylabel="z, m")
+        axes.set_title(title or f"{scene.name}, {state.time:.2f} s, cut at y = {depth:.3g} m")
+
+
+def _view(scene: Scene, state: ParticleState) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper corner (x, z) of what is shown, m: the container, or else the spheres."""
+    if scene.drum_radius is not None:
+        corners = scene.drum_radius * np.array([[-1.0, -1.0], [1.0, 1.0]])
+    elif scene.room is not None:
+        corners = np.array([scene.room.lower, scene.room.upper])[:, ::2]
+        floor = min((wall.point[2] for wall in scene.walls), default=corners[0, 1])
+        if scene.outlet is not None:
+            floor = min(floor, scene.outlet.point[2] - 2.0 * scene.filling.diameter)
+        corners[0, 1] = min(corners[0, 1], floor)
+    else:
+        across, reach = state.position[:, ::2], state.radius[:, None]
+        corners = np.array([(across - reach).min(axis=0), (across + reach).max(axis=0)])
+    margin = 0.03 * (corners[1] - corners[0]).max()
+    return corners[0] - margin, corners[1] + margin
+
+
+def _depth(state: ParticleState) -> float:
+    """y of the cut, m: the middle, or the centre next to it where the middle cuts no sphere."""
+    y = state.position[:, 1]
+    if not len(y) or (np.abs(y) < state.radius).any():
+        return 0.0
+    return float(y[np.argmin(np.abs(y))])
+
+
+def _draw_spheres(axes: Axes, scene: Scene, state: ParticleState, depth: float) -> None:
+    beside = state.position[:, 1] - depth
+    cut = np.abs(beside) < state.radius
+    size = np.sqrt(np.maximum(0.0, state.radius**2 - beside**2))
+    inside = taking_part(scene, state.position)
+    left = np.zeros(state.count, bool) if inside is None else ~inside
+
+    def circles(which: np.ndarray) -> list[Circle]:
+        return [Circle((state.position[i, 0], state.position[i, 2]), size[i]) for i in np.flatnonzero(which)]
+
+    speed = np.linalg.norm(state.velocity, axis=1)[cut & ~left]
+    axes.add_collection(PatchCollection(circles(cut & left), facecolor=BAND, edgecolor="white", linewidth=0.2))
+    spheres = PatchCollection(circles(cut & ~left), cmap=SPEED_MAP, edgecolor="white", linewidth=0.2)
+    spheres.set_array(speed)
+    spheres.set_clim(0.0, max(float(speed.max(initial=0.0)), 1e-3))
+    axes.add_collection(spheres)
+    axes.figure.colorbar(spheres, ax=axes, label="speed, m/s", shrink=0.8)
+
+
+def _draw_walls(axes: Axes, scene: Scene, time: float, depth: float, low: FloatArray, high: FloatArray) -> None:
+    """Each wall as the line where its distance is least; what two-sided walls and planes have in common."""
+    step = (high - low).max() / LATTICE
+    x, z = (np.arange(low[k], high[k] + step, step) for k in (0, 1))
+    plane = np.stack(np.broadcast_arrays(x[None, :], depth, z[:, None]), axis=-1).reshape(-1, 3)
+    for pose in wall_poses(scene, time, 0.0, 0)[0]:
+        if pose[KIND] == ABSENT or (pose[KIND] == PLANE and abs(pose[5]) > 0.999):
+            continue  # gone, or the plane of the paper itself
+        distance = wall_contact(pose, plane)[0].reshape(len(z), len(x))
+        near = np.abs(distance) < 0.8 * step
+        axes.contourf(x, z, near.astype(float), levels=[0.5, 1.5], colors=["#333333"])

@@ -1,0 +1,1 @@
+"""The DEM held against theory, published experiments and itself."""
