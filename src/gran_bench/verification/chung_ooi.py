@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from gran_bench.scene import Material
+from gran_bench.state import FloatArray
 from gran_bench.verification.case import Case, Check, Findings
-from gran_bench.verification.laboratory import Impacts, collide, on_rigid_wall, on_sphere
+from gran_bench.verification.laboratory import Impacts, Rebounds, collide, on_rigid_wall, on_sphere
 from gran_bench.verification.oblique import at_angles, curves, expected_rebounds, rebound_checks
 from gran_bench.verification.theory import HERTZ, RESTITUTION, SLIDING, Contact, sliding_rebound
 
@@ -73,15 +74,15 @@ def impact_3() -> Findings:
     return Findings(tuple(checks))
 
 
-def _sliding_checks(impacts: Impacts, rebounds, slid, name: str, at: list[str]) -> list[Check]:
+def _sliding_checks(impacts: Impacts, rebounds: Rebounds, slid: FloatArray, name: str, at: list[str]) -> list[Check]:
     """Against the closed form of rigid bodies, where the contact slides throughout."""
     rows, radius = np.flatnonzero(slid), impacts.contact.first.radius
     if not len(rows):
         return []
     speed, spin = sliding_rebound(impacts.contact, impacts.normal[rows], impacts.tangential[rows], radius)
-    where = [at[k] for k in rows]
+    where, found = [at[k] for k in rows], rebounds.tangential[rows]
     return [
-        Check(f"tangential speed after sliding, m/s, {name}", speed, rebounds.tangential[rows], 0.01, SLIDING, at=where),
+        Check(f"tangential speed after sliding, m/s, {name}", speed, found, 0.01, SLIDING, at=where),
         Check(f"spin after sliding, rad/s, {name}", spin, rebounds.first_spin[rows], 0.01, SLIDING, at=where),
     ]
 

@@ -62,9 +62,9 @@ def gas(side: int, seed: int, speed: float, width: float, modulus: float) -> tup
     return laboratory(sphere_material(modulus), walls), spheres(grid, velocity)
 
 
-def drum_bed(modulus: float, time_step: float, steps: int) -> tuple[Scene, ParticleState]:
+def drum_bed(modulus: float, time_step: float, duration: float) -> tuple[Scene, ParticleState]:
     """A small bed in a turning drum with caps in the middle of its motion: old, new, sticking and sliding contacts."""
-    radius, half = 0.15, 0.1
+    radius, half = 0.25, 0.1
     walls = (
         Cylinder((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), radius),
         Plane((0.0, -half, 0.0), (0.0, 1.0, 0.0)),
@@ -80,15 +80,15 @@ def drum_bed(modulus: float, time_step: float, steps: int) -> tuple[Scene, Parti
     )
     spacing = 2.02 * RADIUS
     line = np.arange(-4, 5) * spacing
-    grid = np.stack(np.meshgrid(line, np.array([-0.97, 0.0, 0.97]) * spacing, line), axis=-1).reshape(-1, 3)
-    inside = np.hypot(grid[:, 0], grid[:, 2]) < radius - RADIUS
+    grid = np.stack(np.meshgrid(line, np.array([-1.0, 0.0, 1.0]) * spacing, line), axis=-1).reshape(-1, 3)
+    inside = (np.hypot(grid[:, 0], grid[:, 2]) < radius - RADIUS) & (grid[:, 2] < 0.03)
     grid = grid[inside]
     rng = np.random.default_rng(2)
-    low = grid[np.argsort(grid[:, 2], kind="stable")]
     state = spheres(
-        low, rng.normal(0.0, 0.5, low.shape), rng.normal(0.0, 10.0, low.shape), RADIUS * rng.uniform(0.8, 1.0, len(low))
-    )
-    return scene, run(scene, state, time_step, steps).final
+        grid, rng.normal(0.0, 0.3, grid.shape), rng.normal(0.0, 5.0, grid.shape),
+        RADIUS * rng.uniform(0.8, 1.0, len(grid)),
+    )  # fmt: skip
+    return scene, run(scene, state, time_step, math.ceil(duration / time_step)).final
 
 
 def mass_of(state_radius: FloatArray, density: float = 2500.0) -> FloatArray:

@@ -116,9 +116,7 @@ def set_going() -> Findings:
         arm, reach = RADIUS - overlap, DRUM - RADIUS + overlap
         step, time = _bobbing_period(contact) / 60, 0.05
         steps = math.ceil(time / step)
-        scene = laboratory(
-            contact.first.material, (WALL,), gravity=(0, 0, -GRAVITY), rotation=Rotation((0.0,), (rpm,))
-        )
+        scene = laboratory(contact.first.material, (WALL,), gravity=(0, 0, -GRAVITY), rotation=Rotation((0.0,), (rpm,)))
         final = run(scene, spheres([0.0, 0.0, -reach]), step, steps).final
         time = steps * step
         # Along the wall: s̈ = μ (g cos φ + ṡ²/reach) − g sin φ, φ = s/reach; to this order in t.

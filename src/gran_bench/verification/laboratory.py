@@ -1,4 +1,4 @@
-"""Experiments on the solver: scenes of a few bodies, runs of so many steps, and many impacts side by side in one run."""
+"""Experiments on the solver: scenes of a few bodies, runs of so many steps, many impacts side by side."""
 
 from __future__ import annotations
 
@@ -186,9 +186,7 @@ def collide(
         first_spin=w[:count],
         second_spin=zero if second.is_wall else w[count:],
         energy=after / before,
-        overlap=float(
-            max(result.trajectory.diagnostics[name].max() for name in ("overlap_max", "wall_overlap_max"))
-        ),
+        overlap=float(max(result.trajectory.diagnostics[name].max() for name in ("overlap_max", "wall_overlap_max"))),
         result=result,
     )
 

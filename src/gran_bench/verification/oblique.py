@@ -20,7 +20,7 @@ from gran_bench.verification.laboratory import (
     on_wall,
     sphere_material,
 )
-from gran_bench.verification.theory import Contact
+from gran_bench.verification.theory import Contact, slides_throughout, sliding_rebound
 
 TOLERANCE = 0.01  # at t_c/200
 ANGLES = np.arange(0.0, 90.0, 5.0)  # °, between the path and the normal
@@ -83,8 +83,17 @@ def curves(impacts: Impacts, fine: Impacts, rebounds: Rebounds) -> dict[str, Flo
             drawn[f"{name}_angle_deg"] = np.degrees(np.arctan2(given.tangential, given.normal))
             drawn[f"{name}_tangential_restitution"] = tangential / given.tangential
         drawn[f"{name}_spin"] = radius * spin / np.hypot(given.normal, given.tangential)
-        drawn[f"{name}_rebound_angle_deg"] = np.degrees(np.arctan2(tangential - radius * spin, normal))
+        drawn[f"{name}_rebound_angle_deg"] = np.degrees(np.arctan2(tangential - _turned_by(impacts) * spin, normal))
+    slides = slides_throughout(impacts.contact, fine.normal, fine.tangential)
+    tangential, spin = sliding_rebound(impacts.contact, fine.normal, fine.tangential, radius)
+    drawn["sliding_tangential_restitution"] = np.where(slides, tangential / fine.tangential, np.nan)
+    drawn["sliding_spin"] = np.where(slides, radius * spin / np.hypot(fine.normal, fine.tangential), np.nan)
     return drawn
+
+
+def _turned_by(impacts: Impacts) -> float:
+    """Slip that a unit of the first one's spin takes away, m: R on a wall, 2R where an equal sphere spins alike."""
+    return impacts.contact.first.radius * (1.0 if impacts.contact.second.is_wall else 2.0)
 
 
 def all_angles() -> Findings:

@@ -45,10 +45,11 @@ def _apexes(contact: Contact, height: float, bounces: int) -> list[float]:
             drag = alpha * math.sqrt(mass * stiffness) * overlap**0.25
             return y[1], GRAVITY - (stiffness * overlap**1.5 + drag * y[1]) / mass
 
-        def unloaded(_: float, y: FloatArray) -> float:
+        def unloaded(_: float, y: FloatArray, speed: float = speed) -> float:
+            # The force over δ^{1/4}; without damping it only touches zero, so it is lifted off by a trifle.
+            tiny = 1e-9 * contact.largest_overlap(speed) ** 1.25 * math.sqrt(stiffness / mass)
             return max(y[0], 0.0) ** 1.25 * math.sqrt(stiffness / mass) + alpha * y[1] - tiny
 
-        tiny = 1e-9 * contact.largest_overlap(speed) ** 1.25 * math.sqrt(stiffness / mass)
         unloaded.terminal, unloaded.direction = True, -1.0
         contact_time = contact.duration(speed)
         touch = contact.largest_overlap(speed) * np.array([1e-12, 1e-12])
@@ -251,15 +252,14 @@ def _down_the_slope(
     arm = RADIUS - contact.resting_overlap(load)
     step = _swing_period(contact, load) / 60
     stride = math.ceil(duration / 80 / step)
-    scene = laboratory(
-        contact.first.material, (Plane((0.0, 0.0, 0.0), normal, turns=False),), gravity=(0, 0, -GRAVITY)
-    )
+    scene = laboratory(contact.first.material, (Plane((0.0, 0.0, 0.0), normal, turns=False),), gravity=(0, 0, -GRAVITY))
     trajectory = run(scene, spheres(arm * np.array(normal)), step, 80 * stride, stride).trajectory
     speed, spin, time = trajectory.velocity[:, 0] @ along, trajectory.angular_velocity[:, 0, 1], trajectory.time
     gone = (trajectory.position[-1, 0] - trajectory.position[0, 0]) @ along
     # The slope of a straight line through the later half, in which the first jolt has died away.
     late = slice(len(time) // 2, None)
-    return float(np.polyfit(time[late], speed[late], 1)[0]), float(np.polyfit(time[late], spin[late], 1)[0]), float(gone)
+    rates = (float(np.polyfit(time[late], values[late], 1)[0]) for values in (speed, spin))
+    return *rates, float(gone)
 
 
 def incline() -> Findings:

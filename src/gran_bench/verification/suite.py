@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
 
 from gran_bench.verification import (
     chung_ooi,
     conservation,
+    convergence,
     drum_ball,
     engines,
     head_on,
+    invariance,
     oblique,
     single_particle,
     tangential_history,
@@ -25,6 +26,8 @@ CASES: tuple[Case, ...] = (
     *single_particle.CASES,
     *drum_ball.CASES,
     *conservation.CASES,
+    *convergence.CASES,
+    *invariance.CASES,
     *engines.CASES,
 )
 
@@ -37,9 +40,3 @@ def run_case(case: Case) -> Outcome:
     except Exception as error:
         findings, failure = Findings(()), f"{type(error).__name__}: {error}"
     return Outcome(case, findings, time.perf_counter() - started, failure)
-
-
-def run_cases(cases: Iterable[Case]) -> Iterator[Outcome]:
-    """Runs cases one after the other."""
-    for case in cases:
-        yield run_case(case)

@@ -158,7 +158,7 @@ def lever_arm() -> Findings:
         at = [f"{angle:g}°" for angle in np.degrees(angles)]
         checks.append(
             Check(
-                f"angular momentum lost, {name} spheres, largest overlap {rebounds.overlap / contact.first.radius:.2f} R",
+                f"angular momentum lost, {name} spheres, overlap up to {rebounds.overlap / contact.first.radius:.2f} R",
                 np.zeros(count), leak, 1e-12, "conserved", 1.0, "of Σ m|x×v| + I|ω|", at,
             )
         )  # fmt: skip

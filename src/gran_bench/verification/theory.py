@@ -134,9 +134,9 @@ def damping(e: float) -> float:
 def sliding_rebound(
     contact: Contact, normal: FloatArray, tangential: FloatArray, arm: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Tangential speed and spin of a sphere after an impact that slides throughout.
+    """Relative tangential speed, and spin of the first body, after an impact that slides throughout.
 
-    v_t′ = v_t − μ (1 + e) v_n m*/m and ω′ = 5/2 μ (1 + e) v_n (m*/m) a/R² for a sphere that did not spin.
+    v_t′ = v_t − μ (1 + e) v_n and ω′ = 5/2 μ (1 + e) v_n (m*/m) a/R² for spheres that did not spin.
 
     Args:
         contact: of the sphere with a wall (m* = m) or another sphere.
@@ -148,12 +148,13 @@ def sliding_rebound(
     Source: Chung & Ooi (2011), Granular Matter 13, 643, eqs. for gross sliding; Kharaz et al. (2001).
     """
     e, friction = contact.second.material.restitution, contact.second.material.friction
-    change = friction * (1.0 + e) * normal * contact.effective_mass / contact.first.mass
-    return tangential - change, 2.5 * change * arm / contact.first.radius**2
+    change = friction * (1.0 + e) * normal
+    share = contact.effective_mass / contact.first.mass
+    return tangential - change, 2.5 * share * change * arm / contact.first.radius**2
 
 
 def slides_throughout(contact: Contact, normal: FloatArray, slip: FloatArray) -> FloatArray:
-    """Whether rigid-body theory says that an impact slides all through: slip > 7/2 μ (1 + e) v_n, ``(P,)``.
+    """Whether rigid-body theory says that an impact slides all through: |slip| > 7/2 μ (1 + e) v_n, ``(P,)``.
 
     Args:
         contact: of a sphere with a wall, or of two equal spheres.
