@@ -97,17 +97,17 @@ def _order(axes: Axes, series: dict[str, tuple[FloatArray, FloatArray]]) -> None
     if not series:
         say(axes, "the case 'order' was not run")
         return
-    looks = ((BASELINE, "o"), (FURTHER[5 - 2], "x"), (FURTHER[0], "s"), (SURROGATE, "D"))
+    looks = ((BASELINE, "o"), (FURTHER[3], "x"), (FURTHER[0], "s"), (SURROGATE, "D"))
     for (name, (step, error)), (colour, marker) in zip(series.items(), looks, strict=False):
         axes.loglog(step, error, marker, color=colour, linestyle="-", linewidth=1.2, markersize=5, label=name)
     step = np.array([min(s.min() for s, _ in series.values()), max(s.max() for s, _ in series.values())])
     lowest = min(e.min() for _, e in series.values())
     highest = max(e.max() for _, e in series.values())
-    for power, anchor in ((1, 1.6 * highest / step[1]), (2, 0.45 * lowest / step[0] ** 2)):
+    for power, anchor in ((1, 1.8 * highest / step[1]), (2, 3.0 * lowest / step[0] ** 2)):
         axes.loglog(step, anchor * step**power, color=QUIET, linewidth=1.0, linestyle=(0, (2, 2)), zorder=1)
         axes.annotate(
-            f"order {power}", (step[0], anchor * step[0] ** power), xytext=(4, 2 if power == 1 else -3),
-            textcoords="offset points", color="#555555", fontsize=9, va="bottom" if power == 1 else "top",
+            f"order {power}", (step[0], anchor * step[0] ** power), xytext=(0, 5 if power == 1 else 8),
+            textcoords="offset points", color="#555555", fontsize=9, va="bottom", ha="left",
         )  # fmt: skip
     axes.set_xlabel("step, of the contact time")
     axes.set_ylabel("relative error")
@@ -115,7 +115,7 @@ def _order(axes: Axes, series: dict[str, tuple[FloatArray, FloatArray]]) -> None
     axes.set_xticks(ticks)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"1/{round(1 / value)}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.legend(loc="upper left", bbox_to_anchor=(0.0, 0.9))
+    axes.legend(loc="lower right")
 
 
 def _drift(axes: Axes, series: dict[str, tuple[FloatArray, FloatArray]]) -> None:

@@ -165,8 +165,8 @@ def impact(
 
     for event in (parted, unloaded):
         event.terminal, event.direction = True, -1.0
+    sense = _first_sense(equations, y)
     for _ in range(200):
-        sense = _sense(equations, y)
         stuck |= sense == 0.0
         change = _change_of_regime(equations, sense, force)
         part = solve_ivp(
@@ -181,25 +181,25 @@ def impact(
             return Rebound(y[2:4], (float(y[4]), float(y[5])), time * unit, not stuck)
         if not len(part.t_events[2]):
             break
+        sense = 0.0 if sense else -math.copysign(1.0, _tangential(equations, y))
     raise RuntimeError(f"an impact at {velocity} m/s did not end; its equations are not what this integration expects")
 
 
-def _sense(equations: _Equations, y: FloatArray) -> float:
-    """Direction in which the contact slides from here, or 0 where it sticks."""
+def _tangential(equations: _Equations, y: FloatArray) -> float:
+    """f of a sticking contact, N."""
+    _, gamma, slip = equations.loads(y)
+    return float(y[6] - gamma * slip)
+
+
+def _first_sense(equations: _Equations, y: FloatArray) -> float:
+    """Direction in which a contact slides that nothing has loaded yet, or 0 where it sticks."""
     force, gamma, slip = equations.loads(y)
-    tangential, limit = y[6] - gamma * slip, equations.friction * force
-    if limit <= 0.0:
-        return math.copysign(1.0, slip) if slip else 0.0
-    if abs(tangential) < limit * (1.0 - 1e-8):
-        # At the first touch nothing is loaded yet: what decides is how load and limit grow.
-        fresh = y[6] == 0.0 and gamma == 0.0 and slip != 0.0
-        if not fresh or equations.growth(y, math.copysign(1.0, slip)) <= 0.0:
-            return 0.0
-        return math.copysign(1.0, slip)
-    sense = -math.copysign(1.0, tangential)
-    if gamma * slip * sense > limit * (1.0 + 1e-9):
-        return sense
-    return sense if equations.growth(y, sense) > 0.0 else 0.0
+    if slip == 0.0:
+        return 0.0
+    sense = math.copysign(1.0, slip)
+    # With damping a part of the force is there at once; without it the faster one of load and limit wins.
+    slides = abs(gamma * slip) > equations.friction * force if gamma else equations.growth(y, sense) > 0.0
+    return sense if slides else 0.0
 
 
 def _change_of_regime(equations: _Equations, sense: float, force: float):
