@@ -18,12 +18,12 @@ from gran_bench.verification.convergence import DRIFT_BOUND
 IMPACTS = (
     ("aluminium oxide", "alumina on a rigid plane, e 0.98, μ 0.092 (Chung & Ooi, test 4)", BASELINE, "o"),
     ("wall E 7e+10 e 1 mu 0.3", "stiff sphere on a wall (70 GPa), e 1, μ 0.3", FURTHER[0], "s"),
-    ("sphere E 1e+07 e 0.5 mu 0.3", "soft sphere on a sphere (10 MPa), e 0.5, μ 0.3", SURROGATE, "D"),
+    ("wall E 1e+07 e 0.5 mu 0.3", "soft sphere on a wall (10 MPa), e 0.5, μ 0.3", SURROGATE, "D"),
 )
 PANELS = (
-    ("tangential_restitution", "tangential restitution  $v_t' / v_t$", (0.0, 1.05)),
+    ("tangential_restitution", "tangential restitution  $v_t' / v_t$", (0.5, 1.02)),
     ("spin", "spin after the impact  $R\\,\\omega' / v$", (0.0, None)),
-    ("rebound_angle_deg", "rebound angle of the contact point, °", (-60.0, 90.0)),
+    ("rebound_angle_deg", "rebound angle of the contact point, °", (-30.0, 90.0)),
 )
 
 
@@ -68,7 +68,7 @@ def _oblique_impact(curves: dict[str, FloatArray], path: Path) -> None:
             axes.set_ylim(low, high)
             axes.set_xlabel("impact angle from the normal, °")
         panels[2].axhline(0.0, color=QUIET, linewidth=0.8, zorder=1)
-        panels[2].set_yticks(range(-60, 91, 30))
+        panels[2].set_yticks(range(-30, 91, 30))
         handles, labels = panels[0].get_legend_handles_labels()
         line = panels[0].plot([], [], color=QUIET)[0]
         dash = panels[0].plot([], [], color=DEM, linewidth=1.0, linestyle=(0, (2, 2)))[0]
@@ -99,14 +99,14 @@ def _order(axes: Axes, series: dict[str, tuple[FloatArray, FloatArray]]) -> None
         return
     looks = ((BASELINE, "o"), (FURTHER[3], "x"), (FURTHER[0], "s"), (SURROGATE, "D"))
     for (name, (step, error)), (colour, marker) in zip(series.items(), looks, strict=False):
-        axes.loglog(step, error, marker, color=colour, linestyle="-", linewidth=1.2, markersize=5, label=name)
+        axes.loglog(step, error, marker, color=colour, linestyle="-", linewidth=1.2, markersize=5, label=_named(name))
     step = np.array([min(s.min() for s, _ in series.values()), max(s.max() for s, _ in series.values())])
     lowest = min(e.min() for _, e in series.values())
     highest = max(e.max() for _, e in series.values())
     for power, anchor in ((1, 1.8 * highest / step[1]), (2, 3.0 * lowest / step[0] ** 2)):
         axes.loglog(step, anchor * step**power, color=QUIET, linewidth=1.0, linestyle=(0, (2, 2)), zorder=1)
         axes.annotate(
-            f"order {power}", (step[0], anchor * step[0] ** power), xytext=(0, 5 if power == 1 else 8),
+            f"order {power}", (step[0], anchor * step[0] ** power), xytext=(0, 11 if power == 1 else 17),
             textcoords="offset points", color="#555555", fontsize=9, va="bottom", ha="left",
         )  # fmt: skip
     axes.set_xlabel("step, of the contact time")
@@ -125,7 +125,7 @@ def _drift(axes: Axes, series: dict[str, tuple[FloatArray, FloatArray]]) -> None
         return
     for (name, (time, change)), colour in zip(series.items(), (SURROGATE, BASELINE, FURTHER[0]), strict=False):
         share = time / time[-1]
-        axes.plot(100 * share, 1e3 * change, color=colour, linewidth=1.0, label=f"{name}, {time[-1]:.3g} s")
+        axes.plot(100 * share, 1e3 * change, color=colour, linewidth=1.0, label=f"{_named(name)}, {time[-1]:.3g} s")
         bound = 1e3 * DRIFT_BOUND / float(name.split("t_c/")[1]) ** 2
         if colour != FURTHER[0]:
             for sign in (-1.0, 1.0):
@@ -135,4 +135,13 @@ def _drift(axes: Axes, series: dict[str, tuple[FloatArray, FloatArray]]) -> None
     axes.set_xlim(0.0, 100.0)
     handles, labels = axes.get_legend_handles_labels()
     dash = axes.plot([], [], color=QUIET, linewidth=1.0, linestyle=(0, (4, 2)))[0]
-    axes.legend([*handles, dash], [*labels, "bounds 3 (Δt/t_c)²"], loc="center right", bbox_to_anchor=(1.0, 0.72))
+    axes.legend(
+        [*handles, dash], [*labels, r"bounds $3\,(\Delta t/t_c)^2$"], loc="center right", bbox_to_anchor=(1.0, 0.75)
+    )
+
+
+def _named(name: str) -> str:
+    """A curve's name with the stiffness as people say it."""
+    for code, words in (("E 1e+07 Pa", "10 MPa"), ("E 7e+10 Pa", "70 GPa"), ("t_c", "$t_c$")):
+        name = name.replace(code, words)
+    return name
