@@ -1,5 +1,9 @@
 """The eight benchmark tests of Chung & Ooi (2011), Granular Matter 13, 643–656, with their materials, sizes and speeds.
 
+The parameters are those that the public implementations of the tests for YADE and PySPH agree on. What comes of them
+is expected from Hertz's and the rigid body's closed forms, and between those from the equations that the solver claims
+to solve; the curves that the paper draws are of other codes.
+
 A rigid plane is a wall 10⁶ times as stiff as the sphere. Two things of test 8 have no place in this solver: a larger
 sphere 1000 times as dense (all particles of a scene have one density, so both have it, and theory says what comes of
 that) and a variant with a shear modulus raised by hand, which no isotropic material has.

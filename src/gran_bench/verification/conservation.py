@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gran_bench.state import Trajectory
 from gran_bench.verification.case import Case, Check, Findings
 from gran_bench.verification.cluster import cluster, mass_of, rough_material
 from gran_bench.verification.laboratory import SOFT, STIFF, laboratory, run
@@ -48,7 +49,7 @@ def momenta() -> Findings:
     return Findings(tuple(checks))
 
 
-def _energy(trajectory, frame: int) -> float:
+def _energy(trajectory: Trajectory, frame: int) -> float:
     figures = trajectory.diagnostics
     return float(figures["kinetic_energy_translational"][frame] + figures["kinetic_energy_rotational"][frame])
 

@@ -9,18 +9,21 @@ import numpy as np
 from gran_bench.scene import Cylinder, Rotation
 from gran_bench.state import FloatArray
 from gran_bench.verification.case import Case, Check, Findings
-from gran_bench.verification.laboratory import RADIUS, SOFT, STIFF, laboratory, on_wall, run, sphere_material, spheres
-from gran_bench.verification.single_particle import GRAVITY
-from gran_bench.verification.theory import Contact
+from gran_bench.verification.laboratory import (
+    GRAVITY,
+    RADIUS,
+    SOFT,
+    STIFF,
+    laboratory,
+    on_wall,
+    run,
+    sphere_material,
+    spheres,
+)
+from gran_bench.verification.rolling_ball import bobbing_period
 
 DRUM = 0.5  # m
 WALL = Cylinder((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), DRUM)
-
-
-def _bobbing_period(contact: Contact) -> float:
-    """Period of the ball on its contact under its weight, s; the fastest motion there is."""
-    overlap = contact.resting_overlap(contact.first.mass * GRAVITY)
-    return 2.0 * math.pi * math.sqrt(contact.first.mass / (1.5 * contact.stiffness * math.sqrt(overlap)))
 
 
 def _crossings(time: FloatArray, angle: FloatArray) -> FloatArray:
@@ -42,7 +45,7 @@ def swing() -> Findings:
             arm, reach = RADIUS - overlap, DRUM - RADIUS + overlap
             turning = 0.4 * (RADIUS / arm) ** 2 if friction else 0.0
             expected.append(2.0 * math.pi * math.sqrt(reach * (1.0 + turning) / GRAVITY) * finite)
-            step = _bobbing_period(contact) / 40
+            step = bobbing_period(contact, contact.first.mass * GRAVITY) / 40
             scene = laboratory(contact.first.material, (WALL,), gravity=(0, 0, -GRAVITY))
             start = reach * np.array([math.sin(amplitude), 0.0, -math.cos(amplitude)])
             stride = max(1, round(5e-3 / step))
@@ -77,7 +80,7 @@ def steady_place() -> Findings:
             arm, reach = RADIUS - overlap, DRUM - RADIUS + overlap
             place = math.atan(resistance * RADIUS / arm)
             spin = speed * DRUM / arm
-            step = _bobbing_period(contact) / 40
+            step = bobbing_period(contact, contact.first.mass * GRAVITY) / 40
             scene = laboratory(
                 contact.first.material, (WALL,), gravity=(0, 0, -GRAVITY), rotation=Rotation((0.0,), (rpm,))
             )
@@ -114,7 +117,7 @@ def set_going() -> Findings:
         contact = on_wall(sphere_material(modulus, 0.3, friction))
         overlap = contact.resting_overlap(contact.first.mass * GRAVITY)
         arm, reach = RADIUS - overlap, DRUM - RADIUS + overlap
-        step, time = _bobbing_period(contact) / 60, 0.05
+        step, time = bobbing_period(contact, contact.first.mass * GRAVITY) / 60, 0.05
         steps = math.ceil(time / step)
         scene = laboratory(contact.first.material, (WALL,), gravity=(0, 0, -GRAVITY), rotation=Rotation((0.0,), (rpm,)))
         final = run(scene, spheres([0.0, 0.0, -reach]), step, steps).final

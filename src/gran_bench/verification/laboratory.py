@@ -16,6 +16,7 @@ from gran_bench.verification.theory import Body, Contact
 FLOOR = Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), turns=False)
 RIGID = 1e6  # a rigid wall is so many times as stiff as the sphere; 1e-6 of E* is what it gives
 RADIUS = 0.025  # m
+GRAVITY = 9.81  # m/s²
 SOFT, STIFF = 1e7, 7e10  # Pa
 STEPS_PER_CONTACT = 200  # Δt = t_c / 200 in an impact, unless a case says otherwise
 
@@ -40,9 +41,8 @@ def laboratory(
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
     rotation: Rotation | None = None,
     radius: float = RADIUS,
-    period: float | None = None,
 ) -> Scene:
-    """A scene with these walls and nothing else; ``period`` is the length of a periodic y axis, m."""
+    """A scene with these walls and nothing else; ``radius`` is of the smallest sphere, m."""
     return Scene(
         "laboratory",
         walls,
@@ -53,8 +53,6 @@ def laboratory(
         rotation=rotation or Rotation(),
         start_time=0.0,
         end_time=1.0,
-        length=period,
-        periodic_axis=period is not None,
     )
 
 

@@ -47,22 +47,19 @@ def expected_rebounds(impacts: Impacts) -> dict[str, FloatArray]:
 def rebound_checks(
     impacts: Impacts, rebounds: Rebounds, expected: dict[str, FloatArray], label: str, at: Sequence[str]
 ) -> list[Check]:
-    """Normal speed, tangential speed and spin after each impact, each to 1 %; the spin of what the impact gave."""
-    source, given = impact_theory.SOURCE, np.abs(expected["first_spin"] - impacts.first_spin)
+    """Normal speed, tangential speed and spins after each impact, each to 1 %; the spins of what the impact gave."""
+    rows = [
+        (f"normal speed after, m/s, {label}", "normal", rebounds.normal, impacts.normal, "of approach speed"),
+        (f"tangential speed after, m/s, {label}", "tangential", rebounds.tangential, None, "of expected"),
+    ]
+    spins = [("spin", "first_spin")] + ([] if impacts.contact.second.is_wall else [("other's spin", "second_spin")])
+    for name, key in spins:
+        given = np.abs(expected[key] - getattr(impacts, key))
+        rows.append((f"{name} after, rad/s, {label}", key, getattr(rebounds, key), given, "of expected change"))
     return [
-        Check(
-            f"normal speed after, m/s, {label}",
-            expected["normal"], rebounds.normal, TOLERANCE, source, impacts.normal, "of approach speed", at,
-        ),
-        Check(
-            f"tangential speed after, m/s, {label}",
-            expected["tangential"], rebounds.tangential, TOLERANCE, source, None, "of expected", at,
-        ),
-        Check(
-            f"spin after, rad/s, {label}",
-            expected["first_spin"], rebounds.first_spin, TOLERANCE, source, given, "of expected change", at,
-        ),
-    ]  # fmt: skip
+        Check(quantity, expected[key], found, TOLERANCE, impact_theory.SOURCE, scale, unit, at)
+        for quantity, key, found, scale, unit in rows
+    ]
 
 
 def at_angles(contact: Contact, angles: FloatArray, speed: float = SPEED) -> Impacts:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from gran_bench.verification import (
+    bounce,
     chung_ooi,
     conservation,
     convergence,
@@ -13,7 +14,8 @@ from gran_bench.verification import (
     head_on,
     invariance,
     oblique,
-    single_particle,
+    rolling_ball,
+    stack,
     tangential_history,
 )
 from gran_bench.verification.case import Case, Findings, Outcome
@@ -23,7 +25,9 @@ CASES: tuple[Case, ...] = (
     *oblique.CASES,
     *tangential_history.CASES,
     *chung_ooi.CASES,
-    *single_particle.CASES,
+    *bounce.CASES,
+    *stack.CASES,
+    *rolling_ball.CASES,
     *drum_ball.CASES,
     *conservation.CASES,
     *convergence.CASES,
