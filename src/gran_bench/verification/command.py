@@ -53,7 +53,7 @@ def run(draw: Draw, words: Sequence[str] | None = None, cases: Sequence[Case] = 
     if not chosen:
         print("error: --quick leaves out the cases that --case names; give one of the two", file=sys.stderr)
         return REFUSED
-    whole = len(chosen) == len(cases)
+    whole = not (arguments.case or arguments.quick)
     # A part of the suite does not replace the page of the whole, unless it is told to.
     folder = arguments.output or (FOLDER if whole else None)
     try:
