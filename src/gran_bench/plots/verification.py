@@ -1,0 +1,147 @@
+"""Figures of the verification suite: oblique impacts over the angle, and what the time step does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, NullFormatter
+
+from gran_bench.plots.style import BASELINE, DEM, FURTHER, QUIET, SURROGATE, drawing, say
+from gran_bench.state import FloatArray
+from gran_bench.verification import Outcome
+from gran_bench.verification.convergence import DRIFT_BOUND
+
+# (curves of the case, label, colour, marker)
+IMPACTS = (
+    ("aluminium oxide", "alumina on a rigid plane, e 0.98, μ 0.092 (Chung & Ooi, test 4)", BASELINE, "o"),
+    ("wall E 7e+10 e 1 mu 0.3", "stiff sphere on a wall (70 GPa), e 1, μ 0.3", FURTHER[0], "s"),
+    ("wall E 1e+07 e 0.5 mu 0.3", "soft sphere on a wall (10 MPa), e 0.5, μ 0.3", SURROGATE, "D"),
+)
+PANELS = (
+    ("tangential_restitution", "tangential restitution  $v_t' / v_t$", (0.5, 1.02)),
+    ("spin", "spin after the impact  $R\\,\\omega' / v$", (0.0, None)),
+    ("rebound_angle_deg", "rebound angle of the contact point, °", (-30.0, 90.0)),
+)
+
+
+def draw_verification(outcomes: Sequence[Outcome], folder: Path) -> list[str]:
+    """Draws what the cases that were run allow, and returns the names of the files.
+
+    Args:
+        outcomes: of the suite or of a part of it.
+        folder: of the page.
+    """
+    curves = {name: values for outcome in outcomes for name, values in outcome.findings.curves.items()}
+    names = []
+    if any(name.startswith(tuple(f"{key}|" for key, *_ in IMPACTS)) for name in curves):
+        _oblique_impact(curves, folder / "oblique_impact.png")
+        names.append("oblique_impact.png")
+    if any(name.endswith(("|error", "|change")) for name in curves):
+        _step(curves, folder / "step.png")
+        names.append("step.png")
+    return names
+
+
+def _oblique_impact(curves: dict[str, FloatArray], path: Path) -> None:
+    with drawing(path, 11.0, 4.6) as figure:
+        panels = figure.subplots(1, 3)
+        for axes, (quantity, title, (low, high)) in zip(panels, PANELS, strict=True):
+            for key, label, colour, marker in IMPACTS:
+                if f"{key}|found_angle_deg" not in curves:
+                    continue
+                angle = curves[f"{key}|expected_angle_deg"]
+                axes.plot(angle, curves[f"{key}|expected_{quantity}"], color=colour, zorder=2)
+                sliding = curves.get(f"{key}|sliding_{quantity}")
+                if sliding is not None:
+                    axes.plot(angle, sliding, color=DEM, linewidth=1.0, linestyle=(0, (2, 2)), zorder=3)
+                axes.plot(
+                    curves[f"{key}|found_angle_deg"], curves[f"{key}|found_{quantity}"],
+                    marker, color=colour, markersize=4.8, markerfacecolor="white", markeredgewidth=1.2,
+                    label=label, zorder=4,
+                )  # fmt: skip
+            axes.set_title(title)
+            axes.set_xlim(0.0, 90.0)
+            axes.set_xticks(range(0, 91, 15))
+            axes.set_ylim(low, high)
+            axes.set_xlabel("impact angle from the normal, °")
+        panels[2].axhline(0.0, color=QUIET, linewidth=0.8, zorder=1)
+        panels[2].set_yticks(range(-30, 91, 30))
+        handles, labels = panels[0].get_legend_handles_labels()
+        line = panels[0].plot([], [], color=QUIET)[0]
+        dash = panels[0].plot([], [], color=DEM, linewidth=1.0, linestyle=(0, (2, 2)))[0]
+        figure.legend(
+            [*handles, line, dash],
+            [*labels, "lines: Hertz–Mindlin in continuous time", "dashes: rigid bodies that slide all through"],
+            loc="outside lower center", ncols=2,
+        )  # fmt: skip
+
+
+def _step(curves: dict[str, FloatArray], path: Path) -> None:
+    with drawing(path, 11.0, 4.4) as figure:
+        left, right = figure.subplots(1, 2)
+        _order(left, _pairs(curves, "step", "error"))
+        _drift(right, _pairs(curves, "time", "change"))
+
+
+def _pairs(curves: dict[str, FloatArray], across: str, up: str) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Abscissa and ordinate of each curve ``name|across`` and ``name|up``, by name."""
+    names = [key.removesuffix(f"|{up}") for key in curves if key.endswith(f"|{up}")]
+    return {name: (curves[f"{name}|{across}"], curves[f"{name}|{up}"]) for name in names}
+
+
+def _order(axes: Axes, series: dict[str, tuple[FloatArray, FloatArray]]) -> None:
+    axes.set_title("error against the step")
+    if not series:
+        say(axes, "the case 'order' was not run")
+        return
+    looks = ((BASELINE, "o"), (FURTHER[3], "x"), (FURTHER[0], "s"), (SURROGATE, "D"))
+    for (name, (step, error)), (colour, marker) in zip(series.items(), looks, strict=False):
+        axes.loglog(step, error, marker, color=colour, linestyle="-", linewidth=1.2, markersize=5, label=_named(name))
+    step = np.array([min(s.min() for s, _ in series.values()), max(s.max() for s, _ in series.values())])
+    lowest = min(e.min() for _, e in series.values())
+    highest = max(e.max() for _, e in series.values())
+    for power, anchor in ((1, 1.8 * highest / step[1]), (2, 3.0 * lowest / step[0] ** 2)):
+        axes.loglog(step, anchor * step**power, color=QUIET, linewidth=1.0, linestyle=(0, (2, 2)), zorder=1)
+        axes.annotate(
+            f"order {power}", (step[0], anchor * step[0] ** power), xytext=(0, 11 if power == 1 else 17),
+            textcoords="offset points", color="#555555", fontsize=9, va="bottom", ha="left",
+        )  # fmt: skip
+    axes.set_xlabel("step, of the contact time")
+    axes.set_ylabel("relative error")
+    ticks = [1 / 800, 1 / 400, 1 / 200, 1 / 100, 1 / 50, 1 / 25]
+    axes.set_xticks(ticks)
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"1/{round(1 / value)}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.legend(loc="lower right")
+
+
+def _drift(axes: Axes, series: dict[str, tuple[FloatArray, FloatArray]]) -> None:
+    axes.set_title("energy of an elastic gas of 27 spheres")
+    if not series:
+        say(axes, "the case 'energy-drift' was not run")
+        return
+    for (name, (time, change)), colour in zip(series.items(), (SURROGATE, BASELINE, FURTHER[0]), strict=False):
+        share = time / time[-1]
+        axes.plot(100 * share, 1e3 * change, color=colour, linewidth=1.0, label=f"{_named(name)}, {time[-1]:.3g} s")
+        bound = 1e3 * DRIFT_BOUND / float(name.split("t_c/")[1]) ** 2
+        if colour != FURTHER[0]:
+            for sign in (-1.0, 1.0):
+                axes.axhline(sign * bound, color=colour, linewidth=1.0, linestyle=(0, (4, 2)))
+    axes.set_xlabel("share of the run, %")
+    axes.set_ylabel("change of energy, ‰")
+    axes.set_xlim(0.0, 100.0)
+    handles, labels = axes.get_legend_handles_labels()
+    dash = axes.plot([], [], color=QUIET, linewidth=1.0, linestyle=(0, (4, 2)))[0]
+    axes.legend(
+        [*handles, dash], [*labels, r"bounds $3\,(\Delta t/t_c)^2$"], loc="center right", bbox_to_anchor=(1.0, 0.75)
+    )
+
+
+def _named(name: str) -> str:
+    """A curve's name with the stiffness as people say it."""
+    for code, words in (("E 1e+07 Pa", "10 MPa"), ("E 7e+10 Pa", "70 GPa"), ("t_c", "$t_c$")):
+        name = name.replace(code, words)
+    return name

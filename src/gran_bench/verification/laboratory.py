@@ -1,0 +1,212 @@
+"""Experiments on the solver: scenes of a few bodies, runs of so many steps, many impacts side by side."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gran_bench.config import DemConfig
+from gran_bench.dem.simulate import SimulationResult, simulate
+from gran_bench.scene import Filling, Material, Plane, Rotation, Scene, Wall
+from gran_bench.state import FloatArray, ParticleState
+from gran_bench.verification.theory import Body, Contact
+
+FLOOR = Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), turns=False)
+RIGID = 1e6  # a rigid wall is so many times as stiff as the sphere; 1e-6 of E* is what it gives
+RADIUS = 0.025  # m
+GRAVITY = 9.81  # m/s²
+SOFT, STIFF = 1e7, 7e10  # Pa
+STEPS_PER_CONTACT = 200  # Δt = t_c / 200 in an impact, unless a case says otherwise
+
+
+def sphere_material(
+    youngs_modulus: float = SOFT, restitution: float = 1.0, friction: float = 0.0, rolling_friction: float = 0.0
+) -> Material:
+    """The material of the shipped scenes (ν = 0.3, 2500 kg/m³) at another stiffness, e or μ."""
+    return Material(youngs_modulus, 0.3, 2500.0, restitution, friction, rolling_friction)
+
+
+def rigid(material: Material) -> Material:
+    """A wall that a sphere of ``material`` does not dent."""
+    return replace(material, youngs_modulus=RIGID * material.youngs_modulus)
+
+
+def laboratory(
+    material: Material,
+    walls: tuple[Wall, ...] = (),
+    *,
+    wall_material: Material | None = None,
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    rotation: Rotation | None = None,
+    radius: float = RADIUS,
+) -> Scene:
+    """A scene with these walls and nothing else; ``radius`` is of the smallest sphere, m."""
+    return Scene(
+        "laboratory",
+        walls,
+        Filling(1, 2.0 * radius),
+        material,
+        wall_material or material,
+        gravity=gravity,
+        rotation=rotation or Rotation(),
+        start_time=0.0,
+        end_time=1.0,
+    )
+
+
+def spheres(
+    position: FloatArray, velocity: FloatArray | None = None, spin: FloatArray | None = None, radius: object = RADIUS
+) -> ParticleState:
+    """Spheres at time 0; at rest and without spin unless told, all of one radius or each of its own."""
+    position = np.array(position, float).reshape(-1, 3)
+    moving = [np.zeros_like(position) if a is None else np.array(a, float).reshape(-1, 3) for a in (velocity, spin)]
+    return ParticleState(position, *moving, np.broadcast_to(np.asarray(radius, float), len(position)).copy())
+
+
+def run(
+    scene: Scene, state: ParticleState, time_step: float, steps: int, stride: int | None = None, engine: str = "numba"
+) -> SimulationResult:
+    """Runs ``steps`` steps of ``time_step``, with a frame every ``stride`` steps (at the end alone where None)."""
+    stride = stride or steps
+    scene = replace(scene, frame_interval=stride * time_step)
+    dem = DemConfig(engine=engine, time_step=time_step, allow_unsafe_step=True)
+    return simulate(scene, state, state.time + steps // stride * scene.frame_interval, dem=dem)
+
+
+@dataclass(frozen=True)
+class Impacts:
+    """P impacts of a sphere on a wall or on another sphere, each in the x–z plane with its spins about y.
+
+    The first body hits the second one, which lies under it (−z) or, where it is a sphere, is at rest there.
+
+    Attributes:
+        contact: the bodies.
+        normal: ``(P,)`` approach v_n > 0, m/s.
+        tangential: ``(P,)`` v_t of the first along x, m/s.
+        first_spin, second_spin: ``(P,)`` about y, rad/s.
+    """
+
+    contact: Contact
+    normal: FloatArray
+    tangential: FloatArray
+    first_spin: FloatArray
+    second_spin: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        contact: Contact,
+        normal: object,
+        tangential: object = 0.0,
+        first_spin: object = 0.0,
+        second_spin: object = 0.0,
+    ) -> Impacts:
+        """Broadcasts numbers to as many impacts as the longest array has."""
+        arrays = np.broadcast_arrays(*(np.atleast_1d(a) for a in (normal, tangential, first_spin, second_spin)))
+        return cls(contact, *(np.array(a, float) for a in arrays))
+
+
+@dataclass(frozen=True)
+class Rebounds:
+    """What P impacts left.
+
+    Attributes:
+        normal: ``(P,)`` relative speed along z when they part, m/s.
+        tangential: ``(P,)`` relative speed along x, m/s.
+        first_spin, second_spin: ``(P,)`` rad/s.
+        energy: ``(P,)`` kinetic energy over that before, in the frame in which the second body rested, −.
+        overlap: largest overlap of any impact, m.
+        trajectory: of all bodies, the first P being the first bodies.
+    """
+
+    normal: FloatArray
+    tangential: FloatArray
+    first_spin: FloatArray
+    second_spin: FloatArray
+    energy: FloatArray
+    overlap: float
+    result: SimulationResult
+
+
+def collide(
+    impacts: Impacts,
+    *,
+    steps_per_contact: float = STEPS_PER_CONTACT,
+    phase: FloatArray | float = 0.0,
+    stride: int | None = None,
+    engine: str = "numba",
+) -> Rebounds:
+    """Lets all impacts happen side by side in one run, long enough for the slowest to part.
+
+    Args:
+        impacts: what hits what.
+        steps_per_contact: the step is the shortest elastic contact time over this.
+        phase: ``(P,)`` of a step, between the last state apart and the first touch.
+        stride: steps between two frames; None keeps the end alone.
+        engine: which.
+    """
+    contact, count = impacts.contact, len(impacts.normal)
+    first, second = contact.first, contact.second
+    time_step = contact.duration(float(impacts.normal.max())) / steps_per_contact
+    # What is overdamped creeps apart; a restitution of 0.05 takes four elastic contact times.
+    longest = (1.6 + 4.0 * (1.0 - second.material.restitution)) * contact.duration(float(impacts.normal.min()))
+    steps = math.ceil(longest / time_step) + 5
+    if stride:
+        steps = math.ceil(steps / stride) * stride
+    largest = max(first.radius, 0.0 if second.is_wall else second.radius)
+    apart = 8.0 * largest + 2.0 * float(np.abs(impacts.tangential).max()) * steps * time_step
+    # Both start back along their path, so that they touch where they would without a phase.
+    early = np.broadcast_to(np.asarray(phase, float) * time_step + 1e-13 * first.radius / impacts.normal, count)
+    zero, line = np.zeros(count), apart * np.arange(count)
+    height = first.radius + early * impacts.normal + (0.0 if second.is_wall else second.radius)
+    position = np.stack((-early * impacts.tangential, line, height), axis=1)
+    velocity = np.stack((impacts.tangential, zero, -impacts.normal), axis=1)
+    spin = np.stack((zero, impacts.first_spin, zero), axis=1)
+    radius = np.full(count, first.radius)
+    if not second.is_wall:
+        position = np.concatenate((position, np.stack((zero, line, zero), axis=1)))
+        velocity = np.concatenate((velocity, np.zeros_like(velocity)))
+        spin = np.concatenate((spin, np.stack((zero, impacts.second_spin, zero), axis=1)))
+        radius = np.concatenate((radius, np.full(count, second.radius)))
+    scene = laboratory(
+        first.material, (FLOOR,) if second.is_wall else (), wall_material=second.material, radius=float(radius.min())
+    )
+    state = spheres(position, velocity, spin, radius)
+    result = run(scene, state, time_step, steps, stride or steps, engine)
+    before, after = (_kinetic_energy(first.material.density, s, count) for s in (state, result.final))
+    v, w = result.final.velocity, result.final.angular_velocity[:, 1]
+    relative = v if second.is_wall else v[:count] - v[count:]
+    return Rebounds(
+        normal=relative[:, 2],
+        tangential=relative[:, 0],
+        first_spin=w[:count],
+        second_spin=zero if second.is_wall else w[count:],
+        energy=after / before,
+        overlap=float(max(result.trajectory.diagnostics[name].max() for name in ("overlap_max", "wall_overlap_max"))),
+        result=result,
+    )
+
+
+def _kinetic_energy(density: float, state: ParticleState, count: int) -> FloatArray:
+    """Of each impact's bodies together, ``(P,)`` J."""
+    mass = 4.0 / 3.0 * np.pi * density * state.radius**3
+    energy = 0.5 * mass * np.square(state.velocity).sum(axis=1)
+    energy += 0.2 * mass * state.radius**2 * np.square(state.angular_velocity).sum(axis=1)
+    return energy.reshape(-1, count).sum(axis=0)
+
+
+def on_rigid_wall(material: Material, radius: float = RADIUS) -> Contact:
+    """A sphere on a wall that does not yield."""
+    return Contact(Body(material, radius), Body(rigid(material), math.inf))
+
+
+def on_wall(material: Material, radius: float = RADIUS) -> Contact:
+    """A sphere on a wall of its own material."""
+    return Contact(Body(material, radius), Body(material, math.inf))
+
+
+def on_sphere(material: Material, radius: float = RADIUS, second_radius: float | None = None) -> Contact:
+    """A sphere on another of its material, of the same size unless told."""
+    return Contact(Body(material, radius), Body(material, second_radius or radius))

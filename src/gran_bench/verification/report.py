@@ -1,0 +1,149 @@
+"""What the suite found, as a table for the terminal, as JSON with every point, and as a page."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gran_bench.atomic import write_text
+from gran_bench.verification.case import Check, Outcome
+
+JSON, PAGE = "verification.json", "README.md"
+HEADS = ("case", "quantity", "points", "expected", "found", "error", "tolerance", "source", "")
+FIGURES = {
+    "oblique_impact.png": "Oblique impacts: points are found at t_c/200, lines are the equations in continuous time, "
+    "dashes are rigid bodies that slide.",
+    "step.png": "What the step does: the order of the error, and the energy of an elastic gas.",
+}
+
+
+def rows(outcome: Outcome) -> Iterator[tuple[str, ...]]:
+    """A row for each quantity of a case, at the point with the largest error; one for the error that stopped it."""
+    if outcome.failure is not None:
+        yield (outcome.case.name, outcome.failure, "", "", "", "", "", "", "FAILED")
+    elif not outcome.findings.checks:
+        yield (outcome.case.name, "nothing was checked", "", "", "", "", "", "", "FAILED")
+    for check in outcome.findings.checks:
+        k = check.worst
+        where = f" at {check.at[k]}" if check.at else ""
+        yield (
+            outcome.case.name,
+            check.quantity + where,
+            str(len(check.expected)),
+            f"{check.expected[k]:.6g}",
+            f"{check.found[k]:.6g}",
+            f"{check.error[k]:.1e} {check.unit}",
+            f"{check.tolerance:.2g}",
+            check.source,
+            "met" if check.met else "FAILED",
+        )
+
+
+def table(outcomes: Sequence[Outcome]) -> str:
+    """All rows, in columns; the worst point of each quantity."""
+    lines = [HEADS, *(row for outcome in outcomes for row in rows(outcome))]
+    widths = [max(len(line[c]) for line in lines) for c in range(len(HEADS))]
+    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
+
+
+def verdict(outcomes: Sequence[Outcome]) -> str:
+    """How many cases, quantities and points there were, and which cases failed, in a line."""
+    checks = [check for outcome in outcomes for check in outcome.findings.checks]
+    points, failed = sum(len(check.expected) for check in checks), [o.case.name for o in outcomes if not o.met]
+    counted = (
+        f"{len(outcomes)} cases, {len(checks)} quantities, {points} points, {sum(o.seconds for o in outcomes):.0f} s: "
+    )
+    return counted + (f"{len(failed)} FAILED: {', '.join(failed)}" if failed else "all within tolerance")
+
+
+def write_report(
+    outcomes: Sequence[Outcome], folder: Path, provenance: dict[str, str], figures: Sequence[str], subset: str = ""
+) -> None:
+    """The JSON and the page; each whole or not there.
+
+    Args:
+        outcomes: in order.
+        folder: made where it is missing.
+        provenance: where the result comes from.
+        figures: files in the folder that the page shows.
+        subset: what was left out, in words; empty for the whole suite.
+    """
+    record = {
+        "provenance": provenance,
+        "verdict": verdict(outcomes),
+        "met": all(outcome.met for outcome in outcomes),
+        "subset": subset,
+        "cases": [_record(outcome) for outcome in outcomes],
+    }
+    write_text(folder / JSON, json.dumps(record, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n")
+    write_text(folder / PAGE, "\n".join(_page(outcomes, provenance, figures, subset)) + "\n")
+
+
+def _record(outcome: Outcome) -> dict[str, Any]:
+    return {
+        "name": outcome.case.name,
+        "title": outcome.case.title,
+        "met": outcome.met,
+        "failure": outcome.failure,
+        "seconds": round(outcome.seconds, 3),
+        "checks": [_check_record(check) for check in outcome.findings.checks],
+        "curves": {name: _numbers(values, 6) for name, values in outcome.findings.curves.items()},
+    }
+
+
+def _check_record(check: Check) -> dict[str, Any]:
+    return {
+        "quantity": check.quantity,
+        "met": check.met,
+        "tolerance": check.tolerance,
+        "unit": check.unit,
+        "source": check.source,
+        "at": list(check.at),
+        "expected": _numbers(check.expected, 10),
+        "found": _numbers(check.found, 10),
+        "error": _numbers(check.error, 4),
+    }
+
+
+def _numbers(values: np.ndarray, digits: int) -> list[float | str]:
+    """Rounded; what is not finite in words, which JSON has no numbers for."""
+    return [float(f"{v:.{digits}g}") if math.isfinite(v) else str(v) for v in np.asarray(values, float)]
+
+
+def _page(
+    outcomes: Sequence[Outcome], provenance: dict[str, str], figures: Sequence[str], subset: str
+) -> Iterator[str]:
+    yield "# Verification of the DEM"
+    yield ""
+    yield f"**{verdict(outcomes)}.**" + (f" {subset}" if subset else "")
+    yield ""
+    yield (
+        "Each row is a quantity at the point where its error is largest; every point is in "
+        f"[`{JSON}`]({JSON}). Expected values come from closed forms or from an integration of the equations that "
+        "shares no code with the solver; the source of each says which."
+    )
+    yield ""
+    for name in figures:
+        yield f"![{FIGURES.get(name, name)}]({name})"
+        yield ""
+        yield f"*{FIGURES.get(name, name)}*"
+        yield ""
+    for outcome in outcomes:
+        yield f"## {outcome.case.name}: {outcome.case.title}"
+        yield ""
+        yield "| " + " | ".join(HEADS[1:]) + " |"
+        yield "|---|" + "---:|" * 3 + "---|---:|---|---|"
+        for row in rows(outcome):
+            yield "| " + " | ".join(cell.replace("|", "\\|") for cell in row[1:]) + " |"
+        yield ""
+    yield "## Where this comes from"
+    yield ""
+    yield "| | |"
+    yield "|---|---|"
+    for name, value in provenance.items():
+        yield f"| {name.replace('_', ' ')} | `{value}` |"

@@ -1,0 +1,172 @@
+"""What a contact remembers: shear–load cycles create no energy, the force turns with the contact, arms end at it.
+
+A contact is led along a path by a sphere so heavy that the contact hardly changes its velocity; what the contact takes
+from it or gives to it is read off that change.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from gran_bench.scene import Material
+from gran_bench.state import ContactHistory, FloatArray
+from gran_bench.verification.case import Case, Check, Findings
+from gran_bench.verification.laboratory import (
+    FLOOR,
+    RADIUS,
+    SOFT,
+    STIFF,
+    Impacts,
+    collide,
+    laboratory,
+    on_sphere,
+    on_wall,
+    run,
+    sphere_material,
+    spheres,
+)
+
+MINDLIN = "k_t = 8 G* √(R* δ), force scaled by √(δ/δ_before) on unloading, closed form"
+LEG_STEPS = 400
+HEAVY = 1e12  # kg/m³
+
+# Corners of (share of the largest overlap, share of the largest shear).
+CYCLES = {
+    "shear at high load, back at low load": ((0.25, 0), (1, 0), (1, 1), (0.25, 1), (0.25, 0)),
+    "shear at low load, back at high load": ((0.25, 0), (0.25, 1), (1, 1), (1, 0), (0.25, 0)),
+    "shear and back at one load": ((1, 0), (1, 0), (1, 1), (1, 0), (1, 0)),
+}
+
+
+def _work_of_cycles(modulus: float, overlap: float, shear: float, engine: str) -> FloatArray:
+    """Work that each cycle takes from a sphere on a wall, J; negative would be energy from nowhere."""
+    material = Material(modulus, 0.3, HEAVY, 1.0, 1e6)
+    cycles = np.array(list(CYCLES.values()), float) * (overlap, shear)  # (cycle, corner, overlap and shear)
+    line, mass = 1.0 * np.arange(len(cycles)), 4.0 / 3.0 * math.pi * HEAVY * RADIUS**3
+    scene, work, history = laboratory(material, (FLOOR,)), np.zeros(len(cycles)), ContactHistory.empty()
+    # Slow enough to see the contact's pull on a velocity, fast enough not to be led astray by it.
+    duration = 1e-3 * shear * math.sqrt(mass / (modulus * RADIUS * overlap**2))
+    for (depth, slid), (deeper, further) in pairwise(cycles.transpose(1, 2, 0)):
+        velocity = np.stack((further - slid, np.zeros(len(line)), depth - deeper), axis=1) / duration
+        state = spheres(np.stack((slid, line, RADIUS - depth), axis=1), velocity)
+        final = run(scene, replace(state, history=history), duration / LEG_STEPS, LEG_STEPS, engine=engine).final
+        change = final.velocity - velocity
+        work -= mass * ((velocity + 0.5 * change) * change).sum(axis=1)
+        history = final.history
+    return work
+
+
+def cycles() -> Findings:
+    """Work of closed cycles of shear and load against the closed form ½ (k_deep − k_shallow) s²."""
+    checks = []
+    for modulus, overlap in ((SOFT, 2e-3), (STIFF, 2e-5)):
+        contact = on_wall(Material(modulus, 0.3, HEAVY, 1.0, 1e6))
+        shear = 0.05 * overlap
+        deep, shallow = contact.shear_stiffness * np.sqrt([overlap, 0.25 * overlap])
+        expected = 0.5 * (deep - shallow) * shear**2 * np.array([1.0, 1.0, 0.0])
+        stored = 0.5 * deep * shear**2
+        for engine in ("numba", "numpy"):
+            found = _work_of_cycles(modulus, overlap, shear, engine)
+            label, at = f"E {modulus:g} Pa, {engine}", tuple(CYCLES)
+            checks.append(
+                Check(
+                    f"energy that a cycle takes, J, {label}",
+                    expected, found, 1e-3, MINDLIN, stored, "of the shear energy", at,
+                )
+            )  # fmt: skip
+            created = np.maximum(0.0, -found)
+            # The closed path of elastic loads comes back to zero to the rounding of velocities.
+            checks.append(
+                Check(
+                    f"energy that a cycle creates, J, {label}",
+                    np.zeros(3), created, 1e-4, "no source of energy", stored, "of the shear energy", at,
+                )
+            )  # fmt: skip
+    return Findings(tuple(checks))
+
+
+def _turned(force: FloatArray, turns: float, steps: int, engine: str) -> tuple[FloatArray, FloatArray]:
+    """Forces that M equal contacts remember after the pair was turned about y, and the normals, ``(M, 3)`` each.
+
+    Args:
+        force: ``(M, 3)`` before, with the normals along x.
+        turns: of the pair.
+        steps: in which the pair is turned.
+        engine: which.
+    """
+    count, scene = len(force), laboratory(Material(SOFT, 0.3, 1e18, 1.0, 1e6))
+    distance, line = 2.0 * RADIUS - 1e-3, 1.0 * np.arange(count)
+    first = np.arange(count)
+    history = ContactHistory(first, first + count, force, np.full(count, 1e-3))
+    for step in range(1, steps + 1):
+        angle = 2.0 * math.pi * turns * step / steps
+        normal = np.array([math.cos(angle), 0.0, math.sin(angle)])
+        middle = np.stack((0.0 * line, line, 0.0 * line), axis=1)
+        position = np.concatenate((middle - 0.5 * distance * normal, middle + 0.5 * distance * normal))
+        state = replace(spheres(position), history=history)
+        history = run(scene, state, 1e-9, 1, engine=engine).final.history
+    return history.force, np.tile(normal, (count, 1))
+
+
+def turning() -> Findings:
+    """The remembered force of a pair that turns by 7/8 of a circle: its length, and its place in the contact plane."""
+    checks, turns = [], 0.875
+    force = np.array([[0.0, 0.0, 2.0], [0.0, 3.0, 0.0], [0.0, 1.0, 1.0]])
+    at = ("in the plane of turning", "along the axis", "between them")
+    angle = 2.0 * math.pi * turns
+    tangent = np.array([-math.sin(angle), 0.0, math.cos(angle)])
+    for engine in ("numba", "numpy"):
+        found, normal = _turned(force, turns, 140, engine)
+        length = np.linalg.norm(force, axis=1)
+        checks += [
+            Check(
+                f"length of the remembered force, N, {engine}", length, np.linalg.norm(found, axis=1),
+                1e-12, "turns with the contact", at=at,
+            ),
+            Check(
+                f"part out of the contact plane, N, {engine}", np.zeros(3), np.abs((found * normal).sum(axis=1)),
+                1e-12, "turns with the contact", length, "of its length", at,
+            ),
+            Check(
+                f"part along the turned tangent, N, {engine}", force[:2, 2], (found @ tangent)[:2],
+                1e-12, "turns with the contact", length[:2], "of its length", at[:2],
+            ),
+        ]  # fmt: skip
+    return Findings(tuple(checks))
+
+
+def lever_arm() -> Findings:
+    """Angular momentum about the common centre through impacts so soft that a sphere yields by a tenth of its size."""
+    checks, angles = [], np.radians(np.arange(10.0, 90.0, 10.0))
+    for name, contact in (
+        ("equal", on_sphere(sphere_material(1e5, 0.8, 0.5))),
+        ("unequal", on_sphere(sphere_material(1e5, 0.8, 0.5), 0.02, 0.03)),
+    ):
+        impacts = Impacts.of(contact, 0.8 * np.cos(angles), 0.8 * np.sin(angles), 5.0, -3.0)
+        rebounds = collide(impacts, stride=50)
+        trajectory, count = rebounds.result.trajectory, len(angles)
+        mass = 4.0 / 3.0 * math.pi * 2500.0 * trajectory.radius**3
+        own = (0.4 * mass * trajectory.radius**2)[:, None] * trajectory.angular_velocity
+        orbital = mass[:, None] * np.cross(trajectory.position, trajectory.velocity)
+        momentum = (own + orbital).reshape(len(own), 2, count, 3).sum(axis=1)
+        scale = (np.abs(own) + np.linalg.norm(orbital, axis=-1, keepdims=True)).reshape(len(own), 2, count, 3)
+        leak = np.abs(momentum - momentum[0]).max(axis=(0, 2)) / scale[0].sum(axis=0).max(axis=1)
+        at = [f"{angle:g}°" for angle in np.degrees(angles)]
+        checks.append(
+            Check(
+                f"angular momentum lost, {name} spheres, overlap up to {rebounds.overlap / contact.first.radius:.2f} R",
+                np.zeros(count), leak, 1e-12, "conserved", 1.0, "of Σ m|x×v| + I|ω|", at,
+            )
+        )  # fmt: skip
+    return Findings(tuple(checks))
+
+
+CASES = (
+    Case("shear-load-cycle", "a cycle of shear and load creates no energy, in either order", cycles),
+    Case("turning-contact", "the remembered force turns with the contact and keeps its length", turning),
+    Case("lever-arm", "a soft contact leaks no angular momentum", lever_arm),
+)
