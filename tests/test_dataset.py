@@ -134,7 +134,7 @@ DIFFERENT = {
     "schedule": CaseSpec(replace(SCENE, rotation=Rotation((0.4, 0.5), (30.0, 40.0)))),
     "engine": replace(SPEC, dem=DemConfig(engine="numpy")),
     "time step": replace(SPEC, dem=DemConfig(time_step=1e-4)),
-    "skin": replace(SPEC, dem=DemConfig(skin=0.011)),
+    "precision": replace(SPEC, dem=DemConfig(precision="float32")),
     "packing": replace(SPEC, packing_seed=1),
     "replica 1": replicas(SPEC, 2)[0],
     "replica 2": replicas(SPEC, 2)[1],

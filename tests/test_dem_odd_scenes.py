@@ -125,10 +125,6 @@ def test_a_checkpoint_in_mid_contact_goes_on_bit_for_bit(dem, name, middle, end)
     scene = small(name)
     # A coarse step: what is compared are bits, not physics, and the reference engine is slow.
     dem = replace(dem, time_step=2e-4, allow_unsafe_step=True)
-    if scene.needs.materials and dem.engine == "numba":
-        with pytest.raises(NotImplementedError):
-            simulate(scene, settle(scene, 0, dem=dem), end, dem=dem)
-        return
     bed = settle(scene, 3)
     whole, half = simulate(scene, bed, end, dem=dem), simulate(scene, bed, middle, dem=dem).final
     assert len(half.history) > 10

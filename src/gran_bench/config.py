@@ -134,7 +134,9 @@ class DemConfig:
 
     engine: str = "numba"  # numba | numpy
     time_step: float | None = None  # s; null: automatic, a stated fraction of min(Rayleigh time, contact time)
-    skin: float | None = None  # m, Verlet skin; null: chosen by the engine
+    skin: float | None = None  # m, Verlet skin; null: chosen by the clock; changes no bit of the result
+    threads: int | None = None  # of the numba engine; null: chosen by the clock; changes no bit of the result
+    precision: str = "float64"  # float64 | float32 (of contact forces, numba alone; positions stay float64)
     allow_unsafe_step: bool = False  # true turns the error of a too large step into a recorded warning
 
 

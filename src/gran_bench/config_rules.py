@@ -186,6 +186,8 @@ RULES: dict[type, dict[str, Rule]] = {
         "engine": OneOf(("numba", "numpy")),
         "time_step": positive("s"),
         "skin": positive("m"),
+        "threads": at_least(1),
+        "precision": OneOf(("float64", "float32")),
         "allow_unsafe_step": Switch(),
     },
     DatasetConfig: {

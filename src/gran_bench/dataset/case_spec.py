@@ -187,10 +187,9 @@ def key_hash(key: dict[str, Any]) -> str:
 
 
 def _dem_key(scene: Scene, dem: DemConfig) -> dict[str, Any]:
-    """The solver's settings that change numbers; the skin does, through the order of summation."""
+    """The solver's settings that change numbers; skin and threads don't."""
     time_step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
-    skin = None if dem.skin is None else float(dem.skin)
-    return {"engine": dem.engine, "time_step": float(time_step), "skin": skin}
+    return {"engine": dem.engine, "time_step": float(time_step), "precision": dem.precision}
 
 
 @functools.cache

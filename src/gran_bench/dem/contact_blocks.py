@@ -19,15 +19,14 @@ from gran_bench.dem.rows import (
     gather_difference,
     gather_rows,
     gather_sum,
-    scatter_alike,
+    scatter_both,
     scatter_opposite,
     scatter_rows,
-    scatter_sum,
 )
 
 # Columns in groups of four, as rows.py moves them.
 OFFSET, VELOCITY, AHEAD, SPIN_SUM, SPIN_DIFFERENCE, SLOT, FORCE, TORQUE, TORQUE_2, MOMENT = range(0, 40, 4)
-# First elements of single columns. Fixed offsets into one flat array let the compiler prove that columns do not overlap.
+# First elements of single columns. Fixed offsets into one flat array show the compiler that columns don't overlap.
 NX, NY, NZ, DELTA = (k * BLOCK for k in range(OFFSET, OFFSET + 4))  # normal (first the offset), overlap
 VX, VY, VZ, GAIN = (k * BLOCK for k in range(VELOCITY, VELOCITY + 4))  # of the first relative to the second
 AX, AY, AZ = (k * BLOCK for k in range(AHEAD, AHEAD + 3))  # what that velocity still gains until the step's end
@@ -132,11 +131,8 @@ def pair_forces(
             j0, j1, j2, j3 = pair_j[p0], pair_j[p1], pair_j[p2], pair_j[p3]
             scatter_opposite(force, i0, i1, i2, i3, j0, j1, j2, j3, buffer, FORCE, k)
             if tangential:
-                if unequal:
-                    scatter_sum(torque, i0, i1, i2, i3, buffer, TORQUE, k)
-                    scatter_sum(torque, j0, j1, j2, j3, buffer, TORQUE_2, k)
-                else:
-                    scatter_alike(torque, i0, i1, i2, i3, j0, j1, j2, j3, buffer, TORQUE, k)
+                second = TORQUE_2 if unequal else TORQUE
+                scatter_both(torque, i0, i1, i2, i3, j0, j1, j2, j3, buffer, TORQUE, second, k)
             if rolling:
                 scatter_opposite(torque, i0, i1, i2, i3, j0, j1, j2, j3, buffer, MOMENT, k)
                 scatter_rows(moment, p0, p1, p2, p3, buffer, MOMENT, k)

@@ -146,35 +146,39 @@ def scatter_rows(typing, body, i0, i1, i2, i3, buffer, first, place):
     return types.void(*arguments), emit
 
 
-def _scatter_pairs(sign: str):
-    """The intrinsic that adds columns to body[i] and adds or subtracts them at body[j], contact after contact."""
-
-    def typed(arguments: tuple[types.Type, ...]):
-        def emit(context, builder, signature, values):
-            writer = _Writer(context, builder, signature, values)
-            columns = [writer.load(writer.column(9, 10, 11, extra)) for extra in range(4)]
-            for lane, row in enumerate(writer.transposed(columns)):
-                first = writer.row(0, 1 + lane)
-                writer.store(builder.fadd(writer.load(first), row), first)
-                second = writer.row(0, 5 + lane)
-                writer.store(getattr(builder, sign)(writer.load(second), row), second)
-            return context.get_dummy_value()
-
-        return types.void(*arguments), emit
-
-    return typed
-
-
 @intrinsic
 def scatter_opposite(typing, body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, place):
-    """body[i] gains columns ``first`` … ``first + 3`` at lanes ``place`` …, body[j] loses them."""
-    return _scatter_pairs("fsub")((body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, place))
+    """body[i] gains columns ``first`` … ``first + 3`` at lanes ``place`` …, body[j] loses them, contact by contact."""
+
+    def emit(context, builder, signature, values):
+        writer = _Writer(context, builder, signature, values)
+        gains = writer.transposed([writer.load(writer.column(9, 10, 11, extra)) for extra in range(4)])
+        for lane, gain in enumerate(gains):
+            first, second = writer.row(0, 1 + lane), writer.row(0, 5 + lane)
+            writer.store(builder.fadd(writer.load(first), gain), first)
+            writer.store(builder.fsub(writer.load(second), gain), second)
+        return context.get_dummy_value()
+
+    return types.void(*(body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, place)), emit
 
 
 @intrinsic
-def scatter_alike(typing, body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, place):
-    """body[i] and body[j] gain columns ``first`` … ``first + 3`` at lanes ``place`` …."""
-    return _scatter_pairs("fadd")((body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, place))
+def scatter_both(typing, body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, second, place):
+    """body[i] gains columns ``first`` …, body[j] columns ``second`` …, at lanes ``place`` …, contact by contact."""
+
+    def emit(context, builder, signature, values):
+        writer = _Writer(context, builder, signature, values)
+        gains = (
+            writer.transposed([writer.load(writer.column(9, start, 12, extra)) for extra in range(4)])
+            for start in (10, 11)
+        )
+        for lane, pair in enumerate(zip(*gains, strict=True)):
+            for body, gain in zip((1, 5), pair, strict=True):
+                target = writer.row(0, body + lane)
+                writer.store(builder.fadd(writer.load(target), gain), target)
+        return context.get_dummy_value()
+
+    return types.void(*(body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, second, place)), emit
 
 
 @intrinsic

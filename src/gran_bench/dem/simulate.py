@@ -16,6 +16,7 @@ from gran_bench.dem.initial_checks import check_initial_speed, check_initial_sta
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.record import FrameRecord, SimulationError
 from gran_bench.dem.time_step import TimeStepError, choose_time_step, dividing_step
+from gran_bench.dem.tuning import Tuner
 from gran_bench.scene import Scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
 
@@ -42,6 +43,7 @@ class SimulationResult:
         steps: number of steps.
         wall_seconds: s of wall time, compilation excluded.
         warnings: what a reader of the results must know.
+        skin, threads: m and number that were fastest at the end; they change no bit of the result.
     """
 
     trajectory: Trajectory
@@ -50,6 +52,8 @@ class SimulationResult:
     steps: int
     wall_seconds: float
     warnings: tuple[str, ...]
+    skin: float
+    threads: int
 
 
 def simulate(
@@ -69,7 +73,7 @@ def simulate(
         scene: walls, motion, materials, gravity.
         state: start, with its contact history.
         end_time: s in the scene's clock; a whole number of frames after the start.
-        dem: engine, time step and skin.
+        dem: engine, time step, precision, and what is else chosen by the clock: skin and threads.
         progress: whether to show a bar (simulated time, steps a second, time left); silent without a terminal. A
             function is called with the simulated time in s at each frame instead.
 
@@ -85,16 +89,19 @@ def simulate(
     time_step, warnings = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step, smallest)
     check_initial_speed(state, time_step)
     substeps = round(scene.frame_interval / time_step)
-    physics, advance = Physics.of(scene, largest, dem.skin), _engine(dem)
+    physics, advance = _physics(scene, largest, dem), _engine(dem)
     state = _as_float64(state)
     record = FrameRecord(scene, state.radius)
     record.add(first_contacts(advance, state, physics, scene, time_step), state.time)
+    tuner = Tuner(physics, state.count, dem.skin is not None, dem.threads)
     times = _frame_times(scene, state.time, frames)
     started = clock.perf_counter()
     listen = progress if callable(progress) else _nobody
     with _bar(progress is True, frames * substeps, "DEM") as bar:
         for time in times:
-            state = advance_frame(advance, state, physics, scene, time_step, substeps, time, record)
+            began = clock.perf_counter()
+            state = advance_frame(advance, state, tuner.physics, scene, time_step, substeps, time, record)
+            tuner.took(clock.perf_counter() - began)
             record.add(state, time)
             bar.update(substeps)
             bar.set_postfix_str(f"t = {time:.2f} s", refresh=False)
@@ -106,6 +113,8 @@ def simulate(
         steps=frames * substeps,
         wall_seconds=clock.perf_counter() - started,
         warnings=warnings,
+        skin=tuner.chosen.skin,
+        threads=tuner.chosen.threads,
     )
 
 
@@ -136,8 +145,9 @@ def settle(
     time_step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
     look = min(SETTLING_LOOK, scene.frame_interval)
     substeps = max(1, round(look / time_step))
-    physics, advance = Physics.of(still, filling.largest_radius, dem.skin), _engine(dem)
+    physics, advance = _physics(still, filling.largest_radius, dem), _engine(dem)
     first_contacts(advance, state, physics, still, time_step)
+    tuner = Tuner(physics, state.count, dem.skin is not None, dem.threads)
     speed, looks = np.inf, 0
     listen = progress if callable(progress) else _nobody
     with _bar(progress is True, None, "settling") as bar:
@@ -150,9 +160,11 @@ def settle(
                     _one_frame(state),
                 )
             looks += 1
+            began = clock.perf_counter()
             state = advance_frame(
-                advance, state, physics, still, time_step, substeps, looks * substeps * time_step, None
+                advance, state, tuner.physics, still, time_step, substeps, looks * substeps * time_step, None
             )
+            tuner.took(clock.perf_counter() - began)
             speed = float(np.linalg.norm(state.velocity, axis=1).mean())
             bar.update(substeps)
             bar.set_postfix_str(f"t = {state.time:.2f} s, mean speed {speed:.2g} m/s", refresh=False)
@@ -170,6 +182,13 @@ def _engine(dem: DemConfig) -> Callable[..., ParticleState]:
     if dem.engine not in ENGINES:
         raise ValueError(f"dem.engine={dem.engine!r} is unknown; choose {' or '.join(ENGINES)}")
     return ENGINES[dem.engine]
+
+
+def _physics(scene: Scene, largest_radius: float, dem: DemConfig) -> Physics:
+    if dem.precision == "float32" and dem.engine != "numba":
+        raise ValueError(f"dem.precision=float32 is for dem.engine=numba; {dem.engine} computes in float64 alone")
+    single = dem.precision == "float32"
+    return replace(Physics.of(scene, largest_radius, dem.skin), threads=dem.threads or 1, single_precision=single)
 
 
 def _radius_range(scene: Scene, state: ParticleState) -> tuple[float, float]:

@@ -33,7 +33,8 @@ FASTEST, CULPRIT, SINCE_PRUNING, SINCE_SEARCH = range(4)
 
 
 def run_chunks(
-    thread, threads, gate, bounds, reach, told, position, linear, angular, order, sphere, velocity, spin, ahead, material, force, torque,
+    thread, threads, gate, bounds, reach, told, position, linear, angular,
+    order, sphere, velocity, spin, ahead, material, force, torque,
     first, second, known, pair_laws, wall_laws, walls, gravity, period, skin, dt, tangential, rolling, precision,
 ):  # fmt: skip
     """One thread's share of ``len(walls) − 1`` steps.
@@ -228,10 +229,10 @@ def rename(first, second, known, name):
 
 @kernel
 def _sizes_differ(sphere, count):
+    different = 0
     for i in range(count):
-        if sphere[i, 3] != sphere[0, 3]:
-            return True
-    return False
+        different += sphere[i, 3] != sphere[0, 3]
+    return different > 0
 
 
 @kernel

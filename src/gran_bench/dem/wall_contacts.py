@@ -202,9 +202,7 @@ def wall_forces(
         w, kind = wall_w[active[first]], material[wall_i[active[first]]]
         last = first + 1
         while (
-            last < min(first + BLOCK, touching)
-            and wall_w[active[last]] == w
-            and material[wall_i[active[last]]] == kind
+            last < min(first + BLOCK, touching) and wall_w[active[last]] == w and material[wall_i[active[last]]] == kind
         ):
             last += 1
         size = (last - first + 3) // 4 * 4

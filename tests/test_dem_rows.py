@@ -1,0 +1,105 @@
+"""The vector moves of the fast engine do what the loops in their place would do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numba import njit
+
+from gran_bench.dem import rows
+from gran_bench.dem.rows import BLOCK
+
+FIRST_BODY, SECOND_BODY = np.array([1, 2, 2, 9], np.uint32), np.array([0, 3, 4, 5], np.uint32)
+FIRST, PLACE = 4, 8  # columns 4 … 7, lanes 8 … 11
+
+
+@pytest.fixture
+def body() -> np.ndarray:
+    """Ten rows of four."""
+    return np.random.default_rng(0).normal(size=(10, 4))
+
+
+@pytest.fixture(params=[np.float64, np.float32])
+def buffer(request) -> np.ndarray:
+    """Twelve columns of noise."""
+    return np.random.default_rng(1).normal(size=12 * BLOCK).astype(request.param)
+
+
+def lanes(buffer: np.ndarray) -> np.ndarray:
+    """Columns 4 … 7 at lanes 8 … 11, as one row a lane."""
+    return buffer.reshape(-1, BLOCK)[FIRST : FIRST + 4, PLACE : PLACE + 4].T
+
+
+def outside(buffer: np.ndarray) -> np.ndarray:
+    """Everything else."""
+    rest = buffer.copy().reshape(-1, BLOCK)
+    rest[FIRST : FIRST + 4, PLACE : PLACE + 4] = 0.0
+    return rest
+
+
+gather_difference = njit(lambda b, a, i, j: rows.gather_difference(b, 4, 8, a, i[0], i[1], i[2], i[3], *j))
+gather_sum = njit(lambda b, a, i, j: rows.gather_sum(b, 4, 8, a, i[0], i[1], i[2], i[3], *j))
+gather_rows = njit(lambda b, a, i, j: rows.gather_rows(b, 4, 8, a, i[0], i[1], i[2], i[3]))
+scatter_opposite = njit(lambda b, a, i, j: rows.scatter_opposite(a, i[0], i[1], i[2], i[3], *j, b, 4, 8))
+scatter_both = njit(lambda b, a, i, j: rows.scatter_both(a, i[0], i[1], i[2], i[3], *j, b, 4, 4, 8))
+scatter_sum = njit(lambda b, a, i, j: rows.scatter_sum(a, i[0], i[1], i[2], i[3], b, 4, 8))
+scatter_rows = njit(lambda b, a, i, j: rows.scatter_rows(a, j[0], j[1], j[2], j[3], b, 4, 8))
+
+
+@pytest.mark.parametrize(
+    ("gather", "expected"),
+    [
+        (gather_difference, lambda body: body[FIRST_BODY] - body[SECOND_BODY]),
+        (gather_sum, lambda body: body[FIRST_BODY] + body[SECOND_BODY]),
+        (gather_rows, lambda body: body[FIRST_BODY]),
+    ],
+    ids=["difference", "sum", "rows"],
+)
+def test_rows_become_columns(gather, expected, body, buffer):
+    rest = outside(buffer)
+    gather(buffer, body, tuple(FIRST_BODY), tuple(SECOND_BODY))
+    assert np.array_equal(lanes(buffer), expected(body).astype(buffer.dtype))
+    assert np.array_equal(outside(buffer), rest)
+
+
+@pytest.mark.parametrize(
+    ("scatter", "second"),
+    [(scatter_opposite, -1.0), (scatter_both, 1.0), (scatter_sum, 0.0)],
+    ids=["opposite", "both", "sum"],
+)
+def test_columns_are_added_to_rows_contact_after_contact(scatter, second, body, buffer):
+    expected = body.copy()
+    for lane, (i, j) in enumerate(zip(FIRST_BODY, SECOND_BODY, strict=True)):  # row 2 is met twice
+        expected[i] += lanes(buffer)[lane]
+        expected[j] += second * lanes(buffer)[lane]
+    scatter(buffer, body, tuple(FIRST_BODY), tuple(SECOND_BODY))
+    assert np.array_equal(body, expected)
+
+
+def test_columns_become_rows(body, buffer):
+    expected = body.copy()
+    expected[SECOND_BODY] = lanes(buffer)
+    scatter_rows(buffer, body, tuple(FIRST_BODY), tuple(SECOND_BODY))
+    assert np.array_equal(body, expected)
+
+
+def test_a_squared_gap_is_negative_where_spheres_are_closer_than_the_margin(body):
+    gap = njit(lambda sphere, i, j, margin: rows.squared_gap(sphere, i, j, margin))
+    sphere = np.abs(body)
+    for i, j in zip(FIRST_BODY, SECOND_BODY, strict=True):
+        distance = np.linalg.norm(sphere[i, :3] - sphere[j, :3])
+        expected = distance**2 - (sphere[i, 3] + sphere[j, 3] + 0.1) ** 2
+        assert gap(sphere, i, j, 0.1) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+def test_a_kick_leaves_the_inverse_mass_and_empties_the_load(body):
+    kick = njit(lambda body, load, i, dt, ahead, rest: rows.kick_row(body, load, i, 1.0, 2.0, 3.0, dt, ahead, rest))
+    load, ahead, before = np.ones((10, 4)), np.zeros((10, 4)), body.copy()
+    load[:, 3] = 0.0
+    kick(body, load, 3, 0.5, ahead, 0.25)
+    acceleration = before[3, 3] * np.array([1.0, 1.0, 1.0]) + [1.0, 2.0, 3.0]
+    assert body[3, :3] == pytest.approx(before[3, :3] + 0.5 * acceleration, rel=1e-15)
+    assert ahead[3, :3] == pytest.approx(0.25 * acceleration, rel=1e-15)
+    assert body[3, 3] == before[3, 3]
+    assert not load[3].any()
+    assert np.array_equal(np.delete(body, 3, axis=0), np.delete(before, 3, axis=0))
