@@ -102,3 +102,10 @@ def test_the_wheel_makes_data_and_trains_in_an_empty_folder(python, tmp_path):
     done = run(python, tmp_path, "gran_bench.generate", "scene=drum_small", "dataset=small", *TINY)
     assert done.returncode == 0, done.stderr
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "data").rglob("*.h5")} == cases, "all were there"
+
+
+def test_the_wheel_verifies_its_solver(python, tmp_path):
+    done = run(python, tmp_path, "gran_bench.verify", "--case", "chung-ooi-3", "--output", "page")
+    assert done.returncode == 0, done.stderr
+    assert "all within tolerance" in done.stdout
+    assert (tmp_path / "page" / "verification.json").exists()
