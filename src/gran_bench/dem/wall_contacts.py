@@ -1,6 +1,6 @@
 """Contacts of spheres with walls: which are near, and what they do (jitted).
 
-Walls are rows of a pose table (walls.py). A block of contacts is of one material and one wall, so that one law holds.
+Walls are rows of a pose table (walls.py). In a block of contacts one law holds.
 """
 
 from __future__ import annotations
@@ -58,8 +58,6 @@ def toward_wall(walls, w, x, y, z):
         x, y, z: m.
     """
     kind = walls[w, 0]
-    if kind == ABSENT:
-        return np.inf, 0.0, 0.0, 0.0
     ox, oy, oz = x - walls[w, 1], y - walls[w, 2], z - walls[w, 3]
     ax, ay, az = walls[w, 4], walls[w, 5], walls[w, 6]
     along = ox * ax + oy * ay + oz * az
@@ -71,6 +69,16 @@ def toward_wall(walls, w, x, y, z):
     ox, oy, oz = ox * inverse, oy * inverse, oz * inverse
     if kind == CYLINDER:
         return walls[w, 7] - reach, ox, oy, oz
+    # Apart, so that the two frequent shapes stay small enough to be inlined.
+    return _toward_revolution(walls, w, along, reach, ox, oy, oz)
+
+
+@njit(error_model="numpy")
+def _toward_revolution(walls, w, along, reach, ox, oy, oz):
+    """The same for a surface of revolution, of which the point is ``along`` its axis and ``reach`` away, along o."""
+    if walls[w, 0] == ABSENT:
+        return np.inf, 0.0, 0.0, 0.0
+    ax, ay, az = walls[w, 4], walls[w, 5], walls[w, 6]
     r0, s0 = walls[w, 7], walls[w, 8]
     dr, ds = walls[w, 9] - r0, walls[w, 10] - s0
     share = ((reach - r0) * dr + (along - s0) * ds) / (dr * dr + ds * ds)
@@ -112,7 +120,7 @@ def near_walls(sphere, species, kinds, walls, row, margin):
     Returns:
         ``(M,)`` uint32 each, wall by wall, material by material.
     """
-    count = walls.shape[1]
+    count, poses = walls.shape[1], walls[row]
     room = len(sphere) * count + 1
     wall_i, wall_w = np.empty(room, np.uint32), np.empty(room, np.uint32)
     found = 0
@@ -122,10 +130,19 @@ def near_walls(sphere, species, kinds, walls, row, margin):
             reach += walls[later, w, PATH]
         for kind in range(kinds):
             for i in range(len(sphere)):
-                distance = toward_wall(walls[row], w, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
+                distance = toward_wall(poses, w, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
                 wall_i[found], wall_w[found] = i, w
                 found += distance - sphere[i, 3] < reach and species[i] == kind
     return wall_i[:found].copy(), wall_w[:found].copy()
+
+
+@njit(error_model="numpy")
+def _same_law(one, other):
+    """Whether two rows of constants are equal."""
+    same = True
+    for k in range(len(one)):
+        same = same and one[k] == other[k]
+    return same
 
 
 @njit(error_model="numpy")
@@ -154,23 +171,23 @@ def wall_forces(
         touching += distance < sphere[i, 3]
     begin = 0
     while begin < touching:
-        w, kind = wall_w[active[begin]], species[wall_i[active[begin]]]
-        size = 1
-        while (
-            size < BLOCK
-            and begin + size < touching
-            and wall_w[active[begin + size]] == w
-            and species[wall_i[active[begin + size]]] == kind
-        ):
-            size += 1
-        law, mass = laws[kind, w], 4.0 / 3.0 * math.pi * density[kind]
-        v0, v1, v2 = walls[w, 11], walls[w, 12], walls[w, 13]
-        w0, w1, w2 = walls[w, 14], walls[w, 15], walls[w, 16]
-        c0, c1, c2 = walls[w, 17], walls[w, 18], walls[w, 19]
-        moves = v0 != 0.0 or v1 != 0.0 or v2 != 0.0 or w0 != 0.0 or w1 != 0.0 or w2 != 0.0
-        for k in range(size):
+        w, kind = np.int64(-1), np.int64(-1)
+        law = laws[species[wall_i[active[begin]]], wall_w[active[begin]]]
+        mass, moves, size = 0.0, False, 0
+        v0, v1, v2, w0, w1, w2, c0, c1, c2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(min(BLOCK, touching - begin)):
             p = active[begin + k]
             i = wall_i[p]
+            if wall_w[p] != w or species[i] != kind:
+                w, kind = np.int64(wall_w[p]), np.int64(species[i])
+                if not _same_law(law, laws[kind, w]):
+                    break
+                mass = 4.0 / 3.0 * math.pi * density[kind]
+                v0, v1, v2 = walls[w, 11], walls[w, 12], walls[w, 13]
+                w0, w1, w2 = walls[w, 14], walls[w, 15], walls[w, 16]
+                c0, c1, c2 = walls[w, 17], walls[w, 18], walls[w, 19]
+                moves = v0 != 0.0 or v1 != 0.0 or v2 != 0.0 or w0 != 0.0 or w1 != 0.0 or w2 != 0.0
+            size += 1
             x, y, z, radius = sphere[i, 0], sphere[i, 1], sphere[i, 2], sphere[i, 3]
             distance, nx = geometry[begin + k, 0], geometry[begin + k, 1]
             ny, nz = geometry[begin + k, 2], geometry[begin + k, 3]
