@@ -37,13 +37,13 @@ def outside(buffer: np.ndarray) -> np.ndarray:
     return rest
 
 
-gather_difference = njit(lambda b, a, i, j: rows.gather_difference(b, 4, 8, a, i[0], i[1], i[2], i[3], *j))
-gather_sum = njit(lambda b, a, i, j: rows.gather_sum(b, 4, 8, a, i[0], i[1], i[2], i[3], *j))
-gather_rows = njit(lambda b, a, i, j: rows.gather_rows(b, 4, 8, a, i[0], i[1], i[2], i[3]))
-scatter_opposite = njit(lambda b, a, i, j: rows.scatter_opposite(a, i[0], i[1], i[2], i[3], *j, b, 4, 8))
-scatter_both = njit(lambda b, a, i, j: rows.scatter_both(a, i[0], i[1], i[2], i[3], *j, b, 4, 4, 8))
-scatter_sum = njit(lambda b, a, i, j: rows.scatter_sum(a, i[0], i[1], i[2], i[3], b, 4, 8))
-scatter_rows = njit(lambda b, a, i, j: rows.scatter_rows(a, j[0], j[1], j[2], j[3], b, 4, 8))
+gather_difference = njit(lambda b, a, i, j: rows.gather_difference(b, 4, 8, a, i, j))
+gather_sum = njit(lambda b, a, i, j: rows.gather_sum(b, 4, 8, a, i, j))
+gather_rows = njit(lambda b, a, i, j: rows.gather_rows(b, 4, 8, a, i))
+scatter_opposite = njit(lambda b, a, i, j: rows.scatter_opposite(a, i, j, b, 4, 8))
+scatter_both = njit(lambda b, a, i, j: rows.scatter_both(a, i, j, b, 4, 4, 8))
+scatter_sum = njit(lambda b, a, i, j: rows.scatter_sum(a, i, b, 4, 8))
+scatter_rows = njit(lambda b, a, i, j: rows.scatter_rows(a, j, b, 4, 8))
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,8 @@ from gran_bench.dem.contact_list import closer
 from gran_bench.dem.kernel import kernel
 from gran_bench.dem.rows import (
     BLOCK,
+    four_from,
+    four_of,
     gather_difference,
     gather_rows,
     gather_sum,
@@ -40,7 +42,9 @@ MX, MY, MZ = (k * BLOCK for k in range(MOMENT, MOMENT + 3))  # rolling moment on
 # Constants of each contact: filled once where all contacts share them, for each contact where they differ.
 REACH, SKEW, RS, MS, INVERSE_MS = (k * BLOCK for k in range(40, 45))  # r₁ + r₂, r₁² − r₂², R*, m*, 1/m*
 MODULUS, SHEAR, DAMPING, FRICTION, ROLLING = (k * BLOCK for k in range(45, 50))  # 4/3 E*, 8 G*, α, μ, μ_r
-BUFFER_SIZE = 50 * BLOCK
+# What the tangential law takes from the normal one.
+APPROACH, CONTACT_RADIUS, DRAG, LOAD = (k * BLOCK for k in range(50, 54))
+BUFFER_SIZE = 54 * BLOCK
 
 
 @kernel
@@ -56,6 +60,15 @@ def fill_law(buffer, lane, law):
     """(4/3 E*, 8 G*, α, μ, μ_r) into one lane."""
     buffer[MODULUS + lane], buffer[SHEAR + lane], buffer[DAMPING + lane] = law[0], law[1], law[2]
     buffer[FRICTION + lane], buffer[ROLLING + lane] = law[3], law[4]
+
+
+@kernel
+def forget(buffer, lane, rolling):
+    """A contact that the last evaluation did not touch remembers nothing."""
+    buffer[HX + lane], buffer[HY + lane], buffer[HZ + lane] = 0.0, 0.0, 0.0
+    buffer[BEFORE + lane] = 0.0
+    if rolling:
+        buffer[MX + lane], buffer[MY + lane], buffer[MZ + lane] = 0.0, 0.0, 0.0
 
 
 @kernel
@@ -89,140 +102,157 @@ def pair_forces(
     for first in range(0, touching, BLOCK):
         size = (min(BLOCK, touching - first) + 3) // 4 * 4
         for k in range(0, size, 4):
-            p0, p1, p2, p3 = active[first + k], active[first + k + 1], active[first + k + 2], active[first + k + 3]
-            i0, i1, i2, i3 = pair_i[p0], pair_i[p1], pair_i[p2], pair_i[p3]
-            j0, j1, j2, j3 = pair_j[p0], pair_j[p1], pair_j[p2], pair_j[p3]
-            gather_difference(buffer, OFFSET, k, sphere, j0, j1, j2, j3, i0, i1, i2, i3)
-            gather_difference(buffer, VELOCITY, k, velocity, i0, i1, i2, i3, j0, j1, j2, j3)
-            gather_difference(buffer, AHEAD, k, ahead, i0, i1, i2, i3, j0, j1, j2, j3)
+            p = four_from(active, first + k)
+            i, j = four_of(pair_i, p), four_of(pair_j, p)
+            gather_difference(buffer, OFFSET, k, sphere, j, i)
+            gather_difference(buffer, VELOCITY, k, velocity, i, j)
+            gather_difference(buffer, AHEAD, k, ahead, i, j)
             if tangential:
-                gather_sum(buffer, SPIN_SUM, k, spin, i0, i1, i2, i3, j0, j1, j2, j3)
-                gather_rows(buffer, SLOT, k, slot, p0, p1, p2, p3)
+                gather_sum(buffer, SPIN_SUM, k, spin, i, j)
+                gather_rows(buffer, SLOT, k, slot, p)
             if rolling or unequal:
-                gather_difference(buffer, SPIN_DIFFERENCE, k, spin, i0, i1, i2, i3, j0, j1, j2, j3)
+                gather_difference(buffer, SPIN_DIFFERENCE, k, spin, i, j)
             if rolling:
-                gather_rows(buffer, MOMENT, k, moment, p0, p1, p2, p3)
-        if tangential:
-            for k in range(size):
-                if touched[active[first + k]] != evaluation - 1:
-                    buffer[HX + k], buffer[HY + k], buffer[HZ + k], buffer[BEFORE + k] = 0.0, 0.0, 0.0, 0.0
-                    if rolling:
-                        buffer[MX + k], buffer[MY + k], buffer[MZ + k] = 0.0, 0.0, 0.0
+                gather_rows(buffer, MOMENT, k, moment, p)
+        for k in range(size):
+            if touched[active[first + k]] != evaluation - 1:
+                forget(buffer, k, rolling)
         if unequal:
             for k in range(size):
-                i, j = pair_i[active[first + k]], pair_j[active[first + k]]
-                fill_sizes(buffer, k, sphere[i, 3], sphere[j, 3], velocity[i, 3] + velocity[j, 3])
+                a, b = pair_i[active[first + k]], pair_j[active[first + k]]
+                fill_sizes(buffer, k, sphere[a, 3], sphere[b, 3], velocity[a, 3] + velocity[b, 3])
         if several:
             for k in range(size):
-                p = active[first + k]
-                fill_law(buffer, k, laws[material[pair_i[p]], material[pair_j[p]]])
+                a, b = pair_i[active[first + k]], pair_j[active[first + k]]
+                fill_law(buffer, k, laws[material[a], material[b]])
         if period > 0.0:
             for k in range(size):
                 buffer[NY + k] -= period * np.rint(buffer[NY + k] / period)
-        pair_geometry(buffer, size, tangential, unequal)
-        contact_law(buffer, size, tangential, dt)
-        if rolling:
-            rolling_law(buffer, size, dt)
+        pair_geometry(buffer, size)
         if tangential:
-            pair_torques(buffer, size, unequal)
+            surface_spins(buffer, size)
+            if unequal:
+                shift_arms(buffer, size)
+        contact_laws(buffer, size, tangential, rolling, unequal, dt)
         for k in range(0, size, 4):
-            p0, p1, p2, p3 = active[first + k], active[first + k + 1], active[first + k + 2], active[first + k + 3]
-            i0, i1, i2, i3 = pair_i[p0], pair_i[p1], pair_i[p2], pair_i[p3]
-            j0, j1, j2, j3 = pair_j[p0], pair_j[p1], pair_j[p2], pair_j[p3]
-            scatter_opposite(force, i0, i1, i2, i3, j0, j1, j2, j3, buffer, FORCE, k)
+            p = four_from(active, first + k)
+            i, j = four_of(pair_i, p), four_of(pair_j, p)
+            scatter_opposite(force, i, j, buffer, FORCE, k)
             if tangential:
                 second = TORQUE_2 if unequal else TORQUE
-                scatter_both(torque, i0, i1, i2, i3, j0, j1, j2, j3, buffer, TORQUE, second, k)
+                scatter_both(torque, i, j, buffer, TORQUE, second, k)
             if rolling:
-                scatter_opposite(torque, i0, i1, i2, i3, j0, j1, j2, j3, buffer, MOMENT, k)
-                scatter_rows(moment, p0, p1, p2, p3, buffer, MOMENT, k)
-            scatter_rows(slot, p0, p1, p2, p3, buffer, SLOT, k)
-            touched[p0] = evaluation
-            touched[p1] = evaluation
-            touched[p2] = evaluation
-            touched[p3] = evaluation
+                scatter_opposite(torque, i, j, buffer, MOMENT, k)
+                scatter_rows(moment, p, buffer, MOMENT, k)
+            scatter_rows(slot, p, buffer, SLOT, k)
+            for lane in range(k, k + 4):
+                touched[active[first + lane]] = evaluation
 
 
 @kernel
-def pair_geometry(buffer, size, tangential, unequal):
-    """Offsets of a block → normals, overlaps, gains along the normal, lever arms and surface spins."""
-    half = buffer.dtype.type(0.5)
+def pair_geometry(buffer, size):
+    """Offsets of a block → normals, overlaps, gains along the normal, half distances as lever arms."""
+    zero, half, one = buffer.dtype.type(0.0), buffer.dtype.type(0.5), buffer.dtype.type(1.0)
     for k in range(size):
         dx, dy, dz = buffer[NX + k], buffer[NY + k], buffer[NZ + k]
         distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-        inverse = buffer.dtype.type(1.0) / distance
+        inverse = one / distance
         nx, ny, nz = dx * inverse, dy * inverse, dz * inverse
         buffer[NX + k], buffer[NY + k], buffer[NZ + k] = nx, ny, nz
         buffer[GAIN + k] = buffer[AX + k] * nx + buffer[AY + k] * ny + buffer[AZ + k] * nz
         # Rounding may part what the filter found to touch.
-        buffer[DELTA + k] = max(buffer.dtype.type(0.0), buffer[REACH + k] - distance)
-        # Both lever arms end on the plane of the circle in which the spheres intersect.
-        arm = half * distance
-        if tangential:
-            wx, wy, wz = arm * buffer[WX + k], arm * buffer[WY + k], arm * buffer[WZ + k]
-            if unequal:
-                shift = half * buffer[SKEW + k] * inverse
-                wx += shift * buffer[PX + k]
-                wy += shift * buffer[PY + k]
-                wz += shift * buffer[PZ + k]
-                buffer[ARM_2 + k] = arm - shift
-                arm += shift
-            buffer[WX + k], buffer[WY + k], buffer[WZ + k], buffer[ARM_1 + k] = wx, wy, wz, arm
+        buffer[DELTA + k] = max(zero, buffer[REACH + k] - distance)
+        buffer[ARM_1 + k] = half * distance
 
 
 @kernel
-def contact_law(buffer, size, tangential, dt):
-    """Force on the first of each contact of a block, n × f_t, and the new history (see contact.py)."""
-    zero, half, one = buffer.dtype.type(0.0), buffer.dtype.type(0.5), buffer.dtype.type(1.0)
-    step, fade = buffer.dtype.type(dt), buffer.dtype.type(PREDICTION_FADE * dt)
+def surface_spins(buffer, size):
+    """Σ ω of a block → Σ arm × ω, with one lever arm for both."""
+    for k in range(size):
+        arm = buffer[ARM_1 + k]
+        buffer[WX + k] *= arm
+        buffer[WY + k] *= arm
+        buffer[WZ + k] *= arm
+
+
+@kernel
+def shift_arms(buffer, size):
+    """Lever arms of unequal spheres, which end on the plane of the circle where they intersect, into Σ arm × ω.
+
+    arm₁ = ½ d + s and arm₂ = ½ d − s with s = (r₁² − r₂²) / 2 d, so Σ arm × ω gains s (ω₁ − ω₂).
+    """
+    quarter = buffer.dtype.type(0.25)
+    for k in range(size):
+        arm = buffer[ARM_1 + k]
+        shift = quarter * buffer[SKEW + k] / arm
+        buffer[WX + k] += shift * buffer[PX + k]
+        buffer[WY + k] += shift * buffer[PY + k]
+        buffer[WZ + k] += shift * buffer[PZ + k]
+        buffer[ARM_1 + k] = arm + shift
+        buffer[ARM_2 + k] = arm - shift
+
+
+@kernel
+def normal_law(buffer, size, dt):
+    """Normal force on the first of each contact of a block (see contact.py)."""
+    zero, one, fade = buffer.dtype.type(0.0), buffer.dtype.type(1.0), buffer.dtype.type(PREDICTION_FADE * dt)
     for k in range(size):
         nx, ny, nz, overlap = buffer[NX + k], buffer[NY + k], buffer[NZ + k], buffer[DELTA + k]
-        vx, vy, vz = buffer[VX + k], buffer[VY + k], buffer[VZ + k]
-        approach = vx * nx + vy * ny + vz * nz
+        approach = buffer[VX + k] * nx + buffer[VY + k] * ny + buffer[VZ + k] * nz
         contact_radius = math.sqrt(buffer[RS + k] * overlap)
         stiffness = buffer[MODULUS + k] * contact_radius  # K √δ
         drag = buffer[DAMPING + k] * math.sqrt(buffer[MS + k] * stiffness)  # α √(m* K) δ^(1/4)
         gain = buffer[GAIN + k] * max(zero, one - fade * drag * buffer[INVERSE_MS + k])
-        normal = max(zero, stiffness * overlap + drag * (approach + gain))
-        fx, fy, fz = -normal * nx, -normal * ny, -normal * nz
-        if tangential:
-            wx, wy, wz = buffer[WX + k], buffer[WY + k], buffer[WZ + k]
-            sx = vx - approach * nx + (wy * nz - wz * ny)
-            sy = vy - approach * ny + (wz * nx - wx * nz)
-            sz = vz - approach * nz + (wx * ny - wy * nx)
-            # The history turns with the contact plane (what leaves the plane is removed, the length is kept) and
-            # unloads with the contact's size; a new contact, whose overlap before is zero, remembers nothing.
-            before = buffer[BEFORE + k]
-            hx, hy, hz = buffer[HX + k], buffer[HY + k], buffer[HZ + k]
-            length = hx * hx + hy * hy + hz * hz
-            out = hx * nx + hy * ny + hz * nz
-            hx, hy, hz = hx - out * nx, hy - out * ny, hz - out * nz
-            inside = (hx * hx + hy * hy + hz * hz) * before
-            smaller = min(before, overlap)
-            keep = math.sqrt(length * smaller / inside) if inside > zero else zero
-            load = half * step * buffer[SHEAR + k] * (contact_radius + math.sqrt(buffer[RS + k] * smaller))
-            hx, hy, hz = keep * hx - load * sx, keep * hy - load * sy, keep * hz - load * sz
-            tx, ty, tz = hx - drag * sx, hy - drag * sy, hz - drag * sz
-            squared, limit = tx * tx + ty * ty + tz * tz, buffer[FRICTION + k] * normal
-            slip = limit / math.sqrt(squared) if squared > limit * limit else one
-            tx, ty, tz = slip * tx, slip * ty, slip * tz
-            buffer[HX + k], buffer[HY + k], buffer[HZ + k] = slip * hx, slip * hy, slip * hz
-            fx, fy, fz = fx + tx, fy + ty, fz + tz
-            buffer[TX + k] = ny * tz - nz * ty
-            buffer[TY + k] = nz * tx - nx * tz
-            buffer[TZ + k] = nx * ty - ny * tx
-        buffer[FX + k], buffer[FY + k], buffer[FZ + k] = fx, fy, fz
-        buffer[BEFORE + k] = overlap
+        load = max(zero, stiffness * overlap + drag * (approach + gain))
+        buffer[FX + k], buffer[FY + k], buffer[FZ + k] = -load * nx, -load * ny, -load * nz
+        buffer[APPROACH + k], buffer[CONTACT_RADIUS + k] = approach, contact_radius
+        buffer[DRAG + k], buffer[LOAD + k] = drag, load
+
+
+@kernel
+def tangential_law(buffer, size, dt):
+    """Adds the tangential force on the first; n × f_t, and the new history; after normal_law (see contact.py)."""
+    zero, one, half_step = buffer.dtype.type(0.0), buffer.dtype.type(1.0), buffer.dtype.type(0.5 * dt)
+    for k in range(size):
+        nx, ny, nz, approach = buffer[NX + k], buffer[NY + k], buffer[NZ + k], buffer[APPROACH + k]
+        wx, wy, wz = buffer[WX + k], buffer[WY + k], buffer[WZ + k]
+        sx = buffer[VX + k] - approach * nx + (wy * nz - wz * ny)
+        sy = buffer[VY + k] - approach * ny + (wz * nx - wx * nz)
+        sz = buffer[VZ + k] - approach * nz + (wx * ny - wy * nx)
+        # The history turns with the contact plane (what leaves the plane is removed, the length is kept) and unloads
+        # with the contact's size; a new contact, whose overlap before is zero, remembers nothing.
+        before = buffer[BEFORE + k]
+        smaller = min(before, buffer[DELTA + k])
+        hx, hy, hz = buffer[HX + k], buffer[HY + k], buffer[HZ + k]
+        length = hx * hx + hy * hy + hz * hz
+        out = hx * nx + hy * ny + hz * nz
+        hx, hy, hz = hx - out * nx, hy - out * ny, hz - out * nz
+        inside = (hx * hx + hy * hy + hz * hz) * before
+        keep = math.sqrt(length * smaller / inside) if inside > zero else zero
+        mean_radius = buffer[CONTACT_RADIUS + k] + math.sqrt(buffer[RS + k] * smaller)  # twice the mean
+        load, drag = half_step * buffer[SHEAR + k] * mean_radius, buffer[DRAG + k]
+        hx, hy, hz = keep * hx - load * sx, keep * hy - load * sy, keep * hz - load * sz
+        tx, ty, tz = hx - drag * sx, hy - drag * sy, hz - drag * sz
+        squared, limit = tx * tx + ty * ty + tz * tz, buffer[FRICTION + k] * buffer[LOAD + k]
+        slip = limit / math.sqrt(squared) if squared > limit * limit else one
+        tx, ty, tz = slip * tx, slip * ty, slip * tz
+        buffer[HX + k], buffer[HY + k], buffer[HZ + k] = slip * hx, slip * hy, slip * hz
+        buffer[FX + k] += tx
+        buffer[FY + k] += ty
+        buffer[FZ + k] += tz
+        buffer[TX + k] = ny * tz - nz * ty
+        buffer[TY + k] = nz * tx - nx * tz
+        buffer[TZ + k] = nx * ty - ny * tx
 
 
 @kernel
 def rolling_law(buffer, size, dt):
-    """Rolling moment on the first of each contact of a block (see rolling.py); after contact_law."""
+    """Rolling moment on the first of each contact of a block (see rolling.py); after normal_law."""
     zero, one, step = buffer.dtype.type(0.0), buffer.dtype.type(1.0), buffer.dtype.type(dt)
     for k in range(size):
         nx, ny, nz, overlap = buffer[NX + k], buffer[NY + k], buffer[NZ + k], buffer[DELTA + k]
         arm = buffer[ROLLING + k] * buffer[RS + k]
-        contact_radius = math.sqrt(buffer[RS + k] * overlap)
+        contact_radius = buffer[CONTACT_RADIUS + k]
         limit = arm * buffer[MODULUS + k] * contact_radius * overlap
         # 2.25 k_n (μ_r R*)² with k_n = 2 E* √(R* δ), and the modulus is 4/3 E*.
         load = buffer.dtype.type(3.375) * buffer[MODULUS + k] * contact_radius * arm * arm * step
@@ -240,11 +270,37 @@ def rolling_law(buffer, size, dt):
 
 
 @kernel
-def pair_torques(buffer, size, unequal):
-    """n × f_t of a block → torque on the first, and on the second where its lever arm is another."""
+def contact_torques(buffer, size):
+    """n × f_t of a block → torque on the first."""
     for k in range(size):
-        tx, ty, tz, arm = buffer[TX + k], buffer[TY + k], buffer[TZ + k], buffer[ARM_1 + k]
-        buffer[TX + k], buffer[TY + k], buffer[TZ + k] = arm * tx, arm * ty, arm * tz
+        arm = buffer[ARM_1 + k]
+        buffer[TX + k] *= arm
+        buffer[TY + k] *= arm
+        buffer[TZ + k] *= arm
+
+
+@kernel
+def second_torques(buffer, size):
+    """n × f_t of a block → torque on the second, whose lever arm is another; before contact_torques."""
+    for k in range(size):
+        arm = buffer[ARM_2 + k]
+        buffer[UX + k], buffer[UY + k], buffer[UZ + k] = (
+            arm * buffer[TX + k],
+            arm * buffer[TY + k],
+            arm * buffer[TZ + k],
+        )
+
+
+@kernel
+def contact_laws(buffer, size, tangential, rolling, unequal, dt):
+    """What the contacts of a block do: force on the first, torques, rolling moment, and what they remember."""
+    normal_law(buffer, size, dt)
+    if rolling:
+        rolling_law(buffer, size, dt)
+    if tangential:
+        tangential_law(buffer, size, dt)
         if unequal:
-            arm = buffer[ARM_2 + k]
-            buffer[UX + k], buffer[UY + k], buffer[UZ + k] = arm * tx, arm * ty, arm * tz
+            second_torques(buffer, size)
+        contact_torques(buffer, size)
+    for k in range(size):
+        buffer[BEFORE + k] = buffer[DELTA + k]

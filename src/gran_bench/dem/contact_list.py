@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from gran_bench.dem.kernel import kernel
+from gran_bench.dem.kernel import kernel, never, places, quads
 from gran_bench.dem.rows import squared_gap
 from gran_bench.neighbors import list_pairs
 
@@ -47,8 +47,9 @@ def list_contacts(sphere, count, begin, end, skin, period, known_first, known_se
     """
     first, second = list_pairs(sphere[:count], skin, period, begin, end)
     pair_i, pair_j, start = _sorted_pairs(first, second, begin, end, count)
-    slot, touched = np.empty((len(pair_i), 4)), np.full(len(pair_i), -1, np.int32)
-    moment = np.zeros((len(pair_i) if rolling else 1, 4))
+    slot, touched = quads(len(pair_i)), never(len(pair_i))
+    moment = quads(len(pair_i) if rolling else 1)
+    moment[:] = 0.0
     for c in range(len(known_first)):
         row = known_first[c] - begin
         if 0 <= row < end - begin and known_second[c] >= 0:
@@ -72,7 +73,7 @@ def _sorted_pairs(first, second, begin, end, count):
     A counting sort by second, then one by first, which keeps the order among equals.
     """
     pairs = len(first)
-    by_second, start = np.empty(pairs, np.uint32), np.zeros(count - begin + 1, np.uint32)
+    by_second, start = places(pairs), np.zeros(count - begin + 1, np.uint32)
     for p in range(pairs):
         start[second[p] - begin + 1] += 1
     for row in range(count - begin):
@@ -86,7 +87,7 @@ def _sorted_pairs(first, second, begin, end, count):
         start[first[p] - begin + 2] += 1
     for row in range(end - begin):
         start[row + 2] += start[row + 1]
-    pair_i, pair_j = np.empty(pairs + 1, np.uint32), np.empty(pairs + 1, np.uint32)
+    pair_i, pair_j = places(pairs + 1), places(pairs + 1)
     for q in range(pairs):
         p = by_second[q]
         row = first[p] - begin + 1
@@ -105,26 +106,25 @@ def touching_contacts(
     Returns:
         ``(C,)`` first, ``(C,)`` second (−1 − w for wall w), ``(C, 7)`` what they remember.
     """
-    count = 0
+    count = np.int64(0)
     for p in range(len(touched) - 1):
         count += touched[p] == evaluation
     pairs = count
     for p in range(len(wall_touched) - 1):
         count += wall_touched[p] == evaluation
     first, second, known = np.empty(count, np.int64), np.empty(count, np.int64), np.zeros((count, 7))
-    _copy_touching(pair_i, pair_j, 1, 0, slot, moment, touched, evaluation, first, second, known, 0)
-    _copy_touching(
-        wall_i, wall_w, -1, -1, wall_slot, wall_moment, wall_touched, evaluation, first, second, known, pairs
-    )
+    _copy_touching(pair_i, pair_j, False, slot, moment, touched, evaluation, first, second, known, np.int64(0))
+    _copy_touching(wall_i, wall_w, True, wall_slot, wall_moment, wall_touched, evaluation, first, second, known, pairs)
     return first, second, known
 
 
 @kernel
-def _copy_touching(pair_i, pair_j, sign, shift, slot, moment, touched, evaluation, first, second, known, c):
-    """Writes the contacts that an evaluation found touching from place c on; their second is ``sign × j + shift``."""
+def _copy_touching(pair_i, pair_j, walls, slot, moment, touched, evaluation, first, second, known, c):
+    """Writes the contacts that an evaluation found touching from place c on; wall w is the second −1 − w."""
     for p in range(len(touched) - 1):
         if touched[p] == evaluation:
-            first[c], second[c] = pair_i[p], sign * np.int64(pair_j[p]) + shift
+            j = np.int64(pair_j[p])
+            first[c], second[c] = pair_i[p], -1 - j if walls else j
             for k in range(4):
                 known[c, k] = slot[p, k]
             if len(moment) > 1:

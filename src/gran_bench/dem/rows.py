@@ -31,11 +31,12 @@ class _Writer:
         )
         return self.builder.gep(array.data, [index])
 
-    def row(self, argument: int, index_argument: int) -> ir.Value:
-        """Address of row ``index`` of an ``(N, 4)`` argument."""
-        index = self.context.cast(
-            self.builder, self.arguments[index_argument], self.signature.args[index_argument], types.uint64
-        )
+    def row(self, argument: int, index_argument: int, lane: int | None = None) -> ir.Value:
+        """Address of row ``index`` of an ``(N, 4)`` argument; of one of the four where a lane is given."""
+        index, kind = self.arguments[index_argument], self.signature.args[index_argument]
+        if lane is not None:
+            index, kind = self.builder.extract_value(index, lane), kind.dtype
+        index = self.context.cast(self.builder, index, kind, types.uint64)
         return self.pointer(argument, self.builder.shl(index, ir.Constant(ir.IntType(64), 2)))
 
     def column(self, argument: int, column_argument: int, place_argument: int, extra: int) -> ir.Value:
@@ -91,110 +92,130 @@ class _Writer:
         ]
 
 
-def _gather(combine: str | None):
-    """The intrinsic that brings a[i] ∘ a[j] (or a[i] alone) of four contacts into four columns."""
-
-    def typed(arguments: tuple[types.Type, ...]):
-        def emit(context, builder, signature, values):
-            writer = _Writer(context, builder, signature, values)
-            rows = []
-            for lane in range(_LANES):
-                value = writer.load(writer.row(3, 4 + lane))
-                if combine is not None:
-                    other = writer.load(writer.row(3, 8 + lane))
-                    value = getattr(builder, combine)(value, other)
-                rows.append(value)
-            for extra, column in enumerate(writer.transposed(rows)):
-                writer.store(column, writer.column(0, 1, 2, extra))
-            return context.get_dummy_value()
-
-        return types.void(*arguments), emit
-
-    return typed
-
-
 @intrinsic
-def gather_difference(typing, buffer, first, place, body, i0, i1, i2, i3, j0, j1, j2, j3):
-    """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i] − body[j]."""
-    return _gather("fsub")((buffer, first, place, body, i0, i1, i2, i3, j0, j1, j2, j3))
-
-
-@intrinsic
-def gather_sum(typing, buffer, first, place, body, i0, i1, i2, i3, j0, j1, j2, j3):
-    """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i] + body[j]."""
-    return _gather("fadd")((buffer, first, place, body, i0, i1, i2, i3, j0, j1, j2, j3))
-
-
-@intrinsic
-def gather_rows(typing, buffer, first, place, body, i0, i1, i2, i3):
-    """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i]."""
-    return _gather(None)((buffer, first, place, body, i0, i1, i2, i3))
-
-
-@intrinsic
-def scatter_rows(typing, body, i0, i1, i2, i3, buffer, first, place):
-    """body[i] becomes what columns ``first`` … ``first + 3`` hold at lanes ``place`` … ``place + 3``."""
-    arguments = (body, i0, i1, i2, i3, buffer, first, place)
+def four_from(typing, array, begin):
+    """array[begin], …, array[begin + 3] as a tuple."""
 
     def emit(context, builder, signature, values):
         writer = _Writer(context, builder, signature, values)
-        columns = [writer.load(writer.column(5, 6, 7, extra)) for extra in range(4)]
-        for lane, row in enumerate(writer.transposed(columns)):
-            writer.store(row, writer.row(0, 1 + lane))
+        begin = context.cast(builder, values[1], signature.args[1], types.int64)
+        places = [builder.add(begin, ir.Constant(ir.IntType(64), lane)) for lane in range(_LANES)]
+        return cgutils.pack_array(builder, [builder.load(writer.pointer(0, place)) for place in places])
+
+    return types.UniTuple(array.dtype, _LANES)(array, begin), emit
+
+
+@intrinsic
+def four_of(typing, array, places):
+    """array[places[0]], …, array[places[3]] as a tuple."""
+
+    def emit(context, builder, signature, values):
+        writer, kind = _Writer(context, builder, signature, values), signature.args[1].dtype
+        loads = []
+        for lane in range(_LANES):
+            place = context.cast(builder, builder.extract_value(values[1], lane), kind, types.uint64)
+            loads.append(builder.load(writer.pointer(0, place)))
+        return cgutils.pack_array(builder, loads)
+
+    return types.UniTuple(array.dtype, _LANES)(array, places), emit
+
+
+def _gather(combine: str | None, arguments: tuple[types.Type, ...]):
+    """Signature and code that bring body[i] ∘ body[j] (or body[i] alone) of four contacts into four columns."""
+
+    def emit(context, builder, signature, values):
+        writer = _Writer(context, builder, signature, values)
+        rows = [writer.load(writer.row(3, 4, lane)) for lane in range(_LANES)]
+        if combine is not None:
+            others = [writer.load(writer.row(3, 5, lane)) for lane in range(_LANES)]
+            rows = [getattr(builder, combine)(row, other) for row, other in zip(rows, others, strict=True)]
+        for extra, column in enumerate(writer.transposed(rows)):
+            writer.store(column, writer.column(0, 1, 2, extra))
         return context.get_dummy_value()
 
     return types.void(*arguments), emit
 
 
 @intrinsic
-def scatter_opposite(typing, body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, place):
+def gather_difference(typing, buffer, first, place, body, i, j):
+    """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i] − body[j]."""
+    return _gather("fsub", (buffer, first, place, body, i, j))
+
+
+@intrinsic
+def gather_sum(typing, buffer, first, place, body, i, j):
+    """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i] + body[j]."""
+    return _gather("fadd", (buffer, first, place, body, i, j))
+
+
+@intrinsic
+def gather_rows(typing, buffer, first, place, body, i):
+    """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i]."""
+    return _gather(None, (buffer, first, place, body, i))
+
+
+@intrinsic
+def scatter_rows(typing, body, i, buffer, first, place):
+    """body[i] becomes what columns ``first`` … ``first + 3`` hold at lanes ``place`` … ``place + 3``."""
+
+    def emit(context, builder, signature, values):
+        writer = _Writer(context, builder, signature, values)
+        columns = [writer.load(writer.column(2, 3, 4, extra)) for extra in range(4)]
+        for lane, row in enumerate(writer.transposed(columns)):
+            writer.store(row, writer.row(0, 1, lane))
+        return context.get_dummy_value()
+
+    return types.void(*(body, i, buffer, first, place)), emit
+
+
+@intrinsic
+def scatter_sum(typing, body, i, buffer, first, place):
+    """body[i] gains columns ``first`` … ``first + 3`` at lanes ``place`` …, contact by contact."""
+
+    def emit(context, builder, signature, values):
+        writer = _Writer(context, builder, signature, values)
+        columns = [writer.load(writer.column(2, 3, 4, extra)) for extra in range(4)]
+        for lane, gain in enumerate(writer.transposed(columns)):
+            target = writer.row(0, 1, lane)
+            writer.store(builder.fadd(writer.load(target), gain), target)
+        return context.get_dummy_value()
+
+    return types.void(*(body, i, buffer, first, place)), emit
+
+
+@intrinsic
+def scatter_opposite(typing, body, i, j, buffer, first, place):
     """body[i] gains columns ``first`` … ``first + 3`` at lanes ``place`` …, body[j] loses them, contact by contact."""
 
     def emit(context, builder, signature, values):
         writer = _Writer(context, builder, signature, values)
-        gains = writer.transposed([writer.load(writer.column(9, 10, 11, extra)) for extra in range(4)])
+        gains = writer.transposed([writer.load(writer.column(3, 4, 5, extra)) for extra in range(4)])
         for lane, gain in enumerate(gains):
-            first, second = writer.row(0, 1 + lane), writer.row(0, 5 + lane)
+            first, second = writer.row(0, 1, lane), writer.row(0, 2, lane)
             writer.store(builder.fadd(writer.load(first), gain), first)
             writer.store(builder.fsub(writer.load(second), gain), second)
         return context.get_dummy_value()
 
-    return types.void(*(body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, place)), emit
+    return types.void(*(body, i, j, buffer, first, place)), emit
 
 
 @intrinsic
-def scatter_both(typing, body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, second, place):
+def scatter_both(typing, body, i, j, buffer, first, second, place):
     """body[i] gains columns ``first`` …, body[j] columns ``second`` …, at lanes ``place`` …, contact by contact."""
 
     def emit(context, builder, signature, values):
         writer = _Writer(context, builder, signature, values)
         gains = (
-            writer.transposed([writer.load(writer.column(9, start, 12, extra)) for extra in range(4)])
-            for start in (10, 11)
+            writer.transposed([writer.load(writer.column(3, start, 6, extra)) for extra in range(4)])
+            for start in (4, 5)
         )
         for lane, pair in enumerate(zip(*gains, strict=True)):
-            for body, gain in zip((1, 5), pair, strict=True):
-                target = writer.row(0, body + lane)
+            for side, gain in zip((1, 2), pair, strict=True):
+                target = writer.row(0, side, lane)
                 writer.store(builder.fadd(writer.load(target), gain), target)
         return context.get_dummy_value()
 
-    return types.void(*(body, i0, i1, i2, i3, j0, j1, j2, j3, buffer, first, second, place)), emit
-
-
-@intrinsic
-def scatter_sum(typing, body, i0, i1, i2, i3, buffer, first, place):
-    """body[i] gains columns ``first`` … ``first + 3`` at lanes ``place`` …, contact after contact."""
-    arguments = (body, i0, i1, i2, i3, buffer, first, place)
-
-    def emit(context, builder, signature, values):
-        writer = _Writer(context, builder, signature, values)
-        columns = [writer.load(writer.column(5, 6, 7, extra)) for extra in range(4)]
-        for lane, row in enumerate(writer.transposed(columns)):
-            target = writer.row(0, 1 + lane)
-            writer.store(builder.fadd(writer.load(target), row), target)
-        return context.get_dummy_value()
-
-    return types.void(*arguments), emit
+    return types.void(*(body, i, j, buffer, first, second, place)), emit
 
 
 @intrinsic

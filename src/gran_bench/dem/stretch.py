@@ -21,7 +21,7 @@ from gran_bench.dem.contact_list import (
     list_contacts,
     touching_contacts,
 )
-from gran_bench.dem.kernel import kernel
+from gran_bench.dem.kernel import kernel, never, places, quads
 from gran_bench.dem.rows import kick_row, move_row, twist_row
 from gran_bench.dem.wall_contacts import list_wall_contacts, wall_forces
 from gran_bench.neighbors import bin_cells
@@ -63,7 +63,7 @@ def run_chunks(
     count, steps, inner = len(order), len(walls) - 1, INNER_SHARE * skin
     chunk, stop = thread * (len(bounds) - 1) // threads, (thread + 1) * (len(bounds) - 1) // threads
     begin, end = bounds[chunk], bounds[stop]
-    rank = np.empty(count, np.int64)
+    rank = places(count)
     for row in range(count):
         rank[order[row]] = row
     first, second, known = first.copy(), second.copy(), known.copy()
@@ -76,11 +76,11 @@ def run_chunks(
         fill_law(buffer, lane, pair_laws[0, 0])
 
     # No lists yet: the first evaluation makes them.
-    nobody, nothing, never = np.empty(0, np.uint32), np.empty((0, 4)), np.empty(0, np.int32)
+    nobody, nothing = places(0), quads(0)
     pair_i, pair_j, start, everyone, near, active = nobody, nobody, nobody, nobody, nobody, nobody
     wall_i, wall_w, wall_active, wall_start = nobody, nobody, nobody, np.empty(0, np.int64)
     slot, moment, wall_slot, wall_moment, geometry = nothing, nothing, nothing, nothing, nothing
-    searched_at, pruned_at, touched, wall_touched = nothing, nothing, never, never
+    searched_at, pruned_at, touched, wall_touched = nothing, nothing, never(0), never(0)
     culprit, done, travelled, since_search = np.int64(-1), 0, np.inf, np.inf
     fastest_allowed = (0.25 * _smallest_radius(sphere, count) / dt) ** 2
     # Evaluation 1 is of the state itself and loads no history. Number steps + 1 is the last of the stretch; after it
@@ -130,12 +130,13 @@ def run_chunks(
                     sphere, count, begin, end, skin, period, first, second, known, np.int64(evaluation - 1), rolling
                 )
                 wall_i, wall_w, wall_start, wall_slot, wall_moment, wall_touched = list_wall_contacts(
-                    sphere, material, bounds, chunk, stop, len(pair_laws), walls, evaluation - 1, 0.5 * skin,
+                    sphere, bounds, chunk, stop, walls, evaluation - 1, 0.5 * skin,
                     first, second, known, np.int64(evaluation - 1), rolling,
                 )  # fmt: skip
-                everyone = np.arange(len(pair_i)).astype(np.uint32)
-                near, active = np.empty(len(pair_i), np.uint32), np.empty(len(pair_i) + 4, np.uint32)
-                wall_active, geometry = np.empty(len(wall_i) + 4, np.uint32), np.empty((len(wall_i) + 4, 4))
+                everyone, near, active = places(len(pair_i)), places(len(pair_i)), places(len(pair_i) + 4)
+                for p in range(len(pair_i)):
+                    everyone[p] = p
+                wall_active, geometry = places(len(wall_i) + 4), quads(len(wall_i) + 4)
                 searched_at, since_search = sphere[begin:end].copy(), 0.0
             found = 0
             for c in range(chunk, stop):
@@ -179,7 +180,7 @@ def bodies_in_order(position, velocity, spin, radius, material, density, period)
         materials.
     """
     count = len(position)
-    low, high, largest = np.full(3, np.inf), np.full(3, -np.inf), 0.0
+    low, high, largest = position[0].copy(), position[0].copy(), 0.0
     for i in range(count):
         largest = max(largest, radius[i])
         for k in range(3):
@@ -190,13 +191,13 @@ def bodies_in_order(position, velocity, spin, radius, material, density, period)
         axes[0], axes[2] = 2, 0
     if period == 0.0 and high[1] - low[1] > high[axes[2]] - low[axes[2]]:
         axes[1], axes[2] = axes[2], 1
-    place = np.empty((count, 4))
+    place = quads(count)
     for i in range(count):
         for k in range(3):
             place[i, k] = position[i, axes[k]]
     order = bin_cells(place, 2.0 * CELL_EDGE * largest, period)[0]
-    sphere, rates, spins, ahead = (np.zeros((count + 2, 4)), np.zeros((count + 2, 4)),
-                                   np.zeros((count + 2, 4)), np.zeros((count + 2, 4)))  # fmt: skip
+    sphere, rates, spins, ahead = quads(count + 2), quads(count + 2), quads(count + 2), quads(count + 2)
+    ahead[:] = 0.0
     materials = np.zeros(count + 2, np.uint8)
     for row in range(count):
         i = order[row]

@@ -1,6 +1,6 @@
 """Contacts of spheres with walls: which are near, and what they do (jitted).
 
-Walls are rows of a pose table (walls.py). A block of contacts is of one material and one wall, so that one law holds.
+Walls are rows of a pose table (walls.py). Each contact of a block has the law of its own material and wall.
 """
 
 from __future__ import annotations
@@ -15,20 +15,13 @@ from gran_bench.dem.contact_blocks import (
     AX,
     AY,
     AZ,
-    BEFORE,
     BLOCK,
     DELTA,
     FORCE,
     GAIN,
-    HX,
-    HY,
-    HZ,
     INVERSE_MS,
     MOMENT,
     MS,
-    MX,
-    MY,
-    MZ,
     NX,
     NY,
     NZ,
@@ -47,14 +40,14 @@ from gran_bench.dem.contact_blocks import (
     WX,
     WY,
     WZ,
-    contact_law,
+    contact_laws,
     fill_law,
-    pair_torques,
-    rolling_law,
+    forget,
+    surface_spins,
 )  # fmt: skip
 from gran_bench.dem.contact_list import ROLLING_MOMENT
-from gran_bench.dem.kernel import kernel
-from gran_bench.dem.rows import gather_rows, scatter_rows, scatter_sum
+from gran_bench.dem.kernel import kernel, never, places, quads
+from gran_bench.dem.rows import four_from, four_of, gather_rows, scatter_rows, scatter_sum
 from gran_bench.dem.walls import ABSENT, CYLINDER, PATH, PLANE
 
 
@@ -109,29 +102,26 @@ def _any_normal_to(ax, ay, az):
 
 @kernel
 def list_wall_contacts(
-    sphere, material, bounds, chunk, stop, kinds, walls, row, margin, known_first, known_second, known, evaluation,
-    rolling,
+    sphere, bounds, chunk, stop, walls, row, margin, known_first, known_second, known, evaluation, rolling
 ):  # fmt: skip
     """Particles of ``chunk … stop − 1`` and walls that may touch in the rest of a stretch, with what they remember.
 
     Args:
-        sphere, material: ``(N + 2, 4)`` x, y, z, r, m; ``(N + 2,)`` index.
+        sphere: ``(N + 2, 4)`` x, y, z, r, m.
         bounds: ``(C + 1,)`` first particle of each chunk.
         chunk, stop: range of chunks.
-        kinds: S, how many materials there are.
         walls: ``(steps + 1, W, 21)`` poses.
         row: of the poses that belong to these positions.
         margin: m that no particle moves further than while the list lives.
         known_first, known_second, known, evaluation, rolling: as in :func:`contact_list.list_contacts`.
 
     Returns:
-        ``(M + 1,)`` particle and wall, chunk by chunk, wall by wall, material by material; ``(chunks + 1,)`` place
-        of the first contact of each chunk; ``(M + 1, 4)`` slots, ``(M + 1 or 1, 4)`` rolling moments and ``(M + 1,)``
-        number of the evaluation that last touched. The last place is spare: the spare body N at the first wall.
+        ``(M + 1,)`` particle and wall, chunk by chunk, wall by wall; ``(chunks + 1,)`` place of the first contact of
+        each chunk; ``(M + 1, 4)`` slots, ``(M + 1 or 1, 4)`` rolling moments and ``(M + 1,)`` number of the evaluation
+        that last touched. The last place is spare: the spare body N at the first wall.
     """
-    begin, end, count = bounds[chunk], bounds[stop], walls.shape[1]
-    room = (end - begin) * count + 1
-    wall_i, wall_w = np.empty(room, np.uint32), np.empty(room, np.uint32)
+    begin, end, count, poses = bounds[chunk], bounds[stop], np.int64(walls.shape[1]), walls[row]
+    wall_i, wall_w = places((end - begin) * count + 1), places((end - begin) * count + 1)
     start = np.zeros(stop - chunk + 1, np.int64)
     found = 0
     for c in range(chunk, stop):
@@ -139,18 +129,18 @@ def list_wall_contacts(
             reach = margin
             for later in range(row + 1, len(walls)):
                 reach += walls[later, w, PATH]
-            for kind in range(kinds):
-                for i in range(bounds[c], bounds[c + 1]):
-                    distance = toward_wall(walls[row], w, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
-                    wall_i[found], wall_w[found] = i, w
-                    found += distance - sphere[i, 3] < reach and material[i] == kind
+            for i in range(bounds[c], bounds[c + 1]):
+                distance = toward_wall(poses, w, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
+                wall_i[found], wall_w[found] = i, w
+                found += distance - sphere[i, 3] < reach
         start[c - chunk + 1] = found
     wall_i, wall_w = wall_i[: found + 1].copy(), wall_w[: found + 1].copy()
     wall_i[found], wall_w[found] = len(sphere) - 2, 0
-    slot, touched = np.zeros((found + 1, 4)), np.full(found + 1, -1, np.int32)
-    moment = np.zeros((found + 1 if rolling else 1, 4))
+    slot, touched = quads(found + 1), never(found + 1)
+    moment = quads(found + 1 if rolling else 1)
+    moment[:] = 0.0
     # Known wall contacts of each particle as a chain.
-    head, following = np.full(end - begin, -1, np.int32), np.empty(len(known_first), np.int32)
+    head, following = never(end - begin), never(len(known_first))
     for c in range(len(known_first)):
         i = known_first[c] - begin
         if 0 <= i < end - begin and known_second[c] < 0:
@@ -178,8 +168,7 @@ def wall_forces(
     """Adds the forces and torques of the touching walls among ``begin … end − 1`` and updates their slots.
 
     Args:
-        wall_i, wall_w: ``(M + 1,)`` particle and wall of each contact in reach; those of one wall and one material
-            side by side.
+        wall_i, wall_w: ``(M + 1,)`` particle and wall of each contact in reach.
         begin, end: which of them.
         active: ``(≥ M + 4,)`` scratch.
         geometry: ``(≥ M + 4, 4)`` scratch: direction and distance of the touching ones.
@@ -190,97 +179,66 @@ def wall_forces(
     touching = 0
     for p in range(begin, end):
         i = wall_i[p]
-        distance, nx, ny, nz = toward_wall(walls, wall_w[p], sphere[i, 0], sphere[i, 1], sphere[i, 2])
+        distance, nx, ny, nz = toward_wall(walls, np.int64(wall_w[p]), sphere[i, 0], sphere[i, 1], sphere[i, 2])
         geometry[touching, 0] = nx
         geometry[touching, 1] = ny
         geometry[touching, 2] = nz
         geometry[touching, 3] = distance
         active[touching] = p
         touching += distance < sphere[i, 3]
-    first = 0
-    while first < touching:
-        w, kind = wall_w[active[first]], material[wall_i[active[first]]]
-        last = first + 1
-        while (
-            last < min(first + BLOCK, touching) and wall_w[active[last]] == w and material[wall_i[active[last]]] == kind
-        ):
-            last += 1
-        size = (last - first + 3) // 4 * 4
+    for lane in range(touching, touching + 3):
+        active[lane] = len(wall_i) - 1
+    for first in range(0, touching, BLOCK):
+        contacts = min(BLOCK, touching - first)
+        size = (contacts + 3) // 4 * 4
         for k in range(0, size, 4):
-            g = np.uint32(first + k)
-            p0, p1, p2, p3 = _four(active, first + k, last, len(wall_i) - 1)
-            i0, i1, i2, i3 = wall_i[p0], wall_i[p1], wall_i[p2], wall_i[p3]
-            gather_rows(buffer, OFFSET, k, geometry, g, g + 1, g + 2, g + 3)
-            gather_rows(buffer, VELOCITY, k, velocity, i0, i1, i2, i3)
-            gather_rows(buffer, AHEAD, k, ahead, i0, i1, i2, i3)
+            place = four_from(active, first + k)
+            body = four_of(wall_i, place)
+            gather_rows(buffer, OFFSET, k, geometry, (first + k, first + k + 1, first + k + 2, first + k + 3))
+            gather_rows(buffer, VELOCITY, k, velocity, body)
+            gather_rows(buffer, AHEAD, k, ahead, body)
             if tangential:
-                gather_rows(buffer, SPIN_SUM, k, spin, i0, i1, i2, i3)
-                gather_rows(buffer, SLOT, k, slot, p0, p1, p2, p3)
+                gather_rows(buffer, SPIN_SUM, k, spin, body)
+                gather_rows(buffer, SLOT, k, slot, place)
             if rolling:
-                gather_rows(buffer, MOMENT, k, moment, p0, p1, p2, p3)
-        for k in range(BLOCK):
-            fill_law(buffer, k, laws[kind, w])
-        v0, v1, v2 = walls[w, 11], walls[w, 12], walls[w, 13]
-        w0, w1, w2 = walls[w, 14], walls[w, 15], walls[w, 16]
-        c0, c1, c2 = walls[w, 17], walls[w, 18], walls[w, 19]
-        moves = v0 != 0.0 or v1 != 0.0 or v2 != 0.0 or w0 != 0.0 or w1 != 0.0 or w2 != 0.0
-        for k in range(last - first):
+                gather_rows(buffer, MOMENT, k, moment, place)
+        for k in range(contacts):
             p = active[first + k]
-            i = wall_i[p]
-            nx, ny, nz = buffer[NX + k], buffer[NY + k], buffer[NZ + k]
-            distance = geometry[first + k, 3]
+            i, w = wall_i[p], wall_w[p]
+            nx, ny, nz, distance = buffer[NX + k], buffer[NY + k], buffer[NZ + k], geometry[first + k, 3]
+            # The wall's surface moves with v + ω × (x − c) at the contact point.
+            cx = sphere[i, 0] + distance * nx - walls[w, 17]
+            cy = sphere[i, 1] + distance * ny - walls[w, 18]
+            cz = sphere[i, 2] + distance * nz - walls[w, 19]
+            w0, w1, w2 = walls[w, 14], walls[w, 15], walls[w, 16]
+            buffer[VX + k] -= walls[w, 11] + (w1 * cz - w2 * cy)
+            buffer[VY + k] -= walls[w, 12] + (w2 * cx - w0 * cz)
+            buffer[VZ + k] -= walls[w, 13] + (w0 * cy - w1 * cx)
             buffer[DELTA + k] = sphere[i, 3] - distance
             buffer[ARM_1 + k] = distance
             buffer[RS + k] = sphere[i, 3]
             buffer[MS + k] = 1.0 / velocity[i, 3]
             buffer[INVERSE_MS + k] = velocity[i, 3]
             buffer[GAIN + k] = nx * buffer[AX + k] + ny * buffer[AY + k] + nz * buffer[AZ + k]
-            if moves:
-                cx = sphere[i, 0] + distance * nx - c0
-                cy = sphere[i, 1] + distance * ny - c1
-                cz = sphere[i, 2] + distance * nz - c2
-                buffer[VX + k] -= v0 + (w1 * cz - w2 * cy)
-                buffer[VY + k] -= v1 + (w2 * cx - w0 * cz)
-                buffer[VZ + k] -= v2 + (w0 * cy - w1 * cx)
+            fill_law(buffer, k, laws[material[i], w])
             if rolling:
                 # What rolls on a turning wall rolls against the wall's own rotation.
                 buffer[PX + k] = buffer[WX + k] - w0
                 buffer[PY + k] = buffer[WY + k] - w1
                 buffer[PZ + k] = buffer[WZ + k] - w2
-            if tangential:
-                buffer[WX + k] *= distance
-                buffer[WY + k] *= distance
-                buffer[WZ + k] *= distance
-                if touched[p] != evaluation - 1:
-                    buffer[HX + k], buffer[HY + k], buffer[HZ + k] = 0.0, 0.0, 0.0
-                    buffer[BEFORE + k] = 0.0
-                    if rolling:
-                        buffer[MX + k], buffer[MY + k], buffer[MZ + k] = 0.0, 0.0, 0.0
+            if touched[p] != evaluation - 1:
+                forget(buffer, k, rolling)
             touched[p] = evaluation
-        contact_law(buffer, size, tangential, dt)
-        if rolling:
-            rolling_law(buffer, size, dt)
         if tangential:
-            pair_torques(buffer, size, False)
+            surface_spins(buffer, size)
+        contact_laws(buffer, size, tangential, rolling, False, dt)
         for k in range(0, size, 4):
-            p0, p1, p2, p3 = _four(active, first + k, last, len(wall_i) - 1)
-            i0, i1, i2, i3 = wall_i[p0], wall_i[p1], wall_i[p2], wall_i[p3]
-            scatter_sum(force, i0, i1, i2, i3, buffer, FORCE, k)
+            place = four_from(active, first + k)
+            body = four_of(wall_i, place)
+            scatter_sum(force, body, buffer, FORCE, k)
             if tangential:
-                scatter_sum(torque, i0, i1, i2, i3, buffer, TORQUE, k)
+                scatter_sum(torque, body, buffer, TORQUE, k)
             if rolling:
-                scatter_sum(torque, i0, i1, i2, i3, buffer, MOMENT, k)
-                scatter_rows(moment, p0, p1, p2, p3, buffer, MOMENT, k)
-            scatter_rows(slot, p0, p1, p2, p3, buffer, SLOT, k)
-        first = last
-
-
-@kernel
-def _four(active, begin, end, spare):
-    """Four of the active contacts from ``begin`` on; the spare one from ``end`` on."""
-    return (
-        active[begin],
-        active[begin + 1] if begin + 1 < end else np.uint32(spare),
-        active[begin + 2] if begin + 2 < end else np.uint32(spare),
-        active[begin + 3] if begin + 3 < end else np.uint32(spare),
-    )
+                scatter_sum(torque, body, buffer, MOMENT, k)
+                scatter_rows(moment, place, buffer, MOMENT, k)
+            scatter_rows(slot, place, buffer, SLOT, k)

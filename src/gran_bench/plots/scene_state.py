@@ -38,7 +38,7 @@ def scene_state(path: Path | str, scene: Scene, state: ParticleState, title: str
         _draw_spheres(axes, scene, state, depth)
         _draw_walls(axes, scene, state.time, depth, low, high)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x, m", ylabel="z, m")
-        axes.set_title(title or f"{scene.name}, {state.time:.2f} s, cut at y = {depth:.3g} m")
+        axes.set_title(title or f"{scene.name}, {state.time:.2f} s\ncut at y = {depth:.3g} m")
 
 
 def _view(scene: Scene, state: ParticleState) -> tuple[FloatArray, FloatArray]:
