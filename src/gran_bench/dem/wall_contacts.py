@@ -57,30 +57,36 @@ def toward_wall(walls, w, x, y, z):
         w: which wall.
         x, y, z: m.
     """
-    kind = walls[w, 0]
-    ox, oy, oz = x - walls[w, 1], y - walls[w, 2], z - walls[w, 3]
-    ax, ay, az = walls[w, 4], walls[w, 5], walls[w, 6]
+    return _toward(
+        walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3], walls[w, 4], walls[w, 5], walls[w, 6],
+        walls[w, 7], walls[w, 8], walls[w, 9], walls[w, 10], x, y, z,
+    )  # fmt: skip
+
+
+@njit(error_model="numpy", inline="always")
+def _toward(kind, px, py, pz, ax, ay, az, r0, s0, r1, s1, x, y, z):
+    """The same of a wall that lies in registers: in a loop over points nothing is read from memory again."""
+    ox, oy, oz = x - px, y - py, z - pz
     along = ox * ax + oy * ay + oz * az
     if kind == PLANE:
-        return along, -ax, -ay, -az
-    ox, oy, oz = ox - along * ax, oy - along * ay, oz - along * az
-    reach = math.sqrt(ox * ox + oy * oy + oz * oz)
-    inverse = 1.0 / reach if reach > 0.0 else 0.0
-    ox, oy, oz = ox * inverse, oy * inverse, oz * inverse
-    if kind == CYLINDER:
-        return walls[w, 7] - reach, ox, oy, oz
-    # Apart, so that the two frequent shapes stay small enough to be inlined.
-    return _toward_revolution(walls, w, along, reach, ox, oy, oz)
+        distance, nx, ny, nz = along, -ax, -ay, -az
+    else:
+        ox, oy, oz = ox - along * ax, oy - along * ay, oz - along * az
+        reach = math.sqrt(ox * ox + oy * oy + oz * oz)
+        inverse = 1.0 / reach if reach > 0.0 else 0.0
+        nx, ny, nz = ox * inverse, oy * inverse, oz * inverse
+        distance = r0 - reach
+        if kind != CYLINDER:
+            distance, nx, ny, nz = _toward_revolution(kind, ax, ay, az, r0, s0, r1, s1, along, reach, nx, ny, nz)
+    return distance, nx, ny, nz
 
 
 @njit(error_model="numpy")
-def _toward_revolution(walls, w, along, reach, ox, oy, oz):
+def _toward_revolution(kind, ax, ay, az, r0, s0, r1, s1, along, reach, ox, oy, oz):
     """The same for a surface of revolution, of which the point is ``along`` its axis and ``reach`` away, along o."""
-    if walls[w, 0] == ABSENT:
+    if kind == ABSENT:
         return np.inf, 0.0, 0.0, 0.0
-    ax, ay, az = walls[w, 4], walls[w, 5], walls[w, 6]
-    r0, s0 = walls[w, 7], walls[w, 8]
-    dr, ds = walls[w, 9] - r0, walls[w, 10] - s0
+    dr, ds = r1 - r0, s1 - s0
     share = ((reach - r0) * dr + (along - s0) * ds) / (dr * dr + ds * ds)
     share = min(1.0, max(0.0, share))
     across, up = r0 + share * dr - reach, s0 + share * ds - along
@@ -125,12 +131,17 @@ def near_walls(sphere, species, kinds, walls, row, margin):
     wall_i, wall_w = np.empty(room, np.uint32), np.empty(room, np.uint32)
     found = 0
     for w in range(count):
+        shape, px, py, pz = poses[w, 0], poses[w, 1], poses[w, 2], poses[w, 3]
+        ax, ay, az = poses[w, 4], poses[w, 5], poses[w, 6]
+        r0, s0, r1, s1 = poses[w, 7], poses[w, 8], poses[w, 9], poses[w, 10]
         reach = margin
         for later in range(row + 1, len(walls)):
             reach += walls[later, w, PATH]
         for kind in range(kinds):
             for i in range(len(sphere)):
-                distance = toward_wall(poses, w, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
+                distance = _toward(
+                    shape, px, py, pz, ax, ay, az, r0, s0, r1, s1, sphere[i, 0], sphere[i, 1], sphere[i, 2]
+                )[0]
                 wall_i[found], wall_w[found] = i, w
                 found += distance - sphere[i, 3] < reach and species[i] == kind
     return wall_i[:found].copy(), wall_w[:found].copy()
@@ -161,14 +172,22 @@ def wall_forces(
         density: ``(S,)`` kg/m³.
         The others: as in :func:`contact_blocks.pair_forces`.
     """
-    touching = 0
-    for p in range(len(wall_i)):
-        i = wall_i[p]
-        distance, nx, ny, nz = toward_wall(walls, wall_w[p], sphere[i, 0], sphere[i, 1], sphere[i, 2])
-        geometry[touching, 0], geometry[touching, 1] = distance, nx
-        geometry[touching, 2], geometry[touching, 3] = ny, nz
-        active[touching] = p
-        touching += distance < sphere[i, 3]
+    touching, place = 0, 0
+    while place < len(wall_i):
+        near = np.int64(wall_w[place])
+        shape, px, py, pz = walls[near, 0], walls[near, 1], walls[near, 2], walls[near, 3]
+        ax, ay, az = walls[near, 4], walls[near, 5], walls[near, 6]
+        r0, s0, r1, s1 = walls[near, 7], walls[near, 8], walls[near, 9], walls[near, 10]
+        while place < len(wall_i) and wall_w[place] == near:
+            i = wall_i[place]
+            distance, nx, ny, nz = _toward(
+                shape, px, py, pz, ax, ay, az, r0, s0, r1, s1, sphere[i, 0], sphere[i, 1], sphere[i, 2]
+            )
+            geometry[touching, 0], geometry[touching, 1] = distance, nx
+            geometry[touching, 2], geometry[touching, 3] = ny, nz
+            active[touching] = place
+            touching += distance < sphere[i, 3]
+            place += 1
     begin = 0
     while begin < touching:
         w, kind = np.int64(-1), np.int64(-1)
