@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -103,13 +104,20 @@ def first_contacts(
 
 
 @contextmanager
-def _compiling_notice(patience: float = 3.0) -> Iterator[None]:
+def _compiling_notice(patience: float = 1.0) -> Iterator[None]:
     """Says on stderr what a user waits for when the kernels are not in Numba's cache."""
     # A cached load takes less than the patience, so nothing has to be known of how Numba caches.
-    notice = threading.Timer(patience, lambda: print("compiling the DEM kernels (once) …", file=sys.stderr, flush=True))
+    notice = threading.Timer(
+        patience, lambda: print("compiling the DEM kernels (once, about ten seconds) …", file=sys.stderr, flush=True)
+    )
     notice.daemon = True
     notice.start()
+    collects = gc.isenabled()
+    # The compiler makes millions of small objects that live: looking for garbage among them is a tenth of its time.
+    gc.disable()
     try:
         yield
     finally:
         notice.cancel()
+        if collects:
+            gc.enable()

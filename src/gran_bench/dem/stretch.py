@@ -153,7 +153,7 @@ def run_chunks(
             )  # fmt: skip
             wall_forces(
                 sphere, velocity, spin, ahead, material, force[c], torque[c], wall_i, wall_w,
-                wall_start[c - chunk], wall_start[c - chunk + 1], wall_slot, wall_moment, wall_touched, evaluation,
+                wall_start[(c - chunk) * len(walls[0]) :], wall_slot, wall_moment, wall_touched, evaluation,
                 wall_active, geometry, wall_buffer, wall_laws, walls[evaluation - 1], tangential, rolling, span,
             )  # fmt: skip
         meet(gate, threads)

@@ -52,30 +52,36 @@ from gran_bench.dem.walls import ABSENT, CYLINDER, PATH, PLANE
 
 
 @kernel
-def toward_wall(walls, w, x, y, z):
-    """Distance of a point from wall w, and the unit vector to it; the rules of :func:`walls.wall_contact`.
+def shape_of(walls, w):
+    """Kind, point, direction and sizes of wall w of ``(W, 21)`` poses, as a tuple that stays in registers."""
+    return (
+        walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3], walls[w, 4], walls[w, 5], walls[w, 6],
+        walls[w, 7], walls[w, 8], walls[w, 9], walls[w, 10],
+    )  # fmt: skip
+
+
+@kernel
+def toward_wall(shape, x, y, z):
+    """Distance of a point from a wall, and the unit vector to it; the rules of :func:`walls.wall_contact`.
 
     Args:
-        walls: ``(W, 21)`` poses.
-        w: which wall.
+        shape: of :func:`shape_of`.
         x, y, z: m.
     """
-    kind = walls[w, 0]
-    if kind == ABSENT:
-        return np.inf, 0.0, 0.0, 0.0
-    ox, oy, oz = x - walls[w, 1], y - walls[w, 2], z - walls[w, 3]
-    ax, ay, az = walls[w, 4], walls[w, 5], walls[w, 6]
+    kind, px, py, pz, ax, ay, az, r0, s0, r1, s1 = shape
+    ox, oy, oz = x - px, y - py, z - pz
     along = ox * ax + oy * ay + oz * az
     if kind == PLANE:
         return along, -ax, -ay, -az
+    if kind == ABSENT:
+        return np.inf, 0.0, 0.0, 0.0
     ox, oy, oz = ox - along * ax, oy - along * ay, oz - along * az
     reach = math.sqrt(ox * ox + oy * oy + oz * oz)
     inverse = 1.0 / reach if reach > 0.0 else 0.0
     ox, oy, oz = ox * inverse, oy * inverse, oz * inverse
     if kind == CYLINDER:
-        return walls[w, 7] - reach, ox, oy, oz
-    r0, s0 = walls[w, 7], walls[w, 8]
-    dr, ds = walls[w, 9] - r0, walls[w, 10] - s0
+        return r0 - reach, ox, oy, oz
+    dr, ds = r1 - r0, s1 - s0
     share = ((reach - r0) * dr + (along - s0) * ds) / (dr * dr + ds * ds)
     share = min(1.0, max(0.0, share))
     across, up = r0 + share * dr - reach, s0 + share * ds - along
@@ -116,24 +122,23 @@ def list_wall_contacts(
         known_first, known_second, known, evaluation, rolling: as in :func:`contact_list.list_contacts`.
 
     Returns:
-        ``(M + 1,)`` particle and wall, chunk by chunk, wall by wall; ``(chunks + 1,)`` place of the first contact of
-        each chunk; ``(M + 1, 4)`` slots, ``(M + 1 or 1, 4)`` rolling moments and ``(M + 1,)`` number of the evaluation
-        that last touched. The last place is spare: the spare body N at the first wall.
+        ``(M + 1,)`` particle and wall, chunk by chunk, wall by wall; ``(chunks W + 1,)`` place of the first contact of
+        each chunk and wall; ``(M + 1, 4)`` slots, ``(M + 1 or 1, 4)`` rolling moments and ``(M + 1,)`` number of the
+        evaluation that last touched. The last place is spare: the spare body N at the first wall.
     """
-    begin, end, count, poses = bounds[chunk], bounds[stop], np.int64(walls.shape[1]), walls[row]
+    begin, end, count = bounds[chunk], bounds[stop], walls.shape[1]
     wall_i, wall_w = places((end - begin) * count + 1), places((end - begin) * count + 1)
-    start = np.zeros(stop - chunk + 1, np.int64)
+    start = np.zeros((stop - chunk) * count + 1, np.int64)
     found = 0
     for c in range(chunk, stop):
         for w in range(count):
-            reach = margin
+            shape, reach = shape_of(walls[row], w), margin
             for later in range(row + 1, len(walls)):
                 reach += walls[later, w, PATH]
             for i in range(bounds[c], bounds[c + 1]):
-                distance = toward_wall(poses, w, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
                 wall_i[found], wall_w[found] = i, w
-                found += distance - sphere[i, 3] < reach
-        start[c - chunk + 1] = found
+                found += toward_wall(shape, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0] - sphere[i, 3] < reach
+            start[(c - chunk) * count + w + 1] = found
     wall_i, wall_w = wall_i[: found + 1].copy(), wall_w[: found + 1].copy()
     wall_i[found], wall_w[found] = len(sphere) - 2, 0
     slot, touched = quads(found + 1), never(found + 1)
@@ -162,14 +167,14 @@ def list_wall_contacts(
 
 @kernel
 def wall_forces(
-    sphere, velocity, spin, ahead, material, force, torque, wall_i, wall_w, begin, end, slot, moment, touched,
+    sphere, velocity, spin, ahead, material, force, torque, wall_i, wall_w, start, slot, moment, touched,
     evaluation, active, geometry, buffer, laws, walls, tangential, rolling, dt,
 ):  # fmt: skip
-    """Adds the forces and torques of the touching walls among ``begin … end − 1`` and updates their slots.
+    """Adds the forces and torques of the touching walls of a chunk and updates their slots.
 
     Args:
         wall_i, wall_w: ``(M + 1,)`` particle and wall of each contact in reach.
-        begin, end: which of them.
+        start: ``(W + 1,)`` place of the chunk's first contact with each wall, and of the end of the last.
         active: ``(≥ M + 4,)`` scratch.
         geometry: ``(≥ M + 4, 4)`` scratch: direction and distance of the touching ones.
         laws: ``(S, W, 5)`` of each material with each wall.
@@ -177,15 +182,17 @@ def wall_forces(
         The others: as in :func:`contact_blocks.pair_forces`.
     """
     touching = 0
-    for p in range(begin, end):
-        i = wall_i[p]
-        distance, nx, ny, nz = toward_wall(walls, np.int64(wall_w[p]), sphere[i, 0], sphere[i, 1], sphere[i, 2])
-        geometry[touching, 0] = nx
-        geometry[touching, 1] = ny
-        geometry[touching, 2] = nz
-        geometry[touching, 3] = distance
-        active[touching] = p
-        touching += distance < sphere[i, 3]
+    for w in range(len(walls)):
+        shape = shape_of(walls, w)
+        for p in range(start[w], start[w + 1]):
+            i = wall_i[p]
+            distance, nx, ny, nz = toward_wall(shape, sphere[i, 0], sphere[i, 1], sphere[i, 2])
+            geometry[touching, 0] = nx
+            geometry[touching, 1] = ny
+            geometry[touching, 2] = nz
+            geometry[touching, 3] = distance
+            active[touching] = p
+            touching += distance < sphere[i, 3]
     for lane in range(touching, touching + 3):
         active[lane] = len(wall_i) - 1
     for first in range(0, touching, BLOCK):
