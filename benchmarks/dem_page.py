@@ -1,0 +1,20 @@
+"""A table of a DEM benchmark, kept with the command, the commit and the hardware that made it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from gran_bench.atomic import write_text
+from gran_bench.provenance import commit, hardware
+
+FOLDER = Path("results/dem_speed")
+
+
+def keep(name: str, text: str, output: Path | None) -> None:
+    """Prints the text and, where a folder is given, writes it to ``<name>.md`` there."""
+    print(text)
+    if output is not None:
+        command = " ".join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
+        made = f"Made by `{command}` at {commit()} on {hardware()}."
+        write_text(output / f"{name}.md", f"{made}\n\n```\n{text}\n```\n")
