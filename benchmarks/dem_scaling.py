@@ -1,9 +1,10 @@
 """What a step costs from 300 to 100 000 spheres, on one thread and on two; with float32 contact forces beside it.
 
-    python benchmarks/dem_scaling.py [--output results/dem_speed]
+    python benchmarks/dem_scaling.py [--grow length | size] [--output results/dem_speed]
 
-Each bed is `drum` made larger or smaller: the same spheres, filling and Froude number, the drum's diameter and length
-with the cube root of the number. Threads and precision take turns on the same bed; medians of the time on the clock.
+Each bed is `drum` made longer or shorter, so that all carry the same flow. With ``--grow size`` diameter and length
+grow with the cube root of the number at one Froude number; then spheres also move faster, and are searched for more
+often. Threads and precision take turns on the same bed; medians of the time on the clock.
 The exponent is of the whole step's time against the number of spheres, by least squares of the logarithms. Some three
 minutes on two cores that are otherwise idle.
 """
@@ -33,13 +34,14 @@ STEP, FRAME = 1e-4, 100  # s, steps
 KINDS = {"1 thread": (1, False), "2 threads": (2, False), "1 thread, float32": (1, True)}
 
 
-def turning_bed(count: int) -> tuple[Scene, ParticleState]:
+def turning_bed(count: int, grow: str) -> tuple[Scene, ParticleState]:
     """So many spheres that have fallen and turn: loose beds cost less, so all have moved for the same while."""
-    scale = (count / 3000) ** (1 / 3)
+    scale = (count / 3000) ** (1 / 3) if grow == "size" else 1.0
+    length = scale if grow == "size" else count / 3000
     scene = build_scene(
         SceneConfig(
             name=f"drum of {count}",
-            container=ContainerConfig(diameter=scale, length=scale),
+            container=ContainerConfig(diameter=scale, length=length),
             filling=FillingConfig(count=count, settled_speed=1e3),  # m/s: not at rest, only fallen
             start_time=0.3 + 0.25 * float(np.sqrt(scale)),
             end_time=30.0,
@@ -73,11 +75,11 @@ def times_of(scene: Scene, bed: ParticleState, frames: int) -> dict[str, tuple[f
     return {kind: (float(np.median(times[kind])), tuners[kind].chosen.skin) for kind in KINDS}
 
 
-def main(counts: list[int], output: Path | None) -> None:
+def main(counts: list[int], grow: str, output: Path | None) -> None:
     """Prints the table and draws the figure."""
     found = {}
     for count in counts:
-        scene, bed = turning_bed(count)
+        scene, bed = turning_bed(count, grow)
         found[count] = times_of(scene, bed, 7)
         print(f"{count} spheres: " + ", ".join(f"{k} {1e6 * t:.0f} µs" for k, (t, _) in found[count].items()))
     lines = [f"{'spheres':>8s} {'skin, mm':>9s} " + "".join(f"{kind + ', µs a step':>30s}" for kind in KINDS)
@@ -92,10 +94,10 @@ def main(counts: list[int], output: Path | None) -> None:
         lines.append(f"exponent of the step's time, {kind}: {exponent:.3f}")
     keep("scaling", "\n".join(lines), output)
     if output is not None:
-        draw(output / "scaling.png", found)
+        draw(output / "scaling.png", found, grow)
 
 
-def draw(path: Path, found: dict[int, dict[str, tuple[float, float]]]) -> None:
+def draw(path: Path, found: dict[int, dict[str, tuple[float, float]]], grow: str) -> None:
     """Time a sphere and step against the number of spheres."""
     with drawing(path, 6.5, 4.0) as figure:
         axes = figure.add_subplot()
@@ -106,13 +108,14 @@ def draw(path: Path, found: dict[int, dict[str, tuple[float, float]]]) -> None:
         axes.set_ylim(bottom=0)
         axes.set_xlabel("spheres")
         axes.set_ylabel("time of a step and sphere, ns")
-        axes.set_title("Drums of one filling and Froude number, neighbour searches included")
+        axes.set_title(f"drum at 30 rpm, its {grow} growing with the number; neighbour searches included")
         axes.legend()
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--counts", type=int, nargs="+", default=list(COUNTS))
+    parser.add_argument("--grow", choices=("length", "size"), default="length", help="what grows with the number")
     parser.add_argument("--output", type=Path, help="folder for scaling.md and scaling.png")
     given = parser.parse_args()
-    main(given.counts, given.output)
+    main(given.counts, given.grow, given.output)
