@@ -37,7 +37,7 @@ KINDS = {"1 thread": (1, False), "2 threads": (2, False), "1 thread, float32": (
 def turning_bed(count: int, grow: str) -> tuple[Scene, ParticleState]:
     """So many spheres that have fallen and turn: loose beds cost less, so all have moved for the same while."""
     scale = (count / 3000) ** (1 / 3) if grow == "size" else 1.0
-    length = scale if grow == "size" else count / 3000
+    length = scale if grow == "size" else count / 3000 + 0.05  # m: the caps keep a sphere away
     scene = build_scene(
         SceneConfig(
             name=f"drum of {count}",
