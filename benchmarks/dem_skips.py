@@ -69,7 +69,7 @@ def rows(scene: Scene, bed: ParticleState) -> dict[str, tuple[Case, Case]]:
         "no search before the skin is crossed": (usual, Case(scene, bed, skin=0.02 * diameter)),
     }
     # Out of every particle's reach, so that they cost their search and change nothing.
-    far = (Plane((0.0, -50.0, 0.0), (0.0, 1.0, 0.0), turns=False), Plane((0.0, 50.0, 0.0), (0.0, -1.0, 0.0), turns=False))
+    far = tuple(Plane((0.0, -50.0 * side, 0.0), (0.0, side, 0.0), turns=False) for side in (1.0, -1.0))
     bare = replace(scene, walls=())
     found["no walls where there are none"] = Case(bare, fresh), Case(replace(bare, walls=far), fresh)
     if scene.needs.wall_motion:
