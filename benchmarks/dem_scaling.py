@@ -108,7 +108,7 @@ def draw(path: Path, found: dict[int, dict[str, tuple[float, float]]], grow: str
         axes.set_ylim(bottom=0)
         axes.set_xlabel("spheres")
         axes.set_ylabel("time of a step and sphere, ns")
-        axes.set_title(f"drum at 30 rpm, its {grow} growing with the number; neighbour searches included")
+        axes.set_title(f"drum at 30 rpm, growing in {grow}; neighbour searches included")
         axes.legend()
 
 

@@ -19,6 +19,7 @@ from dem_page import keep
 
 from gran_bench.dem import engine_numba
 from gran_bench.dem.integrate import Physics
+from gran_bench.dem.outlet import part_of, taking_part
 from gran_bench.dem.simulate import choose_time_step, settle, simulate
 from gran_bench.dem.walls import wall_poses
 from gran_bench.scene import Plane, Scene
@@ -88,6 +89,8 @@ def main(rounds: int, output: Path | None) -> None:
     for name, duration in RUNS_FOR.items():
         scene = shipped_scene(name)
         bed = simulate(scene, settle(scene, 0), scene.start_time + duration).final
+        inside = taking_part(scene, bed.position)  # without the spheres that have left
+        bed = bed if inside is None else part_of(bed, inside)
         cases, times = rows(scene, bed), {}
         for turn in range(rounds + 1):
             for row, both in cases.items():
