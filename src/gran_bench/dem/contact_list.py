@@ -47,9 +47,7 @@ def list_contacts(sphere, count, begin, end, skin, period, known_first, known_se
     """
     first, second = list_pairs(sphere[:count], skin, period, begin, end)
     pair_i, pair_j, start = _sorted_pairs(first, second, begin, end, count)
-    slot, touched = quads(len(pair_i)), never(len(pair_i))
-    moment = quads(len(pair_i) if rolling else 1)
-    moment[:] = 0.0
+    slot, moment, touched = no_memory(len(pair_i), rolling)
     for c in range(len(known_first)):
         row = known_first[c] - begin
         if 0 <= row < end - begin and known_second[c] >= 0:
@@ -57,13 +55,29 @@ def list_contacts(sphere, count, begin, end, skin, period, known_first, known_se
             while p < start[row + 1] and pair_j[p] != known_second[c]:
                 p += 1
             if p < start[row + 1]:
-                for k in range(4):
-                    slot[p, k] = known[c, k]
-                if rolling:
-                    for k in range(3):
-                        moment[p, k] = known[c, ROLLING_MOMENT + k]
-                touched[p] = evaluation
+                remind(slot, moment, touched, p, known, c, evaluation, rolling)
     return pair_i, pair_j, start, slot, moment, touched
+
+
+@kernel
+def no_memory(contacts, rolling):
+    """Slots, rolling moments and numbers of the last touch of contacts that remember nothing."""
+    moment = quads(contacts if rolling else 1)
+    for p in range(len(moment)):
+        for k in range(4):
+            moment[p, k] = 0.0
+    return quads(contacts), moment, never(contacts)
+
+
+@kernel
+def remind(slot, moment, touched, p, known, c, evaluation, rolling):
+    """Contact p remembers what known contact c does."""
+    for k in range(4):
+        slot[p, k] = known[c, k]
+    if rolling:
+        for k in range(3):
+            moment[p, k] = known[c, ROLLING_MOMENT + k]
+    touched[p] = evaluation
 
 
 @kernel

@@ -18,22 +18,24 @@ own that are added in one order, depend on the number of particles alone.
 
 from __future__ import annotations
 
-import hashlib
 import threading
-from collections.abc import Callable
-from pathlib import Path
 
+import numba
 import numpy as np
-from numba import njit
 
-from gran_bench import neighbors
 from gran_bench.dem import barrier
+from gran_bench.dem.bodies import bodies_in_order
+from gran_bench.dem.compiling import lists_compiled_beside
+from gran_bench.dem.contact_blocks import BUFFER_SIZE
 from gran_bench.dem.integrate import Divergence, Physics
-from gran_bench.dem.stretch import bodies_in_order, run_chunks
+from gran_bench.dem.search import search, touching
+from gran_bench.dem.stretch import DONE, EVALUATION, SEARCH, march
 from gran_bench.state import ContactHistory, FloatArray, ParticleState
 
 # Particles from which on a bed is cut into 2, 4, 8, 16 chunks: each large beside what lies at its rim.
 CHUNK_SIZES = (1500, 8000, 32000, 128000)
+# Calls no contact by particle.
+NOBODY = np.zeros(0, np.int64)
 
 
 def chunk_bounds(count: int) -> np.ndarray:
@@ -61,38 +63,99 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
     """
     if state.count == 0:
         return state
-    history, bounds = state.history, chunk_bounds(state.count)
-    position, velocity, spin = (
-        np.array(array, np.float64) for array in (state.position, state.velocity, state.angular_velocity)
-    )
-    radius, material = np.array(state.radius, np.float64), np.array(state.material, np.uint8)
-    bodies = _bodies_in_order(position, velocity, spin, radius, material, physics.density, physics.period)
-    chunks = len(bounds) - 1
-    threads = max(1, min(physics.threads, chunks))
-    shape = (chunks, state.count + 2, 4)
-    # Zeros of the operating system: what no chunk touches costs nothing.
-    shared = (barrier.new_gate(), bounds, np.zeros(chunks, np.int64), np.zeros((threads, 32)))
-    loads = np.zeros(shape), np.zeros(shape)
-    known = np.column_stack((history.force, history.overlap, history.rolling_moment))
-    what = (
-        np.array(history.first, np.int64), np.array(history.second, np.int64), known,
-        physics.pair_laws, physics.wall_laws, np.ascontiguousarray(walls), np.array(physics.gravity, np.float64),
-        physics.period, physics.skin, float(time_step), physics.tangential, physics.rolling,
-        np.zeros(0, np.float32 if physics.single_precision else np.float64),
-    )  # fmt: skip
-
-    def run(thread: int):
-        return _run_chunks(thread, threads, *shared, position, velocity, spin, *bodies, *loads, *what)
-
-    results = run_together(run, threads, shared[0])
+    stretch = _Stretch(state, physics, time_step, walls)
+    if not march.signatures:
+        with lists_compiled_beside():
+            march.compile(tuple(map(numba.typeof, stretch.kinds_of_march())))
+    stretch.begin()
+    results = run_together(stretch.run, stretch.threads, stretch.gate)
     culprit, done = results[0][:2]
+    position, velocity, spin = stretch.moving
     if culprit >= 0:
-        raise Divergence(int(bodies[0][culprit]), int(done), position, velocity, spin)
+        raise Divergence(int(stretch.bodies[0][culprit]), done, position, velocity, spin)
     first, second, memory = (np.concatenate([result[k] for result in results]) for k in (2, 3, 4))
     contacts = ContactHistory(first, second, memory[:, :3].copy(), memory[:, 3].copy(), memory[:, 4:].copy())
     return ParticleState(
         position, velocity, spin, state.radius, state.time + done * time_step, contacts, state.material
     )
+
+
+class _Stretch:
+    """What the threads of a stretch share, and what each of them does.
+
+    Args:
+        state, physics, time_step, walls: of :func:`advance`.
+    """
+
+    def __init__(self, state: ParticleState, physics: Physics, time_step: float, walls: FloatArray) -> None:
+        self.moving = tuple(
+            np.array(array, np.float64) for array in (state.position, state.velocity, state.angular_velocity)
+        )
+        self._radius, self._material = np.array(state.radius, np.float64), np.array(state.material, np.uint8)
+        history = state.history
+        self._known = (
+            np.array(history.first, np.int64), np.array(history.second, np.int64),
+            np.column_stack((history.force, history.overlap, history.rolling_moment)),
+        )  # fmt: skip
+        self._physics, self._walls = physics, np.array(walls, np.float64, order="C")
+        self._bounds = chunk_bounds(state.count)
+        chunks = len(self._bounds) - 1
+        self.threads, self.gate = max(1, min(physics.threads, chunks)), barrier.new_gate()
+        self._shared = self.gate, self._bounds, np.zeros(chunks, np.int64), np.zeros((self.threads, 32))
+        # Zeros of the operating system: what no chunk touches costs nothing.
+        self._loads = tuple(np.zeros((chunks, state.count + 2, 4)) for _ in range(2))
+        self._precision = np.float32 if physics.single_precision else np.float64
+        slowest = 0.25 * float(self._radius.min()) / time_step
+        self._constants = (
+            physics.pair_laws, physics.wall_laws, self._walls, np.array(physics.gravity, np.float64),
+            physics.period, physics.skin, float(time_step), slowest * slowest,
+            physics.tangential, physics.rolling, bool((self._radius != self._radius[0]).any()),
+        )  # fmt: skip
+
+    def begin(self) -> None:
+        """Sorts the bodies."""
+        physics = self._physics
+        self.bodies = bodies_in_order(
+            *self.moving, self._radius, self._material, physics.density, physics.period, *self._known
+        )
+
+    def run(self, thread: int) -> tuple:
+        """One thread's share: the row that diverged or −1, the completed steps, the touching contacts."""
+        bounds, physics, known = self._bounds, self._physics, self._known
+        order, sphere = self.bodies[:2]
+        chunk, stop = (t * (len(bounds) - 1) // self.threads for t in (thread, thread + 1))
+        progress = np.array([1, 0])
+        while True:
+            evaluation = int(progress[EVALUATION])
+            lists = search(
+                sphere, bounds, chunk, stop, self._walls, evaluation, physics.skin, physics.period,
+                *known, physics.rolling,
+            )  # fmt: skip
+            own = sphere[bounds[chunk] : bounds[stop]]
+            culprit = march(*self._of_march(thread, progress, self.bodies, lists, own, stop - chunk))
+            if culprit != SEARCH:
+                return int(culprit), int(progress[DONE]), *touching(*lists, len(self._walls), order)
+            known = touching(*lists, int(progress[EVALUATION]) - 1, NOBODY)
+
+    def kinds_of_march(self) -> tuple:
+        """Arguments of the loop of steps before there are bodies and lists: of its kinds, but without their values."""
+        row, place, number = np.zeros((1, 4)), np.zeros(1, np.uint32), np.zeros(1, np.int32)
+        bodies = NOBODY, row, row, row, row, np.zeros(1, np.uint8)
+        lists = place, place, place, row, row, number, place, place, NOBODY, row, row, number
+        return self._of_march(0, np.array([1, 0]), bodies, lists, row, 1)
+
+    def _of_march(self, thread: int, progress: np.ndarray, bodies: tuple, lists: tuple, own: FloatArray, chunks: int):
+        pairs, walls = len(lists[0]), len(lists[6])
+        room = (
+            own.copy(), np.empty_like(own), np.arange(pairs, dtype=np.uint32), np.empty(pairs, np.uint32),
+            np.empty(pairs + 4, np.uint32), np.empty(walls + 4, np.uint32), np.empty((walls + 4, 4)),
+            np.zeros(chunks + 1, np.int64), np.zeros(BUFFER_SIZE, self._precision),
+            np.zeros(BUFFER_SIZE, self._precision),
+        )  # fmt: skip
+        return (
+            thread, self.threads, *self._shared, progress, *self.moving, *bodies, *self._loads, *lists, *room,
+            *self._constants,
+        )  # fmt: skip
 
 
 def run_together(run, threads: int, gate: np.ndarray) -> list:
@@ -118,19 +181,3 @@ def run_together(run, threads: int, gate: np.ndarray) -> list:
     if errors:
         raise errors[0]
     return results
-
-
-def _compiled(function: Callable, **options) -> Callable:
-    """The jitted function, cached on disk under the digest of everything that it is compiled from.
-
-    Numba keys its cache by the file of the function alone; a kernel of another file that changed would be found under
-    the old key. The function's name is part of the name of the cache.
-    """
-    files = [path for room in (__file__, neighbors.__file__) for path in sorted(Path(room).parent.glob("*.py"))]
-    digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-    function.__qualname__ = f"{function.__name__}_{digest[:16]}"
-    return njit(cache=True, error_model="numpy", **options)(function)
-
-
-_bodies_in_order = _compiled(bodies_in_order)
-_run_chunks = _compiled(run_chunks, nogil=True)

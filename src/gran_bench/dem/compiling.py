@@ -1,0 +1,68 @@
+"""The first compilation of the fast engine, shared by two processes.
+
+Numba compiles one function at a time in a process, but what it compiled lies on disk for all. So while the caller
+compiles the loop of steps, a process beside it compiles what makes the lists. Whatever keeps that process from its
+work (one core, no cache, no interpreter to start), the caller finds nothing on disk and compiles it all.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numba
+
+import gran_bench
+from gran_bench.dem.bodies import bodies_in_order
+from gran_bench.dem.search import search, touching
+
+# What the process beside compiles (compile_lists.py).
+LISTS = (bodies_in_order, search, touching)
+# How much longer than the caller's own share its share may take: more, and it hangs.
+PATIENCE = 3.0
+
+
+def on_disk(entry: Callable) -> bool:
+    """Whether Numba's cache knows a function; for which machine, only loading it tells."""
+    folder = entry.stats.cache_path
+    return folder is not None and any(Path(folder).glob(f"*{entry.py_func.__qualname__}-*.nbi"))
+
+
+@contextmanager
+def lists_compiled_beside() -> Iterator[None]:
+    """While the body runs, another process compiles the functions that make the lists, where that is worth it."""
+    beside, began = None, time.perf_counter()
+    if numba.config.NUMBA_NUM_THREADS > 1 and not any(map(on_disk, LISTS)):
+        beside = _started()
+    try:
+        yield
+        if beside is not None:
+            beside.wait(PATIENCE * (time.perf_counter() - began))
+    except subprocess.TimeoutExpired:
+        pass
+    finally:
+        if beside is not None:
+            beside.kill()
+            beside.wait()
+            beside.stdin.close()
+
+
+def _started() -> subprocess.Popen | None:
+    sources = str(Path(gran_bench.__file__).parent.parent)
+    paths = [sources, *filter(None, [os.environ.get("PYTHONPATH")])]
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-P", "-m", "gran_bench.dem.compile_lists"],
+            stdin=subprocess.PIPE,  # closed when the caller is gone, however it went
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+            start_new_session=True,  # Ctrl-C is for the caller, which then ends it
+        )
+    except OSError:
+        return None

@@ -1,0 +1,121 @@
+"""Which spheres a wall is near, and how far it is (jitted).
+
+Walls are rows of a pose table (walls.py).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gran_bench.dem.contact_list import no_memory, remind
+from gran_bench.dem.kernel import kernel, never, places
+from gran_bench.dem.walls import ABSENT, CYLINDER, PATH, PLANE
+
+
+@kernel
+def shape_of(walls, w):
+    """Kind, point, direction and sizes of wall w of ``(W, 21)`` poses, as a tuple that stays in registers."""
+    return (
+        walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3], walls[w, 4], walls[w, 5], walls[w, 6],
+        walls[w, 7], walls[w, 8], walls[w, 9], walls[w, 10],
+    )  # fmt: skip
+
+
+@kernel
+def toward_wall(shape, x, y, z):
+    """Distance of a point from a wall, and the unit vector to it; the rules of :func:`walls.wall_contact`.
+
+    Args:
+        shape: of :func:`shape_of`.
+        x, y, z: m.
+    """
+    kind, px, py, pz, ax, ay, az, r0, s0, r1, s1 = shape
+    ox, oy, oz = x - px, y - py, z - pz
+    along = ox * ax + oy * ay + oz * az
+    if kind == PLANE:
+        return along, -ax, -ay, -az
+    if kind == ABSENT:
+        return np.inf, 0.0, 0.0, 0.0
+    ox, oy, oz = ox - along * ax, oy - along * ay, oz - along * az
+    reach = math.sqrt(ox * ox + oy * oy + oz * oz)
+    inverse = 1.0 / reach if reach > 0.0 else 0.0
+    ox, oy, oz = ox * inverse, oy * inverse, oz * inverse
+    if kind == CYLINDER:
+        return r0 - reach, ox, oy, oz
+    dr, ds = r1 - r0, s1 - s0
+    share = ((reach - r0) * dr + (along - s0) * ds) / (dr * dr + ds * ds)
+    share = min(1.0, max(0.0, share))
+    across, up = r0 + share * dr - reach, s0 + share * ds - along
+    distance = math.sqrt(across * across + up * up)
+    if reach == 0.0:
+        ox, oy, oz = _any_normal_to(ax, ay, az)
+    inverse = 1.0 / distance if distance > 0.0 else 0.0
+    across, up = across * inverse, up * inverse
+    return distance, across * ox + up * ax, across * oy + up * ay, across * oz + up * az
+
+
+@kernel
+def _any_normal_to(ax, ay, az):
+    """A unit vector across a unit vector; the one of :func:`walls.any_normal_to`."""
+    if abs(ax) <= abs(ay) and abs(ax) <= abs(az):
+        x, y, z = 0.0, az, -ay
+    elif abs(ay) <= abs(az):
+        x, y, z = -az, 0.0, ax
+    else:
+        x, y, z = ay, -ax, 0.0
+    inverse = 1.0 / math.sqrt(x * x + y * y + z * z)
+    return inverse * x, inverse * y, inverse * z
+
+
+@kernel
+def list_wall_contacts(
+    sphere, bounds, chunk, stop, walls, row, margin, known_first, known_second, known, evaluation, rolling
+):  # fmt: skip
+    """Particles of ``chunk … stop − 1`` and walls that may touch in the rest of a stretch, with what they remember.
+
+    Args:
+        sphere: ``(N + 2, 4)`` x, y, z, r, m.
+        bounds: ``(C + 1,)`` first particle of each chunk.
+        chunk, stop: range of chunks.
+        walls: ``(steps + 1, W, 21)`` poses.
+        row: of the poses that belong to these positions.
+        margin: m that no particle moves further than while the list lives.
+        known_first, known_second, known, evaluation, rolling: as in :func:`contact_list.list_contacts`.
+
+    Returns:
+        ``(M + 1,)`` particle and wall, chunk by chunk, wall by wall; ``(chunks W + 1,)`` place of the first contact of
+        each chunk and wall; ``(M + 1, 4)`` slots, ``(M + 1 or 1, 4)`` rolling moments and ``(M + 1,)`` number of the
+        evaluation that last touched. The last place is spare: the spare body N at the first wall.
+    """
+    begin, end, count = bounds[chunk], bounds[stop], walls.shape[1]
+    wall_i, wall_w = places((end - begin) * count + 1), places((end - begin) * count + 1)
+    start = np.zeros((stop - chunk) * count + 1, np.int64)
+    found = 0
+    for c in range(chunk, stop):
+        for w in range(count):
+            shape, reach = shape_of(walls[row], w), margin
+            for later in range(row + 1, len(walls)):
+                reach += walls[later, w, PATH]
+            for i in range(bounds[c], bounds[c + 1]):
+                wall_i[found], wall_w[found] = i, w
+                found += toward_wall(shape, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0] - sphere[i, 3] < reach
+            start[(c - chunk) * count + w + 1] = found
+    wall_i, wall_w = wall_i[: found + 1].copy(), wall_w[: found + 1].copy()
+    wall_i[found], wall_w[found] = len(sphere) - 2, 0
+    slot, moment, touched = no_memory(found + 1, rolling)
+    # Known wall contacts of each particle as a chain.
+    head, following = never(end - begin), never(len(known_first))
+    for c in range(len(known_first)):
+        i = known_first[c] - begin
+        if 0 <= i < end - begin and known_second[c] < 0:
+            following[c] = head[i]
+            head[i] = c
+    for p in range(found):
+        c = head[wall_i[p] - begin]
+        while c >= 0 and known_second[c] != -1 - np.int64(wall_w[p]):
+            c = following[c]
+        if c >= 0:
+            remind(slot, moment, touched, p, known, c, evaluation, rolling)
+    return wall_i, wall_w, start, slot, moment, touched
