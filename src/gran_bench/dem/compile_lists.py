@@ -1,4 +1,4 @@
-"""A process that compiles what makes the lists of the fast engine, into Numba's cache.
+"""A process that compiles what sorts bodies and makes lists for the fast engine, into Numba's cache.
 
 Started by :mod:`gran_bench.dem.compiling`, not by people.
 """
@@ -13,19 +13,18 @@ import threading
 import numpy as np
 
 from gran_bench.dem.bodies import bodies_in_order
-from gran_bench.dem.search import search, touching
+from gran_bench.dem.search import search
 from gran_bench.dem.walls import COLUMNS
 
 
 def compile_lists() -> None:
-    """Makes the lists of two spheres with arrays of the kinds that the engine has."""
+    """Sorts two spheres and makes their lists with arrays of the kinds that the engine has."""
     place = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     known = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 7))
-    order, sphere, *_ = bodies_in_order(
+    _, sphere, *_ = bodies_in_order(
         place, np.zeros((2, 3)), np.zeros((2, 3)), np.full(2, 0.5), np.zeros(2, np.uint8), np.ones(1), 0.0, *known
     )
-    lists = search(sphere, np.array([0, 2]), 0, 1, np.zeros((1, 1, COLUMNS)), 1, 0.1, 0.0, *known, False)
-    touching(*lists, 1, order)
+    search(sphere, np.array([0, 2]), 0, 1, np.zeros((1, 1, COLUMNS)), 1, 0.1, 0.0, *known, False)
 
 
 def main() -> None:

@@ -19,10 +19,10 @@ import numba
 
 import gran_bench
 from gran_bench.dem.bodies import bodies_in_order
-from gran_bench.dem.search import search, touching
+from gran_bench.dem.search import search
 
 # What the process beside compiles (compile_lists.py).
-LISTS = (bodies_in_order, search, touching)
+LISTS = (bodies_in_order, search)
 # How much longer than the caller's own share its share may take: more, and it hangs.
 PATIENCE = 3.0
 
@@ -34,10 +34,13 @@ def on_disk(entry: Callable) -> bool:
 
 
 @contextmanager
-def lists_compiled_beside() -> Iterator[None]:
-    """While the body runs, another process compiles the functions that make the lists, where that is worth it."""
+def lists_compiled_beside(own: Callable) -> Iterator[None]:
+    """While the body compiles ``own`` and what else is not in ``LISTS``, another process compiles these.
+
+    Only where that is worth it: with two cores, and where nothing of it is on disk.
+    """
     beside, began = None, time.perf_counter()
-    if numba.config.NUMBA_NUM_THREADS > 1 and not any(map(on_disk, LISTS)):
+    if numba.config.NUMBA_NUM_THREADS > 1 and not any(map(on_disk, (own, *LISTS))):
         beside = _started()
     try:
         yield

@@ -1,4 +1,4 @@
-"""The fast engine: a whole stretch of steps, neighbour searches included, in one jitted call, on one or more threads.
+"""The fast engine: a stretch of steps on one or more threads, jitted from one neighbour search to the next.
 
 What makes it fast:
 
@@ -18,6 +18,7 @@ own that are added in one order, depend on the number of particles alone.
 
 from __future__ import annotations
 
+import math
 import threading
 
 import numba
@@ -41,7 +42,7 @@ NOBODY = np.zeros(0, np.int64)
 def chunk_bounds(count: int) -> np.ndarray:
     """First particle of each chunk, and the end of the last, ``(C + 1,)``; a function of the number alone."""
     chunks = 2 ** sum(count >= size for size in CHUNK_SIZES)
-    return np.linspace(0, count, chunks + 1).astype(np.int64)
+    return np.array([count * c // chunks for c in range(chunks + 1)], np.int64)
 
 
 def most_threads(count: int) -> int:
@@ -64,9 +65,9 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
     if state.count == 0:
         return state
     stretch = _Stretch(state, physics, time_step, walls)
-    if not march.signatures:
-        with lists_compiled_beside():
-            march.compile(tuple(map(numba.typeof, stretch.kinds_of_march())))
+    if not march.overloads:
+        with lists_compiled_beside(march):
+            stretch.compile()
     stretch.begin()
     results = run_together(stretch.run, stretch.threads, stretch.gate)
     culprit, done = results[0][:2]
@@ -102,60 +103,74 @@ class _Stretch:
         chunks = len(self._bounds) - 1
         self.threads, self.gate = max(1, min(physics.threads, chunks)), barrier.new_gate()
         self._shared = self.gate, self._bounds, np.zeros(chunks, np.int64), np.zeros((self.threads, 32))
-        # Zeros of the operating system: what no chunk touches costs nothing.
-        self._loads = tuple(np.zeros((chunks, state.count + 2, 4)) for _ in range(2))
-        self._precision = np.float32 if physics.single_precision else np.float64
-        slowest = 0.25 * float(self._radius.min()) / time_step
+        self._loads = tuple(_zeros(2, chunks, state.count + 2, 4))
+        fastest = 0.25 * float(self._radius.min()) / time_step
         self._constants = (
             physics.pair_laws, physics.wall_laws, self._walls, np.array(physics.gravity, np.float64),
-            physics.period, physics.skin, float(time_step), slowest * slowest,
+            float(physics.period), physics.skin, float(time_step), fastest * fastest,
             physics.tangential, physics.rolling, bool((self._radius != self._radius[0]).any()),
         )  # fmt: skip
 
     def begin(self) -> None:
         """Sorts the bodies."""
-        physics = self._physics
-        self.bodies = bodies_in_order(
-            *self.moving, self._radius, self._material, physics.density, physics.period, *self._known
-        )
+        density, period = self._physics.density, float(self._physics.period)
+        self.bodies = bodies_in_order(*self.moving, self._radius, self._material, density, period, *self._known)
 
     def run(self, thread: int) -> tuple:
         """One thread's share: the row that diverged or −1, the completed steps, the touching contacts."""
         bounds, physics, known = self._bounds, self._physics, self._known
         order, sphere = self.bodies[:2]
         chunk, stop = (t * (len(bounds) - 1) // self.threads for t in (thread, thread + 1))
+        own = sphere[bounds[chunk] : bounds[stop]]
+        room = self._room(own, stop - chunk)
         progress = np.array([1, 0])
         while True:
             evaluation = int(progress[EVALUATION])
             lists = search(
-                sphere, bounds, chunk, stop, self._walls, evaluation, physics.skin, physics.period,
+                sphere, bounds, chunk, stop, self._walls, evaluation, physics.skin, float(physics.period),
                 *known, physics.rolling,
             )  # fmt: skip
-            own = sphere[bounds[chunk] : bounds[stop]]
-            culprit = march(*self._of_march(thread, progress, self.bodies, lists, own, stop - chunk))
+            room[0][:] = own
+            culprit = march(*self._of_march(thread, progress, self.bodies, lists, room))
             if culprit != SEARCH:
                 return int(culprit), int(progress[DONE]), *touching(*lists, len(self._walls), order)
             known = touching(*lists, int(progress[EVALUATION]) - 1, NOBODY)
 
-    def kinds_of_march(self) -> tuple:
-        """Arguments of the loop of steps before there are bodies and lists: of its kinds, but without their values."""
+    def compile(self) -> None:
+        """Compiles what is called after bodies and lists, with arrays of their kinds in the place of them."""
         row, place, number = np.zeros((1, 4)), np.zeros(1, np.uint32), np.zeros(1, np.int32)
         bodies = NOBODY, row, row, row, row, np.zeros(1, np.uint8)
         lists = place, place, place, row, row, number, place, place, NOBODY, row, row, number
-        return self._of_march(0, np.array([1, 0]), bodies, lists, row, 1)
+        arguments = self._of_march(0, np.array([1, 0]), bodies, lists, self._room(row, 1))
+        march.compile(tuple(map(numba.typeof, arguments)))
+        touching.compile(tuple(map(numba.typeof, (*lists, 1, NOBODY))))
 
-    def _of_march(self, thread: int, progress: np.ndarray, bodies: tuple, lists: tuple, own: FloatArray, chunks: int):
+    def _room(self, own: FloatArray, chunks: int) -> tuple:
+        """What a thread with such rows and so many chunks keeps from lists to lists."""
+        precision = np.float32 if self._physics.single_precision else np.float64
+        return own.copy(), np.empty_like(own), np.zeros(chunks + 1, np.int64), *_zeros(2, BUFFER_SIZE, dtype=precision)
+
+    def _of_march(self, thread: int, progress: np.ndarray, bodies: tuple, lists: tuple, room: tuple) -> tuple:
         pairs, walls = len(lists[0]), len(lists[6])
-        room = (
-            own.copy(), np.empty_like(own), np.arange(pairs, dtype=np.uint32), np.empty(pairs, np.uint32),
-            np.empty(pairs + 4, np.uint32), np.empty(walls + 4, np.uint32), np.empty((walls + 4, 4)),
-            np.zeros(chunks + 1, np.int64), np.zeros(BUFFER_SIZE, self._precision),
-            np.zeros(BUFFER_SIZE, self._precision),
+        scratch = (
+            np.arange(pairs, dtype=np.uint32), np.empty(pairs, np.uint32), np.empty(pairs + 4, np.uint32),
+            np.empty(walls + 4, np.uint32), _zeros(walls + 4, 4),
         )  # fmt: skip
         return (
-            thread, self.threads, *self._shared, progress, *self.moving, *bodies, *self._loads, *lists, *room,
-            *self._constants,
+            thread, self.threads, *self._shared, progress, *self.moving, *bodies, *self._loads, *lists, *scratch,
+            *room, *self._constants,
         )  # fmt: skip
+
+
+def _zeros(*shape: int, dtype: type = np.float64) -> np.ndarray:
+    """Zeros from the beginning of a cache line on: rows and columns that cross lines take a tenth longer.
+
+    They come from the operating system: what is never touched costs nothing.
+    """
+    size, line = math.prod(shape) * np.dtype(dtype).itemsize, 64
+    room = np.zeros(size + line, np.uint8)
+    skipped = -room.__array_interface__["data"][0] % line
+    return room[skipped : skipped + size].view(dtype).reshape(shape)
 
 
 def run_together(run, threads: int, gate: np.ndarray) -> list:

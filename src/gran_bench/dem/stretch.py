@@ -32,7 +32,7 @@ def march(
     thread, threads, gate, bounds, reach, told, progress, position, linear, angular,
     order, sphere, velocity, spin, ahead, material, force, torque,
     pair_i, pair_j, start, slot, moment, touched, wall_i, wall_w, wall_start, wall_slot, wall_moment, wall_touched,
-    searched_at, pruned_at, everyone, near, active, wall_active, geometry, near_start, buffer, wall_buffer,
+    everyone, near, active, wall_active, geometry, searched_at, pruned_at, near_start, buffer, wall_buffer,
     pair_laws, wall_laws, walls, gravity, period, skin, dt, fastest_allowed, tangential, rolling, unequal,
 ):  # fmt: skip
     """One thread's share of the steps from new lists to where the next ones are needed, or to the stretch's end.
@@ -51,9 +51,9 @@ def march(
         sphere, velocity, spin, ahead, material: rows in that order and two spare ones.
         force, torque: ``(C, N + 2, 4)`` zeros where the stretch begins.
         pair_i, …, wall_touched: of :func:`search.search`, from these positions.
-        searched_at, pruned_at: ``(n, 4)`` rows of these positions, and room for others.
         everyone, near, active: ``(≥ M,)``, ``(≥ M,)``, ``(≥ M + 4,)`` 0 … M − 1 for M pairs with the spare one, room.
         wall_active, geometry: ``(≥ M + 4,)``, ``(≥ M + 4, 4)`` room for M wall contacts.
+        searched_at, pruned_at: ``(n, 4)`` rows of these positions, and room for others.
         near_start: ``(chunks + 1,)`` zeros.
         buffer, wall_buffer: ``(BUFFER_SIZE,)`` zeros of the dtype that the contact laws are computed in.
         pair_laws, wall_laws: ``(S, S, 5)``, ``(S, W, 5)``.

@@ -117,5 +117,5 @@ def list_wall_contacts(
         while c >= 0 and known_second[c] != -1 - np.int64(wall_w[p]):
             c = following[c]
         if c >= 0:
-            remind(slot, moment, touched, p, known, c, evaluation, rolling)
+            remind(slot, moment, touched, p, known, np.int64(c), evaluation, rolling)
     return wall_i, wall_w, start, slot, moment, touched

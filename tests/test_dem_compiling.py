@@ -1,0 +1,135 @@
+"""The first compilation of the fast engine is shared by two processes, and whatever fails there costs time alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numba
+import pytest
+
+from gran_bench.dem import compiling, engine_numba
+from gran_bench.dem.stretch import march
+
+FIRST_USE = """
+import json
+import numpy as np
+from gran_bench.config import ContainerConfig, DemConfig, FillingConfig, SceneConfig
+from gran_bench.dem import engine_numba
+from gran_bench.dem.compiling import LISTS
+from gran_bench.dem.integrate import Physics
+from gran_bench.dem.walls import wall_poses
+from gran_bench.scene import build_scene
+
+scene = build_scene(SceneConfig(container=ContainerConfig(diameter=0.3, length=0.2), filling=FillingConfig(count=20)))
+physics = Physics.of(scene, scene.filling.radius)
+for steps in (0, 3):
+    engine_numba.advance(scene.fresh_filling(0), physics, 1e-4, wall_poses(scene, 0.0, 1e-4, steps))
+ENTRIES = (engine_numba.march, engine_numba.touching, *LISTS)
+print(json.dumps([[len(e.overloads), sum(e.stats.cache_hits.values())] for e in ENTRIES]))
+"""
+
+
+def python(*arguments: str, **settings: str) -> list[str]:
+    """A process of its own, with settings in its environment."""
+    run = subprocess.run(
+        [sys.executable, *arguments], env=os.environ | settings, capture_output=True, text=True, check=True, timeout=300
+    )
+    return run.stdout.splitlines()
+
+
+def test_the_process_beside_compiles_just_what_the_engine_asks_for(tmp_path):
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_NUM_THREADS": "2"}
+    loop, touching, *lists = json.loads(python("-c", FIRST_USE, **cache)[-1])
+    assert loop == touching == [1, 0], "one version of each, compiled by the caller"
+    assert lists == [[1, 1]] * 2, "one version of each, found on disk"
+
+
+@pytest.fixture
+def nothing_on_disk(monkeypatch):
+    monkeypatch.setattr(compiling, "on_disk", lambda entry: False)
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 2)
+
+
+def beside(monkeypatch, code: str) -> list[subprocess.Popen]:
+    """Lets a process that runs ``code`` stand in for the one that compiles; returns where it will be found."""
+    started = []
+
+    def start():
+        started.append(subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE))
+        return started[-1]
+
+    monkeypatch.setattr(compiling, "_started", start)
+    return started
+
+
+def test_a_process_that_hangs_is_ended(monkeypatch, nothing_on_disk):
+    started = beside(monkeypatch, "import time; time.sleep(600)")
+    with compiling.lists_compiled_beside(march):
+        pass
+    assert started[0].returncode not in (None, 0)
+
+
+def test_a_process_that_fails_is_nobodys_trouble(monkeypatch, nothing_on_disk):
+    started = beside(monkeypatch, "raise SystemExit(3)")
+    with compiling.lists_compiled_beside(march):
+        started[0].wait()
+    assert started[0].returncode == 3
+
+
+def test_none_is_left_when_the_caller_is_interrupted(monkeypatch, nothing_on_disk):
+    started = beside(monkeypatch, "import time; time.sleep(600)")
+    with pytest.raises(KeyboardInterrupt), compiling.lists_compiled_beside(march):
+        raise KeyboardInterrupt
+    assert started[0].returncode not in (None, 0)
+
+
+def test_no_process_starts_on_one_core(monkeypatch, nothing_on_disk):
+    started = beside(monkeypatch, "")
+    monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 1)
+    with compiling.lists_compiled_beside(march):
+        assert started == []
+
+
+def test_no_process_starts_where_anything_is_compiled(monkeypatch, nothing_on_disk):
+    started = beside(monkeypatch, "")
+    monkeypatch.setattr(compiling, "on_disk", lambda entry: entry is march)
+    with compiling.lists_compiled_beside(march):
+        assert started == []
+
+
+def test_without_an_interpreter_to_start_the_caller_compiles_all(monkeypatch, nothing_on_disk):
+    monkeypatch.setattr(sys, "executable", "/no/such/python")
+    with compiling.lists_compiled_beside(march):
+        pass
+
+
+def test_what_is_compiled_is_found_on_disk(tmp_path):
+    entry = SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path)), py_func=march.py_func)
+    assert not compiling.on_disk(entry)
+    (tmp_path / f"stretch.{march.py_func.__qualname__}-30.py311.nbi").touch()
+    assert compiling.on_disk(entry)
+    entry.stats.cache_path = None
+    assert not compiling.on_disk(entry)
+
+
+def test_the_process_beside_ends_with_its_caller(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "gran_bench.dem.compile_lists"],
+        stdin=subprocess.PIPE,
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+    )
+    process.stdin.close()
+    assert process.wait(60) == 1
+
+
+@pytest.mark.parametrize("dtype", ["f4", "f8"])
+def test_scratch_begins_with_a_cache_line(dtype):
+    for count in (1, 7, 1000, 100_000):
+        array = engine_numba._zeros(count, 4, dtype=dtype)
+        assert array.shape == (count, 4)
+        assert array.ctypes.data % 64 == 0
+        assert not array.any()
