@@ -7,8 +7,9 @@ series are kept under --root, so that a second call goes on from there. A case t
 
 Both codes: E 1e7 Pa, ν 0.29, e 0.5, μ 0.3, walls alike, end caps that turn, Δt 2e-4 s. A figure of a packing is the
 mean over the frames from 3.5 s to 5.5 s: of the centre-of-mass angle, and of the mean of all spheres' instantaneous
-speeds. LAMMPS runs with the law that it is usually given, and with gran-bench's, which differs in two points: contacts
-that part do not attract, with the damping that leaves e as it is, and the elastic tangential force falls with the load.
+speeds. LAMMPS runs with the law that it is usually given and, where --same-law-packings asks for it, with gran-bench's.
+That differs in two points: contacts that part do not attract, with the damping that leaves e as it is, and the elastic
+tangential force falls with the load.
 """
 
 from __future__ import annotations
@@ -23,9 +24,11 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 from pathlib import Path
 
 import numpy as np
+from drum_flow_page import BOUNDS, NAME, OURS, QUANTITIES, SAME_LAW, THEIRS, Flow, columns, csv, page
 from lammps_drum import commands
 
 from gran_bench.atomic import locked, write_text
@@ -38,24 +41,7 @@ from gran_bench.metrics.summary import STEADY_FROM
 from gran_bench.plots import draw_drum_flow
 from gran_bench.provenance import commit, hardware
 from gran_bench.shipped import shipped_scene
-from gran_bench.state import FloatArray
 from gran_bench.verification import theory
-from gran_bench.verification.agreement import (
-    difference_of,
-    mean_of,
-    paired_difference_of,
-    share_within,
-    share_within_of,
-)
-
-OURS, THEIRS, SAME_LAW = "gran-bench", "LAMMPS", "LAMMPS, gran-bench's law"
-QUANTITIES = (("angle", "centre-of-mass angle", "°", 2), ("speed", "mean speed", "m/s", 4))
-# What a mean over three packings is held against, in degrees and m/s: an independent code's, found before this one.
-BOUNDS = {30.0: ((34.9, 0.5), (0.612, 0.015)), 20.0: ((32.0, 0.6), (0.447, 0.015))}
-FEW = 3  # packings in such a mean
-NAME = "drum_flow"
-
-Flow = dict[int, tuple[float, float]]  # by packing: steady angle in degrees, steady speed in m/s
 
 
 def lammps_laws() -> dict[str, dict]:
@@ -130,107 +116,6 @@ def lammps_flow(
             return dict(zip(packings, pool.map(run, packings), strict=True))
 
 
-def columns(flow: Flow) -> tuple[FloatArray, FloatArray]:
-    """Angles and speeds of a flow's packings, in their order."""
-    angle, speed = np.array([flow[packing] for packing in flow]).T
-    return angle, speed
-
-
-def code_rows(samples: dict[tuple[str, float], Flow]) -> list[str]:
-    """A row a code, speed and quantity: mean with its 95 % interval, scatter, and what three packings would say."""
-    lines = [
-        "| speed | quantity | code | packings | mean, 95 % interval | standard deviation of a packing | bound "
-        "| means of three inside |",
-        "|---:|---|---|---:|---:|---:|---:|---:|",
-    ]
-    for (code, rpm), flow in samples.items():
-        for row, (_, name, unit, digits) in enumerate(QUANTITIES):
-            values, mean = columns(flow)[row], mean_of(columns(flow)[row])
-            bound = inside = "–"
-            if rpm in BOUNDS and len(values) >= FEW:
-                middle, half = BOUNDS[rpm][row]
-                bound, inside = f"{middle:g} ± {half:g}", f"{share_within_of(values, middle, half, FEW):.0%}"
-            lines.append(
-                f"| {rpm:g} rpm | {name}, {unit} | {code} | {len(values)} | {mean.middle:.{digits}f} "
-                f"± {mean.half_width:.{digits}f} | {values.std(ddof=1):.{digits}f} | {bound} | {inside} |"
-            )
-    return lines
-
-
-def difference_rows(samples: dict[tuple[str, float], Flow]) -> list[str]:
-    """A row a speed, quantity and way to run LAMMPS: gran-bench minus LAMMPS, unpaired and by packing."""
-    lines = [
-        f"| speed | quantity | {OURS} minus | difference, 95 % interval | standard errors | by packing, 95 % interval "
-        "| correlation | means of three of each agree |",
-        "|---:|---|---|---:|---:|---:|---:|---:|",
-    ]
-    for (code, rpm), theirs in samples.items():
-        if code == OURS:
-            continue
-        ours = samples[OURS, rpm]
-        shared = [packing for packing in theirs if packing in ours]
-        both = columns({p: ours[p] for p in shared}), columns({p: theirs[p] for p in shared})
-        for row, (_, name, unit, digits) in enumerate(QUANTITIES):
-            free = difference_of(columns(ours)[row], columns(theirs)[row])
-            paired = paired_difference_of(both[0][row], both[1][row])
-            half = BOUNDS[rpm][row][1] if rpm in BOUNDS else None
-            agree = "–"
-            if half is not None and min(len(ours), len(theirs)) >= FEW:
-                agree = f"{share_within(columns(ours)[row], columns(theirs)[row], half, FEW):.0%} (± {half:g})"
-            unpaired, by_packing = (f"{d.middle:+.{digits}f} ± {d.half_width:.{digits}f}" for d in (free, paired))
-            together = np.corrcoef(both[0][row], both[1][row])[0, 1]
-            lines.append(
-                f"| {rpm:g} rpm | {name}, {unit} | {code} | {unpaired} | {free.standard_errors_from_zero:.1f} "
-                f"| {by_packing} | {together:+.2f} | {agree} |"
-            )
-    return lines
-
-
-def csv(samples: dict[tuple[str, float], Flow]) -> str:
-    """Every packing's figures."""
-    lines = ["code,speed_rpm,packing,com_angle_deg,mean_speed_m_per_s"]
-    for (code, rpm), flow in samples.items():
-        lines += [f'"{code}",{rpm:g},{packing},{angle:.4f},{speed:.6f}' for packing, (angle, speed) in flow.items()]
-    return "\n".join(lines) + "\n"
-
-
-def page(samples: dict[tuple[str, float], Flow], made: str, setting: str, remark: str) -> str:
-    """The page, with the figure and the packings' figures beside it."""
-    compared = any(code != OURS for code, _ in samples)
-    lines = [
-        "# Steady flow in the drum, packing by packing",
-        "",
-        f"`drum`: 3000 spheres of 50 mm. A figure of a packing is a mean over the frames from {STEADY_FROM:g} s on, "
-        "two seconds after the drum began to turn, until 5.5 s: of the centre-of-mass angle, and of the mean of all "
-        f"spheres' instantaneous speeds. {setting}",
-        "",
-        *([remark.strip(), ""] if remark else []),
-        *code_rows(samples),
-        "",
-        f"*Bound*: the figures of an independent code that a mean over {FEW} packings is held against. *Means of "
-        f"three inside*: of all choices of {FEW} of these packings, how many pass.",
-        "",
-    ]
-    if compared:
-        lines += [
-            *difference_rows(samples),
-            "",
-            "The first interval is Welch's, unpaired: all packings of each code. *By packing*: the packings that both "
-            f"ran, one minus the other. *Means of three of each agree*: of all choices of {FEW} packings of each code, "
-            "how many have means that differ by at most the bound's half width.",
-            "",
-        ]
-    lines += [
-        f"![A dot a packing, the mean with its 95 % interval, the bound as a band.]({NAME}.png)",
-        "",
-        "*A dot a packing, the mean with its 95 % interval, the bound as a band. All figures: "
-        f"[`{NAME}.csv`]({NAME}.csv).*",
-        "",
-        made,
-    ]
-    return "\n".join(lines) + "\n"
-
-
 def main(given: argparse.Namespace) -> None:
     """Makes what is missing, then prints the page or writes it."""
     speeds, packings = [float(rpm) for rpm in given.speeds], range(given.packings)
@@ -241,27 +126,28 @@ def main(given: argparse.Namespace) -> None:
     samples = {(OURS, rpm): our_flow(rpm, packings, dem, given.root) for rpm in speeds}
     setting = f"Δt {', '.join(f'{step:.3g}' for step in sorted(steps))} s."
     if given.lammps_python:
+        laws = lammps_laws()
         several = {THEIRS: given.lammps_packings, SAME_LAW: given.same_law_packings}
-        for code, law in lammps_laws().items():
-            chosen = range(min(given.packings, several[code]))
-            for rpm in speeds if len(chosen) >= 2 else ():
+        for code, rpm in product(laws, speeds):
+            wanted = dict(zip(speeds, several[code] * len(speeds), strict=False))[rpm]
+            chosen = range(min(given.packings, wanted))
+            if len(chosen) >= 2:
                 samples[code, rpm] = lammps_flow(
-                    rpm, chosen, given.root, given.lammps_python, law, given.lammps_step, given.workers
+                    rpm, chosen, given.root, given.lammps_python, laws[code], given.lammps_step, given.workers
                 )
         setting += (
             f" LAMMPS `granular` started from the same settled beds, Δt {given.lammps_step:g} s, one rank: "
-            "hertz/material, coeff_restitution, tangential mindlin/force. With *gran-bench's law* it runs "
-            "mindlin_rescale/force and limit_damping, with the number for e that gives 0.5 then."
+            "hertz/material, coeff_restitution, tangential mindlin/force."
         )
+        if any(code == SAME_LAW for code, _ in samples):
+            setting += (
+                " With *gran-bench's law* it runs mindlin_rescale/force and limit_damping, with the number for e that "
+                "gives 0.5 then."
+            )
     samples = dict(sorted(samples.items(), key=lambda item: -item[0][1]))
     words = ["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]
     command = " ".join(words).replace(str(given.lammps_python), "lammps-venv/bin/python")
-    text = page(
-        samples,
-        f"Made by `{command}` at {commit()} on {hardware()}.",
-        setting,
-        given.remark.read_text("utf-8") if given.remark else "",
-    )
+    text = page(samples, f"Made by `{command}` at {commit()} on {hardware()}.", setting)
     print(text)
     if given.output:
         bounds = {rpm: BOUNDS[rpm] for rpm in speeds if rpm in BOUNDS}
@@ -278,11 +164,11 @@ if __name__ == "__main__":
     parser.add_argument("--speeds", type=float, nargs="+", default=[30.0, 20.0], help="rpm")
     parser.add_argument("--step", type=float, help="s, of gran-bench; the scene's own where it is not given")
     parser.add_argument("--lammps-python", help="interpreter that has the package lammps")
-    parser.add_argument("--lammps-packings", type=int, default=8, help="the first so many")
-    parser.add_argument("--same-law-packings", type=int, default=8, help="the first so many, with gran-bench's law")
+    several = "the first so many; one number, or one for each speed"
+    parser.add_argument("--lammps-packings", type=int, nargs="+", default=[8], help=several)
+    parser.add_argument("--same-law-packings", type=int, nargs="+", default=[0], help=f"{several}; gran-bench's law")
     parser.add_argument("--lammps-step", type=float, default=2.0e-4, help="s")
     parser.add_argument("--root", type=Path, default=Path("data"), help="folder of the cases")
     parser.add_argument("--workers", type=int, default=2, help="cases at a time")
     parser.add_argument("--output", type=Path, help="folder of the page, the figure and the CSV")
-    parser.add_argument("--remark", type=Path, help="a text put before the tables")
     main(parser.parse_args())

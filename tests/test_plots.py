@@ -250,6 +250,15 @@ def test_loss_figure_marks_where_training_looks_further_ahead(tmp_path, texts):
     assert "no losses were logged" in texts
 
 
+def test_case_card_of_an_empty_drum_says_that_there_is_nothing(tmp_path, texts):
+    scene = replace(SCENE, filling=replace(SCENE.filling, count=0))
+    full = flowing(SCENE, 1)
+    names = ("position", "velocity", "angular_velocity")
+    none = {name: np.zeros((full.frame_count, 0, 3)) for name in names if getattr(full, name) is not None}
+    case_card(replace(full, radius=np.zeros(0), diagnostics={}, **none), scene, tmp_path / "card.png")
+    assert {"no spheres", "undefined:\nthe scene has no spheres"} <= set(texts)
+
+
 def test_case_card_shows_a_case_and_what_has_no_angle(tmp_path, texts):
     case_card(flowing(SCENE, 1), SCENE.at_speed(60.0), tmp_path / "card.png")
     assert is_png(tmp_path / "card.png")

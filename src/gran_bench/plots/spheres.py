@@ -96,6 +96,8 @@ def shaded(
         colour: ``(N, 3)`` of the spheres.
         background: where there is none.
     """
+    if not len(colour):
+        return np.broadcast_to(np.asarray(background, float), (*image.owner.shape, 3)).copy()
     light = 0.55 + 0.45 * image.facing[..., None]
     picture = colour[np.maximum(image.owner, 0)] * light
     return np.where(image.owner[..., None] >= 0, picture, np.asarray(background))
