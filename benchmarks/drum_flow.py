@@ -68,7 +68,9 @@ def our_flow(rpm: float, packings: Sequence[int], dem: DemConfig, root: Path) ->
     """Steady flow of gran-bench's cases, which have been made."""
     flow = {}
     for packing in packings:
-        case = read_case(spec_of(rpm, packing, dem).path(root))
+        spec = spec_of(rpm, packing, dem)
+        first = round((STEADY_FROM - spec.scene.start_time) / spec.scene.frame_interval)
+        case = read_case(spec.path(root), slice(first, None))
         trajectory = case.trajectory
         steady = within(trajectory.time, STEADY_FROM, np.inf)
         angle = center_of_mass_angles(trajectory.position.astype(float), trajectory.radius, case.scene)
