@@ -79,43 +79,56 @@ def our_flow(rpm: float, packings: Sequence[int], dem: DemConfig, root: Path) ->
     return flow
 
 
-def lammps_flow(
+def series_path(rpm: float, packing: int, law: dict, step: float, root: Path) -> Path:
+    """Where LAMMPS' series from a packing is kept, named by what it follows from."""
+    facts = read_attributes(spec_of(rpm, packing, DemConfig()).settled_path(root))
+    source = commands(rpm, step, **law) + facts["digest"]
+    label = f"{rpm:g}rpm_seed{packing}_{hashlib.sha256(source.encode()).hexdigest()[:16]}"
+    return root / "lammps" / f"{label}.json"
+
+
+def run_lammps(
     rpm: float, packings: Sequence[int], root: Path, python: str, law: dict, step: float, workers: int
-) -> Flow:
-    """Steady flow of LAMMPS from the same settled beds; series that are there are read."""
+) -> None:
+    """Makes LAMMPS' series from the settled beds of these packings where they are missing."""
+    beds = {packing: read_settled(spec_of(rpm, packing, DemConfig()).settled_path(root))[0] for packing in packings}
+    outputs = {packing: series_path(rpm, packing, law, step, root) for packing in packings}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "libmpi.so.12").symlink_to("/usr/lib/x86_64-linux-gnu/libmpich.so.12")
         environment = {**os.environ, "LD_LIBRARY_PATH": str(folder), "OMP_NUM_THREADS": "1"}
 
-        specs = {packing: spec_of(rpm, packing, DemConfig()) for packing in packings}
-        beds = {packing: read_settled(spec.settled_path(root)) for packing, spec in specs.items()}
-
-        def run(packing: int) -> tuple[float, float]:
-            (bed, facts), scene = beds[packing], specs[packing].scene
-            # What the series follows from names its file.
-            source = commands(rpm, step, **law) + facts["digest"]
-            label = f"{rpm:g}rpm_seed{packing}_{hashlib.sha256(source.encode()).hexdigest()[:16]}"
-            output = root / "lammps" / f"{label}.json"
+        def run(packing: int) -> None:
+            output = outputs[packing]
             with locked(output.with_suffix(".lock")):
-                if not output.exists():
-                    arrays = ("position", "velocity", "angular_velocity")
-                    start = folder / f"{packing}.npz"
-                    np.savez(start, **{array: getattr(bed, array) for array in arrays})
-                    words = [python, str(Path(__file__).with_name("lammps_drum.py")), str(start), str(output)]
-                    words += ["--rpm", repr(rpm), "--step", repr(step)]
-                    for name, value in law.items():
-                        words += [f"--{name.replace('_', '-')}"] + ([] if value is True else [str(value)])
-                    if subprocess.run(words, env=environment, check=False).returncode:
-                        raise SystemExit(f"LAMMPS failed at {rpm:g} rpm, packing {packing}; see its message above")
-            series = json.loads(output.read_text("utf-8"))
+                if output.exists():
+                    return
+                arrays = ("position", "velocity", "angular_velocity")
+                start = folder / f"{packing}.npz"
+                np.savez(start, **{array: getattr(beds[packing], array) for array in arrays})
+                words = [python, str(Path(__file__).with_name("lammps_drum.py")), str(start), str(output)]
+                words += ["--rpm", repr(rpm), "--step", repr(step)]
+                for option, value in law.items():
+                    words += [f"--{option.replace('_', '-')}"] + ([] if value is True else [str(value)])
+                if subprocess.run(words, env=environment, check=False).returncode:
+                    raise SystemExit(f"LAMMPS failed at {rpm:g} rpm, packing {packing}; see its message above")
+
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(run, packings))
+
+
+def lammps_flow(rpm: float, packings: Sequence[int], root: Path, law: dict, step: float) -> Flow:
+    """Steady flow of LAMMPS' series that are there."""
+    scene, flow = shipped_scene("drum"), {}
+    for packing in packings:
+        path = series_path(rpm, packing, law, step, root)
+        if path.exists():
+            series = json.loads(path.read_text("utf-8"))
             time = scene.start_time + scene.frame_interval * np.arange(len(series["com_angle"]))
             steady = within(time, STEADY_FROM, np.inf)
             angle, speed = (float(np.array(series[name])[steady].mean()) for name in ("com_angle", "mean_speed"))
-            return angle, speed
-
-        with ThreadPoolExecutor(workers) as pool:
-            return dict(zip(packings, pool.map(run, packings), strict=True))
+            flow[packing] = angle, speed
+    return flow
 
 
 def main(given: argparse.Namespace) -> None:
@@ -133,10 +146,11 @@ def main(given: argparse.Namespace) -> None:
         for code, rpm in product(laws, speeds):
             wanted = dict(zip(speeds, several[code] * len(speeds), strict=False))[rpm]
             chosen = range(min(given.packings, wanted))
-            if len(chosen) >= 2:
-                samples[code, rpm] = lammps_flow(
-                    rpm, chosen, given.root, given.lammps_python, laws[code], given.lammps_step, given.workers
-                )
+            if not given.kept and chosen:
+                run_lammps(rpm, chosen, given.root, given.lammps_python, laws[code], given.lammps_step, given.workers)
+            flow = lammps_flow(rpm, chosen, given.root, laws[code], given.lammps_step)
+            if len(flow) >= 2:
+                samples[code, rpm] = flow
         setting += (
             f" LAMMPS `granular` started from the same settled beds, Δt {given.lammps_step:g} s, one rank: "
             "hertz/material, coeff_restitution, tangential mindlin/force."
@@ -169,6 +183,7 @@ if __name__ == "__main__":
     several = "the first so many; one number, or one for each speed"
     parser.add_argument("--lammps-packings", type=int, nargs="+", default=[8], help=several)
     parser.add_argument("--same-law-packings", type=int, nargs="+", default=[0], help=f"{several}; gran-bench's law")
+    parser.add_argument("--kept", action="store_true", help="of LAMMPS take what a call before has finished")
     parser.add_argument("--lammps-step", type=float, default=2.0e-4, help="s")
     parser.add_argument("--root", type=Path, default=Path("data"), help="folder of the cases")
     parser.add_argument("--workers", type=int, default=2, help="cases at a time")
