@@ -20,6 +20,7 @@ from gran_bench.plots import (
     case_card,
     diagnostics,
     draw_discharge,
+    draw_drum_flow,
     draw_evaluation,
     flow_animation,
     flow_pattern,
@@ -100,6 +101,13 @@ def test_the_viewer_sees_x_to_the_right_z_up_and_looks_along_the_axis_whichever_
         across, away = view_along_axis(np.array([[0.1, 0.2, 0.3]]), drum(rpm))
         assert across[0] == pytest.approx([0.1, 0.3])
         assert away[0] == pytest.approx(0.2)
+
+
+def test_without_gravity_the_viewer_still_sees_z_up():
+    weightless = replace(drum(30.0), gravity=(0.0, 0.0, 0.0))
+    across, away = view_along_axis(np.array([[0.1, 0.2, 0.3]]), weightless)
+    assert across[0] == pytest.approx([0.1, 0.3])
+    assert away[0] == pytest.approx(0.2)
 
 
 def test_a_sphere_has_its_colour_and_the_background_its_own():
@@ -242,6 +250,15 @@ def test_loss_figure_marks_where_training_looks_further_ahead(tmp_path, texts):
     assert "no losses were logged" in texts
 
 
+def test_case_card_of_an_empty_drum_says_that_there_is_nothing(tmp_path, texts):
+    scene = replace(SCENE, filling=replace(SCENE.filling, count=0))
+    full = flowing(SCENE, 1)
+    names = ("position", "velocity", "angular_velocity")
+    none = {name: np.zeros((full.frame_count, 0, 3)) for name in names if getattr(full, name) is not None}
+    case_card(replace(full, radius=np.zeros(0), diagnostics={}, **none), scene, tmp_path / "card.png")
+    assert {"no spheres", "undefined:\nthe scene has no spheres"} <= set(texts)
+
+
 def test_case_card_shows_a_case_and_what_has_no_angle(tmp_path, texts):
     case_card(flowing(SCENE, 1), SCENE.at_speed(60.0), tmp_path / "card.png")
     assert is_png(tmp_path / "card.png")
@@ -330,3 +347,12 @@ def test_the_discharge_is_drawn_with_both_exponents(tmp_path, texts):
     assert any("exponent 2.5, C = 0.600" in text for text in texts)
     assert any("exponent 2.400 ± 0.030" in text for text in texts)
     assert "mass flow, kg/s" in texts
+
+
+def test_the_drums_flow_is_drawn_packing_by_packing(tmp_path, texts):
+    values = [np.array([34.8, 35.0, 35.3]), np.array([0.60, 0.61, 0.63])]
+    samples = {("ours", 30.0): values, ("other", 30.0): values, ("ours", 20.0): values}
+    labels = ["centre-of-mass angle, °", "mean speed, m/s"]
+    draw_drum_flow(tmp_path / "flow.png", samples, {30.0: ((34.9, 0.5), (0.612, 0.015))}, labels)
+    assert {"ours", "other", "20 rpm", "30 rpm", *labels} <= set(texts)
+    assert Image.open(tmp_path / "flow.png").size[0] > 100

@@ -33,6 +33,20 @@ ROOT = Path(__file__).parents[2]
 BY_NAME = {case.name: case for case in CASES}
 
 
+def test_spheres_of_two_densities_keep_their_momentum_and_part_as_set():
+    light = sphere_material(restitution=0.7)
+    contact = on_sphere(light, 0.02, 0.03, replace(light, density=5.0 * light.density))
+    rebounds = collide(Impacts.of(contact, [0.5, 1.0, 2.0]))
+    mass = np.array([contact.first.mass, contact.second.mass])
+    assert mass[1] / mass[0] == pytest.approx(5.0 * 1.5**3)
+    after = rebounds.result.final.velocity[:, 2].reshape(2, 3)
+    assert mass @ after == pytest.approx(-mass[0] * np.array([0.5, 1.0, 2.0]), rel=1e-12)
+    assert rebounds.normal == pytest.approx(0.7 * np.array([0.5, 1.0, 2.0]), rel=2e-3)
+    # Of the energy in the frame in which the second body rested, m*/m₁ (1 − e²) is lost.
+    lost = contact.effective_mass / contact.first.mass * (1.0 - 0.7**2)
+    assert rebounds.energy == pytest.approx(1.0 - lost, abs=2e-3)
+
+
 @pytest.mark.parametrize("name", [case.name for case in CASES if case.quick])
 def test_case(name):
     outcome = run_case(BY_NAME[name])

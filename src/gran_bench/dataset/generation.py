@@ -132,12 +132,13 @@ def _run(jobs: list[Job], workers: int, bar: SimulatedTimeBar) -> None:
                 failures.append((job, str(error)))
     if failures:
         lines = "; ".join(f"{job.spec.label}: {message}" for job, message in failures)
-        raise DatasetError(f"{len(failures)} of {len(jobs)} files of the data set could not be made: {lines}")
+        several = f"{len(failures)} of {len(jobs)} files of the data set could not be made: " if len(jobs) > 1 else ""
+        raise DatasetError(several + lines)
 
 
 def _make_settled(job: Job, report: Report) -> None:
     spec, began = job.spec, time.perf_counter()
-    state = _simulation(spec, lambda: settle(spec.settling_scene, spec.packing_seed, dem=spec.bed_dem, progress=report))
+    state = _simulation(lambda: settle(spec.settling_scene, spec.packing_seed, dem=spec.bed_dem, progress=report))
     facts = _facts(spec) | {"wall_seconds": time.perf_counter() - began}
     write_settled(job.path, spec.settling_key, state, facts)
 
@@ -147,7 +148,6 @@ def _make_case(job: Job, report: Report) -> None:
     bed, bed_facts = read_settled(spec.settled_path(job.root))
     start = nudged(bed, spec.nudge, spec.nudge_seed)
     result = _simulation(
-        spec,
         lambda: simulate(
             scene, start, scene.end_time, dem=spec.dem, progress=lambda clock: report(clock - scene.start_time)
         ),
@@ -180,12 +180,12 @@ def nudged(state: ParticleState, length: float, seed: int) -> ParticleState:
     return replace(state, position=state.position + length * direction)
 
 
-def _simulation(spec: CaseSpec, run: Callable[[], T]) -> T:
-    """Run the solver; a simulation that fails becomes an error that names its case."""
+def _simulation(run: Callable[[], T]) -> T:
+    """Run the solver; a simulation that fails becomes an error of the data set, which names the case."""
     try:
         return run()
     except (ValueError, RuntimeError) as error:
-        raise DatasetError(f"{spec.label}: {error}") from error
+        raise DatasetError(str(error)) from error
 
 
 def _facts(spec: CaseSpec) -> dict[str, Any]:

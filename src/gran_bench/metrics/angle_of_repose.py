@@ -54,6 +54,8 @@ def why_no_angle(scene: Scene) -> str:
         return "the scene has no drum"
     if not scene.needs.gravity:
         return "the scene has no gravity"
+    if not scene.filling.count:
+        return "the scene has no spheres"
     if not scene.has_angle_of_repose:
         return f"at or above the critical speed of {scene.critical_speed_rpm:.3g} rpm"
     return ""

@@ -5,6 +5,7 @@ from gran_bench.plots.animation import flow_animation
 from gran_bench.plots.case_card import case_card
 from gran_bench.plots.depth import speed_by_depth
 from gran_bench.plots.diagnostics import diagnostics
+from gran_bench.plots.drum_flow import draw_drum_flow
 from gran_bench.plots.evaluation import draw_evaluation
 from gran_bench.plots.flow_pattern import flow_pattern
 from gran_bench.plots.hopper_discharge import draw_discharge
@@ -21,6 +22,7 @@ __all__ = [
     "case_card",
     "diagnostics",
     "draw_discharge",
+    "draw_drum_flow",
     "draw_evaluation",
     "flow_animation",
     "flow_pattern",

@@ -95,6 +95,9 @@ def _draw_angles(axes: Axes, trajectory: Trajectory, scene: Scene) -> None:
 
 def _draw_speeds(axes: Axes, time: FloatArray, speed: FloatArray) -> None:
     axes.set_title("Speeds of the spheres")
+    if not speed.shape[1]:
+        say(axes, "no spheres")
+        return
     finite = np.where(np.isfinite(speed).all(axis=1)[:, None], speed, np.nan)
     for low, high, colour, label in SHARES:
         axes.fill_between(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ class SphereImage:
 
 
 def view_along_axis(position: FloatArray, scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Coordinates of a viewer in front of the drum's near cap, up against gravity.
+    """Coordinates of a viewer in front of the drum's near cap, up against gravity, or along z where there is none.
 
     In the shipped scenes x points to the right and z up, so a bed climbs to the left where the drum turns forwards.
 
@@ -39,6 +39,8 @@ def view_along_axis(position: FloatArray, scene: Scene) -> tuple[FloatArray, Flo
     Returns:
         ``(N, 2)`` right and up, and ``(N,)`` distance away from the viewer, m.
     """
+    if not scene.needs.gravity:
+        scene = replace(scene, gravity=(0.0, 0.0, -1.0))
     climbing, up = cross_section_axes(scene.at_rest())  # the picture does not flip with the rotation
     plane = np.stack((-climbing, up), axis=1)
     # The viewer looks along right-handed depth: up × right, which is +y where x points right and z up.
@@ -94,6 +96,8 @@ def shaded(
         colour: ``(N, 3)`` of the spheres.
         background: where there is none.
     """
+    if not len(colour):
+        return np.broadcast_to(np.asarray(background, float), (*image.owner.shape, 3)).copy()
     light = 0.55 + 0.45 * image.facing[..., None]
     picture = colour[np.maximum(image.owner, 0)] * light
     return np.where(image.owner[..., None] >= 0, picture, np.asarray(background))

@@ -9,7 +9,7 @@ import numpy as np
 
 from gran_bench.config import DemConfig
 from gran_bench.dem.simulate import SimulationResult, simulate
-from gran_bench.scene import Filling, Material, Plane, Rotation, Scene, Wall
+from gran_bench.scene import Filling, Material, PairCoefficients, Plane, Rotation, Scene, Wall
 from gran_bench.state import FloatArray, ParticleState
 from gran_bench.verification.theory import Body, Contact
 
@@ -41,8 +41,15 @@ def laboratory(
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
     rotation: Rotation | None = None,
     radius: float = RADIUS,
+    second_material: Material | None = None,
 ) -> Scene:
-    """A scene with these walls and nothing else; ``radius`` is of the smallest sphere, m."""
+    """A scene with these walls and nothing else; ``radius`` is of the smallest sphere, m.
+
+    Where there is a ``second_material`` of spheres, its e, μ and μ_r count where it meets the first.
+    """
+    second, pair = second_material, ()
+    if second is not None:
+        pair = (PairCoefficients(0, 1, second.restitution, second.friction, second.rolling_friction),)
     return Scene(
         "laboratory",
         walls,
@@ -53,6 +60,8 @@ def laboratory(
         rotation=rotation or Rotation(),
         start_time=0.0,
         end_time=1.0,
+        more_materials=() if second is None else (second,),
+        pair_coefficients=pair,
     )
 
 
@@ -170,12 +179,19 @@ def collide(
         velocity = np.concatenate((velocity, np.zeros_like(velocity)))
         spin = np.concatenate((spin, np.stack((zero, impacts.second_spin, zero), axis=1)))
         radius = np.concatenate((radius, np.full(count, second.radius)))
+    two = not second.is_wall and second.material != first.material
     scene = laboratory(
-        first.material, (FLOOR,) if second.is_wall else (), wall_material=second.material, radius=float(radius.min())
+        first.material,
+        (FLOOR,) if second.is_wall else (),
+        wall_material=second.material,
+        radius=float(radius.min()),
+        second_material=second.material if two else None,
     )
-    state = spheres(position, velocity, spin, radius)
+    kind = np.repeat(np.arange(len(radius) // count, dtype=np.uint8), count) * np.uint8(two)
+    state = replace(spheres(position, velocity, spin, radius), material=kind)
     result = run(scene, state, time_step, steps, stride or steps, engine)
-    before, after = (_kinetic_energy(first.material.density, s, count) for s in (state, result.final))
+    density = np.array([material.density for material in scene.materials])[kind]
+    before, after = (_kinetic_energy(density, s, count) for s in (state, result.final))
     v, w = result.final.velocity, result.final.angular_velocity[:, 1]
     relative = v if second.is_wall else v[:count] - v[count:]
     return Rebounds(
@@ -189,7 +205,7 @@ def collide(
     )
 
 
-def _kinetic_energy(density: float, state: ParticleState, count: int) -> FloatArray:
+def _kinetic_energy(density: FloatArray, state: ParticleState, count: int) -> FloatArray:
     """Of each impact's bodies together, ``(P,)`` J."""
     mass = 4.0 / 3.0 * np.pi * density * state.radius**3
     energy = 0.5 * mass * np.square(state.velocity).sum(axis=1)
@@ -207,6 +223,11 @@ def on_wall(material: Material, radius: float = RADIUS) -> Contact:
     return Contact(Body(material, radius), Body(material, math.inf))
 
 
-def on_sphere(material: Material, radius: float = RADIUS, second_radius: float | None = None) -> Contact:
-    """A sphere on another of its material, of the same size unless told."""
-    return Contact(Body(material, radius), Body(material, second_radius or radius))
+def on_sphere(
+    material: Material,
+    radius: float = RADIUS,
+    second_radius: float | None = None,
+    second_material: Material | None = None,
+) -> Contact:
+    """A sphere on another, of the same size and material unless told."""
+    return Contact(Body(material, radius), Body(second_material or material, second_radius or radius))

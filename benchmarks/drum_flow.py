@@ -1,0 +1,191 @@
+"""The steady flow of `drum` beside LAMMPS `granular`: the same settled beds, many packings, and their scatter.
+
+    python benchmarks/drum_flow.py --lammps-python lammps-venv/bin/python --output results/verification
+
+Without --lammps-python gran-bench runs alone. LAMMPS' interpreter is made as dem_vs_lammps.py says. Cases and LAMMPS'
+series are kept under --root, so that a second call goes on from there. A case takes some 7 s of one core, LAMMPS 20.
+
+Both codes: E 1e7 Pa, ν 0.29, e 0.5, μ 0.3, walls alike, end caps that turn, Δt 2e-4 s. A figure of a packing is the
+mean over the frames from 3.5 s to 5.5 s: of the centre-of-mass angle, and of the mean of all spheres' instantaneous
+speeds. LAMMPS runs with the law that it is usually given and, where --same-law-packings asks for it, with gran-bench's.
+That differs in two points: contacts that part do not attract, with the damping that leaves e as it is, and the elastic
+tangential force falls with the load.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from drum_flow_page import BOUNDS, NAME, OURS, QUANTITIES, SAME_LAW, THEIRS, Flow, columns, csv, page
+from lammps_drum import commands
+
+from gran_bench.atomic import locked, write_text
+from gran_bench.config import DemConfig
+from gran_bench.dataset import CaseSpec, ensure_cases, read_case, read_settled
+from gran_bench.dataset.case_file import read_attributes
+from gran_bench.metrics.angle_of_repose import center_of_mass_angles
+from gran_bench.metrics.measured import within
+from gran_bench.metrics.summary import STEADY_FROM
+from gran_bench.plots import draw_drum_flow
+from gran_bench.provenance import commit, hardware
+from gran_bench.shipped import shipped_scene
+from gran_bench.verification import theory
+
+
+def lammps_laws() -> dict[str, dict]:
+    """The arguments of `lammps_drum.commands` for each way to run LAMMPS.
+
+    LAMMPS makes its damping of e by α = −√5 ln e/√(π² + ln² e), which holds with an attractive tail. Without one, the
+    α that gives 0.5 takes another number for e.
+    """
+    share = theory.damping(0.5) / math.sqrt(5.0)
+    number = math.exp(-math.pi * share / math.sqrt(1.0 - share**2))
+    return {
+        THEIRS: {},
+        SAME_LAW: {"tangential": "mindlin_rescale/force", "restitution": round(number, 10), "cut_tail": True},
+    }
+
+
+def spec_of(rpm: float, packing: int, dem: DemConfig) -> CaseSpec:
+    """The case of `drum` at one speed from one packing; the bed is that of the default step, whatever the step."""
+    settling = None if dem == DemConfig() else DemConfig()
+    return CaseSpec(shipped_scene("drum").at_speed(rpm), dem, packing, settling_dem=settling)
+
+
+def our_flow(rpm: float, packings: Sequence[int], dem: DemConfig, root: Path) -> Flow:
+    """Steady flow of gran-bench's cases, which have been made."""
+    flow = {}
+    for packing in packings:
+        spec = spec_of(rpm, packing, dem)
+        first = round((STEADY_FROM - spec.scene.start_time) / spec.scene.frame_interval)
+        case = read_case(spec.path(root), slice(first, None))
+        trajectory = case.trajectory
+        steady = within(trajectory.time, STEADY_FROM, np.inf)
+        angle = center_of_mass_angles(trajectory.position.astype(float), trajectory.radius, case.scene)
+        speed = np.linalg.norm(trajectory.velocity.astype(float), axis=2).mean(axis=1)
+        flow[packing] = float(np.degrees(angle[steady]).mean()), float(speed[steady].mean())
+    return flow
+
+
+def series_path(rpm: float, packing: int, law: dict, step: float, root: Path) -> Path:
+    """Where LAMMPS' series from a packing is kept, named by what it follows from."""
+    facts = read_attributes(spec_of(rpm, packing, DemConfig()).settled_path(root))
+    source = commands(rpm, step, **law) + facts["digest"]
+    label = f"{rpm:g}rpm_seed{packing}_{hashlib.sha256(source.encode()).hexdigest()[:16]}"
+    return root / "lammps" / f"{label}.json"
+
+
+def run_lammps(
+    rpm: float, packings: Sequence[int], root: Path, python: str, law: dict, step: float, workers: int
+) -> None:
+    """Makes LAMMPS' series from the settled beds of these packings where they are missing."""
+    beds = {packing: read_settled(spec_of(rpm, packing, DemConfig()).settled_path(root))[0] for packing in packings}
+    outputs = {packing: series_path(rpm, packing, law, step, root) for packing in packings}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "libmpi.so.12").symlink_to("/usr/lib/x86_64-linux-gnu/libmpich.so.12")
+        environment = {**os.environ, "LD_LIBRARY_PATH": str(folder), "OMP_NUM_THREADS": "1"}
+
+        def run(packing: int) -> None:
+            output = outputs[packing]
+            with locked(output.with_suffix(".lock")):
+                if output.exists():
+                    return
+                arrays = ("position", "velocity", "angular_velocity")
+                start = folder / f"{packing}.npz"
+                np.savez(start, **{array: getattr(beds[packing], array) for array in arrays})
+                words = [python, str(Path(__file__).with_name("lammps_drum.py")), str(start), str(output)]
+                words += ["--rpm", repr(rpm), "--step", repr(step)]
+                for option, value in law.items():
+                    words += [f"--{option.replace('_', '-')}"] + ([] if value is True else [str(value)])
+                if subprocess.run(words, env=environment, check=False).returncode:
+                    raise SystemExit(f"LAMMPS failed at {rpm:g} rpm, packing {packing}; see its message above")
+
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(run, packings))
+
+
+def lammps_flow(rpm: float, packings: Sequence[int], root: Path, law: dict, step: float) -> Flow:
+    """Steady flow of LAMMPS' series that are there."""
+    scene, flow = shipped_scene("drum"), {}
+    for packing in packings:
+        path = series_path(rpm, packing, law, step, root)
+        if path.exists():
+            series = json.loads(path.read_text("utf-8"))
+            time = scene.start_time + scene.frame_interval * np.arange(len(series["com_angle"]))
+            steady = within(time, STEADY_FROM, np.inf)
+            angle, speed = (float(np.array(series[name])[steady].mean()) for name in ("com_angle", "mean_speed"))
+            flow[packing] = angle, speed
+    return flow
+
+
+def main(given: argparse.Namespace) -> None:
+    """Makes what is missing, then prints the page or writes it."""
+    speeds, packings = [float(rpm) for rpm in given.speeds], range(given.packings)
+    dem = DemConfig(time_step=given.step)
+    specs = [spec_of(rpm, packing, dem) for packing in packings for rpm in speeds]
+    paths = ensure_cases(specs, given.root, given.workers)
+    steps = {read_attributes(path)["time_step"] for path in paths}
+    samples = {(OURS, rpm): our_flow(rpm, packings, dem, given.root) for rpm in speeds}
+    setting = f"Δt {', '.join(f'{step:.3g}' for step in sorted(steps))} s."
+    if given.lammps_python:
+        laws = lammps_laws()
+        several = {THEIRS: given.lammps_packings, SAME_LAW: given.same_law_packings}
+        for code, rpm in product(laws, speeds):
+            wanted = dict(zip(speeds, several[code] * len(speeds), strict=False))[rpm]
+            chosen = range(min(given.packings, wanted))
+            if not given.kept and chosen:
+                run_lammps(rpm, chosen, given.root, given.lammps_python, laws[code], given.lammps_step, given.workers)
+            flow = lammps_flow(rpm, chosen, given.root, laws[code], given.lammps_step)
+            if len(flow) >= 2:
+                samples[code, rpm] = flow
+        setting += (
+            f" LAMMPS `granular` started from the same settled beds, Δt {given.lammps_step:g} s, one rank: "
+            "hertz/material, coeff_restitution, tangential mindlin/force."
+        )
+        if any(code == SAME_LAW for code, _ in samples):
+            setting += (
+                " With *gran-bench's law* it runs mindlin_rescale/force and limit_damping, with the number for e that "
+                "gives 0.5 then."
+            )
+    samples = dict(sorted(samples.items(), key=lambda item: -item[0][1]))
+    words = ["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]
+    command = " ".join(words).replace(str(given.lammps_python), "lammps-venv/bin/python")
+    text = page(samples, f"Made by `{command}` at {commit()} on {hardware()}.", setting)
+    print(text)
+    if given.output:
+        bounds = {rpm: BOUNDS[rpm] for rpm in speeds if rpm in BOUNDS}
+        figures = {key: columns(flow) for key, flow in samples.items()}
+        labels = [f"{name}, {unit}" for _, name, unit, _ in QUANTITIES]
+        draw_drum_flow(given.output / f"{NAME}.png", figures, bounds, labels)
+        write_text(given.output / f"{NAME}.csv", csv(samples))
+        write_text(given.output / f"{NAME}.md", text)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--packings", type=int, default=12, help="seeds 0, 1, …")
+    parser.add_argument("--speeds", type=float, nargs="+", default=[30.0, 20.0], help="rpm")
+    parser.add_argument("--step", type=float, help="s, of gran-bench; the scene's own where it is not given")
+    parser.add_argument("--lammps-python", help="interpreter that has the package lammps")
+    several = "the first so many; one number, or one for each speed"
+    parser.add_argument("--lammps-packings", type=int, nargs="+", default=[8], help=several)
+    parser.add_argument("--same-law-packings", type=int, nargs="+", default=[0], help=f"{several}; gran-bench's law")
+    parser.add_argument("--kept", action="store_true", help="of LAMMPS take what a call before has finished")
+    parser.add_argument("--lammps-step", type=float, default=2.0e-4, help="s")
+    parser.add_argument("--root", type=Path, default=Path("data"), help="folder of the cases")
+    parser.add_argument("--workers", type=int, default=2, help="cases at a time")
+    parser.add_argument("--output", type=Path, help="folder of the page, the figure and the CSV")
+    main(parser.parse_args())
