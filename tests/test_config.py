@@ -213,7 +213,7 @@ def test_every_value_of_the_schema_has_a_rule():
         ("model=ccnn boundary.spacing=0", ["boundary.spacing=0", "> 0 diameters"]),
         ("loss.huber=-1", ["loss.huber=-1", "≥ 0"]),
         ("loss=with_momentum", ["loss.momentum=0.1", "model=contact", "loss.momentum=0", "model=radial"]),
-        ("loss=with_energy scene.gravity=[0,0,0]", ["loss.energy=1", "scene.gravity=[0.0, 0.0, 0.0]"]),
+        ("loss=with_energy scene.gravity=[0,0,0]", ["loss.energy=0.5", "scene.gravity=[0.0, 0.0, 0.0]"]),
         ("loss.speed_distribution=1 scene.gravity=[0,0,0]", ["loss.speed_distribution=1", "scene.gravity"]),
         ("loss.frame_weights=linear", ["loss.frame_weights=linear", "uniform or discounted or inverse or rising"]),
         ("rollout.growth=linear rollout.final_frames=null", ["rollout.growth=linear", "rollout.final_frames"]),
