@@ -75,8 +75,8 @@ def test_the_fused_and_the_torch_backend_give_the_same_frames_and_gradients(kern
     for model in (fused, plain):
         start = velocity.clone().requires_grad_()
         if model is plain:  # hold the geometry constant here too
-            original = model.acceleration
-            model.acceleration = lambda x, v, s, t, original=original: original(x.detach(), v, s, t)
+            original = model.accelerations
+            model.accelerations = lambda x, v, s, t, original=original: original(x.detach(), v, s, t)
         state = steps(model, scene, position, start)
         state.velocity.pow(2).mean().backward()
         gradients.append([state.position.detach(), start.grad, *(p.grad for p in model.parameters())])

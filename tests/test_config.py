@@ -11,9 +11,10 @@ import yaml
 
 import gran_bench.conf
 from gran_bench import config as schemas
-from gran_bench import config_consistency
+from gran_bench import config_choices, config_consistency
 from gran_bench.config import (
     MODEL_SCHEMAS,
+    BoundaryConfig,
     CconvModelConfig,
     ContactModelConfig,
     EvaluateConfig,
@@ -29,7 +30,7 @@ from gran_bench.dem.initial_checks import check_initial_state
 from gran_bench.entry import checked_config, compose
 from gran_bench.metrics.position_error import HORIZONS
 from gran_bench.scene import build_scene
-from gran_bench.surrogate import contact
+from gran_bench.surrogate import boundary, contact
 from gran_bench.surrogate.kernels import contact_fused
 
 CONF = Path(gran_bench.conf.__path__[0])
@@ -66,7 +67,9 @@ def test_every_choice_of_every_group_composes(group):
         # A speed must belong to one split: the judge's choices need the data set that has their speeds.
         with_it = ["dataset=small"] if path.stem == "quick" and group == "judge" else []
         with_it += ["judge=quick"] if path.stem == "small" and group == "dataset" else []
-        with_it += ["model=ccnn"] if group == "boundary" else []  # the contact network takes one choice only
+        # The contact network has walls of its own and no pair accelerations.
+        with_it += ["model=ccnn"] if group == "boundary" and path.stem != "contact" else []
+        with_it += ["model=ccnn"] if path.stem == "with_momentum" else []
         train_config(f"{group}={path.stem}", *with_it)
 
 
@@ -192,12 +195,32 @@ def test_every_value_of_the_schema_has_a_rule():
         ("dataset.replicas=1", ["dataset.replicas=1", "≥ 2"]),
         ("judge.speeds_rpm=[31]", ["judge.speeds_rpm=[31.0]", "30.0"]),
         ("model.radius=0.04", ["model.radius=0.04", "0.05"]),
-        ("model.radius=0.055", ["model.radius=0.055", "0.055 m", "1.1 particle diameters"]),
+        ("model.radius=0.0549", ["model.radius=0.0549", "at least 0.055 m", "1.1 particle diameters"]),
+        ("scene=drum_slice model.radius=0.11", ["model.radius=0.11", "container.length=0.2", "at most 0.1 m"]),
+        ("model=radial model.radius=0.05", ["model.radius=0.05", "more than the particle diameter, 0.05 m"]),
         ("model.hidden=8", ["model.hidden=8", "16 and 4", "model.backend=torch"]),
         ("model.channels=8", ["model.channels=8", "16 and 4", "model.backend=torch"]),
         ("model.backend=cuda", ["model.backend=cuda", "fused or torch"]),
         ("boundary=none", ["boundary.kind=none", "model=contact", "model=ccnn"]),
-        ("boundary.normal=false", ["boundary.normal=false", "model=contact", "model=ccnn"]),
+        ("boundary.normal=false", ["boundary.normal=false", "boundary.kind=own", "model=ccnn"]),
+        ("boundary=spheres", ["boundary.kind=spheres", "model=contact", "boundary=contact", "model=radial"]),
+        ("model=radial boundary=contact", ["boundary.kind=own", "model=radial", "boundary=spheres"]),
+        ("model=ccnn boundary=none boundary.velocity=false", ["boundary.velocity=false", "boundary.kind=none", "true"]),
+        (
+            "model=ccnn boundary=analytic boundary.spacing=1",
+            ["boundary.spacing=1", "leave it at 0.5", "boundary=spheres"],
+        ),
+        ("model=ccnn boundary.spacing=0", ["boundary.spacing=0", "> 0 diameters"]),
+        ("loss.huber=-1", ["loss.huber=-1", "≥ 0"]),
+        ("loss=with_momentum", ["loss.momentum=0.1", "model=contact", "loss.momentum=0", "model=radial"]),
+        ("loss=with_energy scene.gravity=[0,0,0]", ["loss.energy=0.5", "scene.gravity=[0.0, 0.0, 0.0]"]),
+        ("loss.speed_distribution=1 scene.gravity=[0,0,0]", ["loss.speed_distribution=1", "scene.gravity"]),
+        ("loss.frame_weights=linear", ["loss.frame_weights=linear", "uniform or discounted or inverse or rising"]),
+        ("rollout.growth=linear rollout.final_frames=null", ["rollout.growth=linear", "rollout.final_frames"]),
+        ("rollout.growth=fixed", ["rollout.growth=fixed", "jump or linear"]),
+        ("rollout.frames=8", ["rollout.final_frames=5", "rollout.frames=8", "at least 8", "final_frames=null"]),
+        ("rollout=frames12 scene.end_time=1.6", ["rollout.frames=12", "at most 10 frames"]),
+        ("rollout.final_frames=500", ["rollout.final_frames=500", "at most 400 frames"]),
         ("dataset.packing_seed=1", ["dataset.unseen_packing_seed=1", "dataset.packing_seed", "another"]),
         ("scene.end_time=1.55 rollout=paper", ["scene.end_time=1.55", "5 frames", "10 frames"]),
         ("loss=paper loss.position_l2=0", ["loss.position_l2=0", "weight"]),
@@ -231,7 +254,8 @@ def test_an_impossible_value_is_refused_in_one_line(override, words):
 
 def test_what_the_config_says_of_rooms_further_on_is_what_they_say():
     assert config_consistency.FUSED_SIZES == contact_fused.FUSED_SIZES
-    assert config_consistency.PAIR_FADE == contact.PAIR_FADE
+    assert config_choices.PAIR_FADE == contact.PAIR_FADE
+    assert {kind for kind in config_choices.BOUNDARY_KEYS if kind != "own"} == set(boundary.KINDS)
     assert max(HORIZONS) == config_consistency.LONGEST_HORIZON
 
 
@@ -274,8 +298,11 @@ def test_a_section_is_no_value():
 
 
 def test_what_is_not_given_has_the_default_of_the_schema():
-    config = read_config(TrainConfig, {"scene": {"name": "mine"}, "model": {"name": "ccnn", "width": 8}})
+    config = read_config(
+        TrainConfig, {"scene": {"name": "mine"}, "model": {"name": "ccnn", "width": 8}, "boundary": {"normal": False}}
+    )
     assert config.model == CconvModelConfig(width=8)
+    assert config.boundary == BoundaryConfig(kind="spheres", normal=False)
     assert config.scene == SceneConfig(name="mine")
     assert read_config(ContactModelConfig, {"iterations": 4}) == ContactModelConfig(iterations=4)
 
@@ -335,7 +362,15 @@ def test_a_key_that_leaves_the_weights_as_they_are_is_not_among_those_that_decid
 @pytest.mark.parametrize(
     "override",
     [
-        *("seed=1", "device=cpu", "model.iterations=4", "loss.spin=0.1", "rollout.noise=0", "optim.accumulate=3"),
+        *(
+            "seed=1",
+            "device=cpu",
+            "model.iterations=4",
+            "loss.spin=0.1",
+            "rollout.noise=0",
+            "rollout.growth=linear",
+            "optim.accumulate=3",
+        ),
         *("trainer.steps=10", "trainer.startup_fraction=0", "dataset.packing_seed=3", "dem.time_step=1e-4"),
         *("dataset.training_speeds_rpm=[20]", "scene.material.friction=0.4", "model=ccnn"),
     ],

@@ -161,6 +161,33 @@ def test_gradient_through_time_matters(tmp_path):
     assert not same(on.final_weights(), off.final_weights())
 
 
+@pytest.mark.parametrize("frames", [2, 3, 5, 8, 12])
+@pytest.mark.parametrize("through_time", [True, False])
+def test_every_frame_ahead_is_trained_on_and_gradients_go_through_time_or_stop_at_a_frames_start(
+    tmp_path, frames, through_time
+):
+    """What the trainer does, done by hand: each frame from the last, its loss, its gradient."""
+    rollout = RolloutConfig(frames=frames, gradient_through_time=through_time)
+    trainer = Trainer(Network(), FakeWindows(), config(rollout=rollout), tmp_path)
+    loss, _, gradients = trainer._window_gradients(trainer.model, 4, frames)
+
+    window = FakeWindows().draw(4, frames)
+    state = FrameState(torch.from_numpy(window.position[0]), torch.from_numpy(window.velocity[0]))
+    shares = []
+    for k in range(1, frames + 1):
+        if not through_time:
+            state = FrameState(state.position.detach(), state.velocity.detach())
+        state = trainer.model(state, SCENE, 0.0)
+        error = (state.position - torch.from_numpy(window.position[k])).norm(dim=1).mean()
+        slip = (state.velocity - torch.from_numpy(window.velocity[k])).norm(dim=1).mean() * SCENE.frame_interval
+        shares.append((error + slip) / SCENE.filling.diameter)
+    assert loss == pytest.approx(sum(share.item() for share in shares), rel=1e-5)
+    each = [torch.autograd.grad(share, trainer.parameters, retain_graph=True) for share in shares]
+    for found, *parts in zip(gradients, *each, strict=True):
+        assert torch.allclose(found, sum(parts), rtol=1e-3, atol=1e-4 * found.abs().max().item())
+        assert not torch.allclose(found, sum(parts[:-1]), rtol=1e-3)  # the last frame counts
+
+
 def test_one_frame_ahead_has_no_time_to_go_through(tmp_path):
     on, _ = train(tmp_path / "on", rollout=RolloutConfig(frames=1))
     off, _ = train(tmp_path / "off", rollout=RolloutConfig(frames=1, gradient_through_time=False))
@@ -246,3 +273,16 @@ def test_the_horizon_grows_at_its_share_of_the_budget():
     rollout = RolloutConfig(frames=3, final_frames=5, final_from=0.6)
     assert [frames_ahead(rollout, s, 10) for s in (0, 5, 6, 9)] == [3, 3, 5, 5]
     assert frames_ahead(RolloutConfig(frames=3), 9, 10) == 3
+
+
+def test_a_horizon_that_grows_linearly_takes_every_number_on_its_way_equally_long():
+    rollout = RolloutConfig(frames=1, final_frames=5, final_from=0.8, growth="linear")
+    assert [frames_ahead(rollout, s, 20) for s in range(20)] == sorted([1, 2, 3, 4] * 4) + [5] * 4
+    at_once = replace(rollout, final_from=0.0)
+    assert frames_ahead(at_once, 0, 20) == 5
+
+
+def test_a_growing_horizon_is_trained_on_as_it_grows(tmp_path):
+    rollout = RolloutConfig(frames=1, final_frames=4, final_from=0.5, growth="linear")
+    _, logged = train(tmp_path, rollout=rollout)
+    assert [metrics["frames_ahead"] for _, metrics in logged] == [1, 1, 2, 2, 3, 3] + [4] * 6

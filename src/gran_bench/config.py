@@ -196,9 +196,9 @@ MODEL_SCHEMAS: dict[str, type] = {
 
 @dataclass
 class BoundaryConfig:
-    """How a convolutional model sees the walls; the contact network has a way of its own and takes no other."""
+    """How a model sees the walls: a convolution in one of three ways, the contact network in its own."""
 
-    kind: str = "spheres"  # none | spheres | analytic
+    kind: str = "spheres"  # none | spheres | analytic | own (of the contact network)
     spacing: float = 0.5  # of wall spheres, in particle diameters
     normal: bool = True  # wall normals among the features
     velocity: bool = True  # wall velocities among the features
@@ -210,10 +210,16 @@ class LossConfig:
 
     position_l2: float = 1.0
     position_mse: float = 0.0
+    huber: float = 0.0
     velocity: float = 0.0
+    acceleration: float = 0.0
     spin: float = 0.0
     overlap: float = 0.0
+    momentum: float = 0.0
     cell_displacement: float = 0.0  # of the mean displacement in cells of the cross-section, 0.1 m wide
+    center_of_mass: float = 0.0
+    energy: float = 0.0
+    speed_distribution: float = 0.0
     frame_weights: str = "uniform"  # uniform | discounted | inverse | rising
     spin_frame_weights: str = "uniform"  # of the spin term alone
     discount: float = 0.8  # γ of `discounted`
@@ -226,6 +232,7 @@ class RolloutConfig:
     frames: int = 3  # F
     final_frames: int | None = None  # F from `final_from` of the budget on; null: F
     final_from: float = 0.6  # fraction of the steps
+    growth: str = "jump"  # jump | linear: how F gets from `frames` to `final_frames`
     gradient_through_time: bool = True
     noise: float = 0.0  # m, Gaussian, on the first frame's position
     independent_noise: bool = False  # own noise on velocity × Δt and spin × r × Δt; false: the velocity implied
@@ -291,7 +298,7 @@ class TrainConfig:
     dem: DemConfig = field(default_factory=DemConfig)
     dataset: DatasetConfig = field(default_factory=DatasetConfig)
     model: ContactModelConfig | CconvModelConfig = field(default_factory=ContactModelConfig)  # by model.name
-    boundary: BoundaryConfig = field(default_factory=BoundaryConfig)
+    boundary: BoundaryConfig = field(default_factory=lambda: BoundaryConfig(kind="own"))  # of the contact network
     loss: LossConfig = field(default_factory=LossConfig)
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
     optim: OptimConfig = field(default_factory=OptimConfig)

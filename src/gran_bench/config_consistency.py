@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import fields
 
 from gran_bench.config import (
-    BoundaryConfig,
     CconvModelConfig,
     ContactModelConfig,
     DatasetConfig,
@@ -15,11 +14,11 @@ from gran_bench.config import (
     SceneConfig,
     TrainConfig,
 )
+from gran_bench.config_choices import check_choices
 from gran_bench.config_rules import ConfigError
 
 # What rooms further on can do, said here because a config is refused before they are loaded; a test holds them equal.
 FUSED_SIZES = (16, 4)  # model.hidden and model.channels that the contact network's kernel is compiled for
-PAIR_FADE = 0.1  # of a diameter: the last part of the contact network's reach, over which an answer fades
 LONGEST_HORIZON = 10  # frames ahead that the short-horizon errors look
 
 
@@ -40,6 +39,7 @@ def check_consistency(config: object) -> None:
         _check_trainable(config.scene)
         _check_model(config)
         _check_training(config)
+        check_choices(config)
     if isinstance(config, TrainConfig | EvaluateConfig):
         _check_judge(config.judge, config.dataset)
         _check_device(config.device)
@@ -189,11 +189,7 @@ def _check_device(device: str) -> None:
 
 
 def _check_model(config: TrainConfig) -> None:
-    model, diameter = config.model, config.scene.filling.diameter
-    _require(
-        model.radius > diameter,
-        f"model.radius={model.radius:g} reaches no neighbour; choose more than the particle diameter, {diameter:g} m",
-    )
+    model = config.model
     if isinstance(model, CconvModelConfig):
         wanted = "radial" if model.name == "radial" else "lattice"
         other = next(name for name in ("ccnn", "radial") if name != model.name)
@@ -202,29 +198,11 @@ def _check_model(config: TrainConfig) -> None:
             f"model.kernel={model.kernel} is not the kernel of model={model.name}; choose model={other}",
         )
         _require(model.width % 2 == 0, f"model.width={model.width} cannot be split in two halves; choose an even width")
-        _require(
-            config.loss.spin == 0,
-            f"loss.spin={config.loss.spin:g} needs a model that predicts spin, and model={model.name} does not; "
-            "choose loss.spin=0 or model=contact",
-        )
     else:
-        _check_contact(model, diameter)
-        for entry in fields(BoundaryConfig):
-            value = getattr(config.boundary, entry.name)
-            _require(
-                value == entry.default,
-                f"boundary.{entry.name}={str(value).lower() if isinstance(value, bool) else value} changes nothing for "
-                "model=contact, which has walls of its own; leave boundary as it is, or choose model=ccnn",
-            )
+        _check_contact(model)
 
 
-def _check_contact(model: ContactModelConfig, diameter: float) -> None:
-    reach = (1.0 + PAIR_FADE) * diameter
-    _require(
-        model.radius > reach,
-        f"model.radius={model.radius:g} leaves no room for a contact to fade; choose more than {reach:g} m, "
-        f"{1.0 + PAIR_FADE:g} particle diameters",
-    )
+def _check_contact(model: ContactModelConfig) -> None:
     _require(
         model.backend != "fused" or (model.hidden, model.channels) == FUSED_SIZES,
         f"model.hidden={model.hidden} with model.channels={model.channels} is not what model.backend=fused is compiled "
@@ -233,25 +211,17 @@ def _check_contact(model: ContactModelConfig, diameter: float) -> None:
 
 
 def _check_training(config: TrainConfig) -> None:
-    dataset, loss, rollout, optim = config.dataset, config.loss, config.rollout, config.optim
+    dataset, optim = config.dataset, config.optim
     _require(
         len(dataset.training_speeds_rpm) > 0,
         "dataset.training_speeds_rpm=[] leaves nothing to train on; give at least one speed",
     )
-    terms = [entry.name for entry in fields(loss) if entry.type == "float" and entry.name != "discount"]
-    _require(
-        any(getattr(loss, term) > 0 for term in terms),
-        f"loss.{terms[0]}=0 and every other term is 0 too; give one of {', '.join(terms)} a weight",
-    )
-    longest = max(rollout.frames, rollout.final_frames or 0)
     available = round((config.scene.end_time - config.scene.start_time) / config.scene.frame_interval)
-    name = "frames" if longest == rollout.frames else "final_frames"
     _require(
         available >= LONGEST_HORIZON,
         f"scene.end_time={config.scene.end_time:g} makes cases of {available} frames; judging looks {LONGEST_HORIZON} "
         "frames ahead, so choose a later end",
     )
-    _require(longest <= available, f"rollout.{name}={longest} is longer than a case; choose at most {available} frames")
     _require(
         optim.final_learning_rate <= optim.learning_rate,
         f"optim.final_learning_rate={optim.final_learning_rate:g} exceeds optim.learning_rate="

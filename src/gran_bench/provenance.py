@@ -21,7 +21,7 @@ from gran_bench.source_digest import source_digest
 LIBRARIES = ("numpy", "scipy", "numba", "torch")
 # The rooms that a trained model, its rollout and its judgement depend on.
 RESULT_ROOMS = (
-    *("state.py", "scene", "neighbors", "dem", "dataset", "surrogate", "losses.py", "rollout.py"),
+    *("state.py", "scene", "neighbors", "dem", "dataset", "surrogate", "losses", "rollout.py"),
     *("metrics", "baselines.py", "trainer.py", "evaluation_plan.py", "evaluation.py"),
 )
 

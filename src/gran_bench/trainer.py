@@ -26,7 +26,7 @@ from tqdm import tqdm
 from gran_bench.atomic import write_atomically
 from gran_bench.config import OptimConfig, RolloutConfig, TrainConfig
 from gran_bench.dataset import Window, Windows
-from gran_bench.losses import Target, WindowLoss
+from gran_bench.losses import FrameAhead, Target, WindowLoss
 from gran_bench.provenance import code_digest
 from gran_bench.surrogate.step import FrameState, Surrogate
 
@@ -81,10 +81,17 @@ def learning_rate(config: OptimConfig, step: int, steps: int) -> float:
 
 
 def frames_ahead(config: RolloutConfig, step: int, steps: int) -> int:
-    """F at update ``step``: ``frames``, then ``final_frames`` from ``final_from`` of the budget on."""
-    if config.final_frames is not None and step >= config.final_from * steps:
-        return config.final_frames
-    return config.frames
+    """F at update ``step``: ``frames``, growing to ``final_frames`` where that is set.
+
+    ``growth = jump`` goes there at once at ``final_from`` of the budget; ``linear`` takes every number on the way, each
+    for as many updates, and is there at the same moment.
+    """
+    first, last, until = config.frames, config.final_frames, config.final_from * steps
+    if last is None:
+        return first
+    if step >= until:
+        return last
+    return first + int((last - first) * step / until) if config.growth == "linear" else first
 
 
 def _detached(state: FrameState) -> FrameState:
@@ -183,9 +190,9 @@ class Trainer:
         total, terms = None, {}
         gradients = [torch.zeros_like(p) for p in self.parameters] if not through_time else None
         for k in range(1, frames + 1):
-            state = model(state, scene, window.time + (k - 1) * scene.frame_interval)
-            target = self._target(model, window, k)
-            shares = self.loss.terms(state, target, scene, k, frames)
+            before, state = state, model(state, scene, window.time + (k - 1) * scene.frame_interval)
+            ahead = FrameAhead(before, state, self._target(model, window, k), scene)
+            shares = self.loss.terms(ahead, k, frames)
             share = sum(shares.values())
             for name, value in shares.items():
                 terms[name] = terms.get(name, 0.0) + value.item()
@@ -241,6 +248,7 @@ class Trainer:
             self._tensor(window.position[k]),
             self._tensor(window.velocity_at(k, model.velocity_kind)),
             self._tensor(window.angular_velocity[k]),
+            self._tensor(window.velocity_at(k - 1, model.velocity_kind)),
             float(window.mean_overlap[k]),
         )
 

@@ -119,15 +119,19 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         return layers
 
     def acceleration(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> Tensor:
+        return self.accelerations(position, velocity, scene, time)[0]
+
+    def accelerations(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> tuple[Tensor, Tensor]:
         if self.config.backend == "fused":
             position = position.detach()
         pairs = particle_neighborhood(self.pair_basis, position, scene.period)
-        output = self._particle_branch(velocity, pairs)
+        output = of_pairs = self._particle_branch(velocity, pairs)
         if self.has_walls:
             wall = self._see_walls(position, velocity, scene, time)
             if len(wall.near):
                 output = output.index_add(0, wall.near, self._wall_branch(velocity[wall.near], pairs, wall))
-        return output * (self.config.output_scale / scene.frame_interval**2)
+        unit = self.config.output_scale / scene.frame_interval**2
+        return output * unit, of_pairs * unit
 
     def _particle_branch(self, velocity: Tensor, pairs: Neighborhood) -> Tensor:
         inputs = velocity

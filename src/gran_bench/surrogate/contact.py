@@ -148,10 +148,10 @@ def _uniform(shape: tuple[int, ...], fan_in: int) -> Tensor:
 
 def _check(config: ContactModelConfig, scene: Scene) -> None:
     diameter = scene.filling.diameter
-    if config.radius <= (1.0 + PAIR_FADE) * diameter:
+    if config.radius < (1.0 + PAIR_FADE) * diameter * (1.0 - 1e-9):
         raise ValueError(
             f"model.radius={config.radius:g} m leaves no room for a contact to fade; "
-            f"choose more than {(1.0 + PAIR_FADE) * diameter:g} m, {1.0 + PAIR_FADE:g} diameters"
+            f"choose at least {(1.0 + PAIR_FADE) * diameter:g} m, {1.0 + PAIR_FADE:g} diameters"
         )
     for key, legal in (("velocity", ("mean", "instantaneous")), ("backend", ("fused", "torch"))):
         value = getattr(config, key)

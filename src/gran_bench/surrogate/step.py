@@ -22,12 +22,15 @@ class FrameState:
         velocity: ``(N, 3)`` m/s, of the model's ``velocity_kind``.
         angular_velocity: ``(N, 3)`` rad/s, or None for a model that has no spin.
         memory: whatever else a model keeps of the past (a contact memory, say), or None.
+        pair_acceleration: ``(N, 3)`` m/s², what particles gave each other in the frame that ends here, or None at a
+            start and for a model that does not tell it from what walls gave.
     """
 
     position: Tensor
     velocity: Tensor
     angular_velocity: Tensor | None = None
     memory: object | None = None
+    pair_acceleration: Tensor | None = None
 
 
 class Surrogate(nn.Module):
@@ -130,6 +133,12 @@ class NewtonSurrogate(Surrogate):
         """
         raise NotImplementedError
 
+    def accelerations(
+        self, position: Tensor, velocity: Tensor, scene: Scene, time: float
+    ) -> tuple[Tensor, Tensor | None]:
+        """:meth:`acceleration`, and the part of it that particles give each other, None where it is not told apart."""
+        return self.acceleration(position, velocity, scene, time), None
+
     def forward(self, state: FrameState, scene: Scene, time: float) -> FrameState:
         interval = scene.frame_interval
         before = state.velocity
@@ -139,11 +148,14 @@ class NewtonSurrogate(Surrogate):
         guess = state.position + interval * self._travel_velocity(before, predicted)
         guess = wrap(guess, scene.period)
         if torch.isfinite(guess).all() and torch.isfinite(predicted).all():
-            velocity = predicted + interval * self.acceleration(guess, predicted, scene, time)
+            acceleration, of_pairs = self.accelerations(guess, predicted, scene, time)
+            velocity = predicted + interval * acceleration
         else:
-            velocity = torch.full_like(predicted, torch.nan)  # neighbours of nowhere do not exist: the failure shows
+            velocity = of_pairs = torch.full_like(
+                predicted, torch.nan
+            )  # neighbours of nowhere do not exist: the failure shows
         position = state.position + interval * self._travel_velocity(before, velocity)
-        return FrameState(wrap(position, scene.period), velocity)
+        return FrameState(wrap(position, scene.period), velocity, pair_acceleration=of_pairs)
 
     def _travel_velocity(self, before: Tensor, after: Tensor) -> Tensor:
         """Velocity that carries a particle through the frame, ``(N, 3)`` m/s."""
