@@ -253,6 +253,10 @@ def _check_training(config: TrainConfig) -> None:
     )
     _require(longest <= available, f"rollout.{name}={longest} is longer than a case; choose at most {available} frames")
     _require(
+        config.trainer.budget != "time" or config.trainer.minutes is not None,
+        "trainer.budget=time needs minutes to spend, and trainer.minutes is null; give trainer.minutes",
+    )
+    _require(
         optim.final_learning_rate <= optim.learning_rate,
         f"optim.final_learning_rate={optim.final_learning_rate:g} exceeds optim.learning_rate="
         f"{optim.learning_rate:g}; choose at most that",

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+from gran_bench.composition import PlannedJob
 from gran_bench.config import TrainConfig
 from gran_bench.entry import run
 
@@ -14,5 +19,12 @@ def task(config: TrainConfig) -> object:
     return run_experiment(config)
 
 
+def sweep(jobs: Sequence[PlannedJob], name: str) -> AbstractContextManager[Any]:
+    """What happens around the jobs of a multirun."""
+    from gran_bench.sweep_run import open_sweep
+
+    return open_sweep(jobs, name)
+
+
 if __name__ == "__main__":
-    run(task, "train", TrainConfig)
+    run(task, "train", TrainConfig, sweep, loads=["gran_bench.experiment"])

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 DATABASE = "mlflow.db"
 ARTIFACTS = "artifacts"
 KEY_TAG = "gran_bench.key"
+PARENT_TAG = "mlflow.parentRunId"
 
 # MLflow reads these when it is imported. Nothing leaves the machine, and the terminal belongs to the run.
 QUIET = {"MLFLOW_DISABLE_TELEMETRY": "true", "DO_NOT_TRACK": "true", "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false"}
@@ -104,18 +105,42 @@ class Store:
             )
         return found[0].info.run_id if found else None
 
-    def create_run(self, name: str, key: str, parent: str | None) -> str:
-        """Make a run under a key; returns its id."""
-        tags = {KEY_TAG: key} | ({"mlflow.parentRunId": parent} if parent else {})
+    def status_of(self, run_id: str) -> str:
+        """``SCHEDULED``, ``RUNNING``, ``FINISHED``, ``FAILED`` or ``KILLED``."""
         with self._answers():
-            return self._client.create_run(self._experiment_id, tags=tags, run_name=name).info.run_id
+            return self._client.get_run(run_id).info.status
 
-    def reopen_run(self, run_id: str, name: str, without_tag: str) -> None:
-        """Mark a run as running again, and remove the tag that says how it ended."""
+    def create_run(self, name: str, key: str, parent: str | None, status: str = "RUNNING") -> str:
+        """Make a run under a key; returns its id."""
+        tags = {KEY_TAG: key} | ({PARENT_TAG: parent} if parent else {})
         with self._answers():
-            self._client.update_run(run_id, status="RUNNING", name=name)
+            run_id = self._client.create_run(self._experiment_id, tags=tags, run_name=name).info.run_id
+            if status != "RUNNING":
+                self._client.update_run(run_id, status=status)
+        return run_id
+
+    def adopt_run(self, run_id: str, parent: str) -> None:
+        """Hang a run under a parent, unless it has one that is there."""
+        with self._answers():
+            present = self._client.get_run(run_id).data.tags.get(PARENT_TAG)
+            if present == parent or (present is not None and self._has_run(present)):
+                return
+            self._client.set_tag(run_id, PARENT_TAG, parent)
+
+    def reopen_run(self, run_id: str, name: str, without_tag: str, status: str = "RUNNING") -> None:
+        """Mark a run as running again, or as waiting to, and remove the tag that says how it ended."""
+        with self._answers():
+            self._client.update_run(run_id, status=status, name=name)
             if without_tag in self._client.get_run(run_id).data.tags:
                 self._client.delete_tag(run_id, without_tag)
+
+    def _has_run(self, run_id: str) -> bool:
+        from mlflow.exceptions import MlflowException
+
+        try:
+            return self._client.get_run(run_id).info.lifecycle_stage == "active"
+        except MlflowException:
+            return False
 
     def close_run(self, run_id: str, status: str) -> None:
         """End a run as ``FINISHED``, ``FAILED`` or ``KILLED``."""
