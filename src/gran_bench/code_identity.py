@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ast
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import gran_bench
@@ -31,20 +31,32 @@ NEUTRAL = frozenset(
 )
 
 
-@functools.cache
+# Hashes that this process has taken; they stay what they were when its modules were loaded, whatever is edited later.
+_taken: dict[str, str] = {}
+
+
 def training_code(model: str) -> str:
     """Hash (12 digits) of the source that decides the weights of a model.
 
     Args:
         model: its name, as in ``model.name``.
     """
-    return _digest((*TRAINING, MODEL_SOURCES[model]))
+    return _hash(f"training {model}", (*TRAINING, MODEL_SOURCES[model]))
 
 
-@functools.cache
 def judging_code() -> str:
     """Hash (12 digits) of the source that decides what a judge says of given weights."""
-    return _digest(JUDGING)
+    return _hash("judging", JUDGING)
+
+
+def taken_hashes() -> dict[str, str]:
+    """The hashes that this process has taken, for one that was forked from modules of the same moment."""
+    return dict(_taken)
+
+
+def take_over(hashes: Mapping[str, str]) -> None:
+    """Go by hashes that another process took: it loaded the same modules, which may have been edited since."""
+    _taken.update(hashes)
 
 
 def modules_behind(*roots: str) -> set[str]:
@@ -64,10 +76,12 @@ def modules_behind(*roots: str) -> set[str]:
     return found
 
 
-def _digest(roots: tuple[str, ...]) -> str:
-    package = _package()
-    files = [_file(module).relative_to(package).as_posix() for module in sorted(modules_behind(*roots))]
-    return source_digest(files)[:12]
+def _hash(name: str, roots: tuple[str, ...]) -> str:
+    if name not in _taken:
+        package = _package()
+        files = [_file(module).relative_to(package).as_posix() for module in sorted(modules_behind(*roots))]
+        _taken[name] = source_digest(files)[:12]
+    return _taken[name]
 
 
 def _imported(node: ast.stmt) -> Iterator[str]:

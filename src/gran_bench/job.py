@@ -12,10 +12,11 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from gran_bench.code_identity import take_over
 from gran_bench.composition import Source, checked_config, run_folder
 from gran_bench.config import TrainConfig
 from gran_bench.config_rules import ConfigError
-from gran_bench.override_errors import explain
+from gran_bench.override_errors import explain, is_full_disk
 from gran_bench.provenance import remember_command
 from gran_bench.scene import SceneError
 
@@ -59,16 +60,16 @@ class Job:
             self._complain(error, number, settings.job.override_dirname)
             raise
 
-    def apart(self, overrides: Sequence[str], number: int) -> int:
-        """Do a job of a multirun in this process, which was started for it; returns the exit code."""
+    def apart(self, overrides: Sequence[str], number: int) -> bool:
+        """Do a job of a multirun in this process, which was started for it; whether it did not fail."""
         try:
             with self.source.opened():
                 composed = self.source.composed(overrides)
             self._do(composed, overrides, number, apart=True)
         except Exception as error:
             self._complain(error, number, ",".join(overrides))
-            return FAILED
-        return 0
+            return False
+        return True
 
     def nothing_to_do(self, number: int) -> str | None:
         """Why a job of a sweep need not be started; None where it must."""
@@ -92,6 +93,7 @@ class Job:
             self.task(self._config(composed, overrides))
             return
         sweep, title = self.sweep, self.sweep.title(number)
+        take_over(sweep.hashes)
         print(f"{title} starts; log: {sweep.folder / sweep.jobs[number].log_name}", file=sys.stderr, flush=True)
         try:
             with sweep.logged(number, apart):
@@ -131,4 +133,4 @@ def complain(error: Exception, schema: type, prefix: str = "") -> int:
         return FAILED
     print(f"error: {prefix}{message}", file=sys.stderr, flush=True)
     house_failure = type(error).__module__.startswith("gran_bench.") and not isinstance(error, ConfigError | SceneError)
-    return FAILED if house_failure or isinstance(error, OSError) else REFUSED
+    return FAILED if house_failure or is_full_disk(error) else REFUSED

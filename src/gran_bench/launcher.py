@@ -27,10 +27,11 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
-from gran_bench.job import FAILED, Job
+from gran_bench.job import Job
 
 GROUP, NAME = "hydra/launcher", "processes"
 TARGET = "hydra_plugins.gran_bench.ProcessLauncher"  # Hydra makes launchers under names of this first word alone
+SAID = 3  # exit code of a job's process that failed and said so; Python itself ends with 1
 GRACE_SECONDS = 60.0  # for jobs that were asked to stop: an update, a checkpoint, a last word to the store
 
 
@@ -66,28 +67,31 @@ class ProcessLauncher(Launcher):
             initial_job_idx: number of the first.
 
         Raises:
+            JobError: a job failed; all have ended.
             KeyboardInterrupt: this process was asked to stop; its jobs were, too, and have ended.
         """
         self.sweep_dir.mkdir(parents=True, exist_ok=True)
         waiting = [(initial_job_idx + i, list(overrides)) for i, overrides in enumerate(job_overrides)]
-        results = {number: JobReturn(overrides=overrides) for number, overrides in waiting}
+        results = [JobReturn(overrides=overrides, status=JobStatus.COMPLETED) for _, overrides in waiting]
         running: dict[int, ForkServerProcess] = {}
+        failed = 0
         with _ended_on_error(running):
             while waiting or running:
                 while waiting and len(running) < self.n_jobs:
                     number, overrides = waiting.pop(0)
                     if (reason := self.job.nothing_to_do(number)) is not None:
                         print(reason, file=sys.stderr, flush=True)
-                        _note(results[number], 0)
                         continue
                     running[number] = _started(self.job, overrides, number)
                 connection.wait([process.sentinel for process in running.values()])
                 for number in [number for number, process in running.items() if not process.is_alive()]:
                     code = running.pop(number).exitcode
-                    if code not in (0, FAILED):
+                    if code not in (0, SAID):
                         self.job.died(number, _last_words(code))
-                    _note(results[number], code)
-        return [results[number] for number in sorted(results)]
+                    failed += code != 0
+        if failed:
+            raise JobError(f"{failed} of {len(results)} jobs failed")
+        return results
 
 
 def register_launcher() -> None:
@@ -119,7 +123,7 @@ def _run(job: Job, overrides: list[str], number: int) -> None:
     """The whole life of a job's process."""
     threading.Thread(target=_stop_with, args=(multiprocessing.parent_process(),), daemon=True).start()
     try:
-        code = job.apart(overrides, number)
+        code = 0 if job.apart(overrides, number) else SAID
     except KeyboardInterrupt as stop:
         code = 128 + getattr(signal.Signals, str(stop), signal.SIGINT)
     sys.stdout.flush()
@@ -155,8 +159,3 @@ def _last_words(code: int) -> str:
     if code > 128:
         return f"it was stopped by {signal.Signals(code - 128).name}"
     return f"its process ended with status {code}"
-
-
-def _note(result: JobReturn, code: int) -> None:
-    result.status = JobStatus.COMPLETED if code == 0 else JobStatus.FAILED
-    result.return_value = None if code == 0 else JobError(f"job ended with status {code}")

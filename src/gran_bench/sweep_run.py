@@ -15,6 +15,7 @@ from typing import Any, TextIO
 
 from gran_bench import tracking
 from gran_bench.atomic import locked
+from gran_bench.code_identity import taken_hashes
 from gran_bench.composition import PlannedJob
 from gran_bench.config import TrackingConfig, TrainConfig
 from gran_bench.dataset import DatasetError
@@ -38,12 +39,14 @@ class Sweep:
         jobs: of the sweep, by number.
         parent: id of the parent run; None without tracking.
         done: why a job has nothing to do, by number.
+        hashes: of the source that the sweep began with.
     """
 
     folder: Path
     jobs: tuple[SweepJob, ...]
     parent: str | None = None
     done: dict[int, str] = field(default_factory=dict)
+    hashes: dict[str, str] = field(default_factory=dict)
 
     def title(self, number: int) -> str:
         """A job for people."""
@@ -60,7 +63,7 @@ class Sweep:
         path = self.folder / self.jobs[number].log_name
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(path, "a", buffering=1, encoding="utf-8") as log:
-            log.write(f"---- {now()}  {command()}\n")
+            log.write(f"---- {now()}  process {os.getpid()}  {command()}\n")
             if not apart:
                 with redirect_stdout(_Both(sys.stdout, log)), redirect_stderr(_Both(sys.stderr, log)):
                     yield
@@ -121,25 +124,26 @@ def open_sweep(planned: Sequence[PlannedJob], name: str) -> Iterator[Sweep]:
         TrackingError: the store cannot be opened; or, at the end, something could not be recorded.
         SweepFileError: a file of an earlier sweep is damaged.
     """
-    first = planned[0].config
-    root = Path(first.tracking.root).resolve()
-    folder = root / SWEEPS / (first.tracking.sweep or name)
+    config: TrackingConfig = planned[0].config.tracking
+    root = Path(config.root).resolve()
+    folder = root / SWEEPS / (config.sweep or name)
     with stop_on_signals(), locked(folder / ".lock", lambda: tell(f"another process runs {folder}; waiting for it")):
         tell(f"sweep of {len(planned)} jobs in {folder}")
         make_data([job.config for job in planned])
         identities = [_identity(job.config) for job in planned]
         jobs = tuple(_sweep_job(*pair) for pair in zip(planned, identities, strict=True))
         key = hash_of("sweep", folder.name, [job.key or job.run for job in jobs])
-        SweepFile(folder.name, key, command(), first.tracking.experiment, list(jobs)).write(folder)
+        SweepFile(folder.name, key, command(), config.experiment, list(jobs)).write(folder)
         summaries = _finished_here(planned, identities)
-        sweep = Sweep(folder, jobs, done=_done(root, folder, planned, identities, jobs, summaries))
-        with tracking.open_run(first.tracking, folder.name, key, _axes(planned), _tags()) as parent:
+        done = _done(root, folder, planned, identities, jobs, summaries)
+        sweep = Sweep(folder, jobs, done=done, hashes=taken_hashes())
+        with tracking.open_run(config, folder.name, key, _axes(planned), _tags()) as parent:
             sweep = replace(sweep, parent=parent.run_id)
             _schedule(sweep, planned, identities, summaries)
             try:
                 yield sweep
             finally:
-                report = _report(sweep, first.tracking)
+                report = _report(sweep, config)
                 log_report(parent, report)
             parent.finish("FAILED" if report.failed or report.waiting else "FINISHED")
 

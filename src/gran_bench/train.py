@@ -6,9 +6,13 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
+from gran_bench.code_identity import MODEL_SOURCES
 from gran_bench.composition import PlannedJob
 from gran_bench.config import TrainConfig
 from gran_bench.entry import run
+
+# All that decides a result, so that a job of a sweep runs what the sweep began with, whatever is edited meanwhile.
+LOADS = ["gran_bench.experiment", "gran_bench.sweep_run", *sorted({f"gran_bench.{source}" for source in MODEL_SOURCES.values()})]
 
 
 def task(config: TrainConfig) -> object:
@@ -27,4 +31,4 @@ def sweep(jobs: Sequence[PlannedJob], name: str) -> AbstractContextManager[Any]:
 
 
 if __name__ == "__main__":
-    run(task, "train", TrainConfig, sweep, loads=["gran_bench.experiment"])
+    run(task, "train", TrainConfig, sweep, loads=LOADS)

@@ -35,6 +35,9 @@ _LONGEST_VALUE = 5000  # characters of a parameter or tag
 _LONGEST_DIGEST = 36
 _ILLEGAL = re.compile(r"[^\w\-.: /]", re.ASCII)  # in the name of a metric
 
+# The files that this process opened under each name of a database, by device and number; None while one is opened.
+_opened: dict[Path, list[tuple[int, int] | None]] = {}
+
 
 class TrackingError(RuntimeError):
     """The tracking store cannot be used; the message names it and the remedy."""
@@ -76,15 +79,16 @@ class Store:
     def __init__(self, config: TrackingConfig) -> None:
         self.root = Path(config.root).resolve()
         self.database = self.root / DATABASE
-        self.uri = f"sqlite:///{self.database}"
+        self.uri = f"sqlite:///{self.database}"  # of the first file of that name that this process opens
         self.artifacts_uri = (self.root / ARTIFACTS).as_uri()
         self._lock = self.root / ".locks" / "mlflow.lock"
         self._identity: tuple[int, int] | None = None
         # Several first starts at once crash each other while they make the tables.
         with self.alone(), self._answers():
-            self._client = _client(self.uri)
+            self._client = _client(f"sqlite:///{self._spelling()}")
             self._experiment_id = self._experiment(config.experiment)
             self._identity = self._file_identity()
+            _opened[self.database][-1] = self._identity
 
     @contextmanager
     def alone(self) -> Iterator[None]:
@@ -213,6 +217,16 @@ class Store:
                 "the folder was moved; move it back, or choose another tracking.experiment"
             )
         return experiment.experiment_id
+
+    def _spelling(self) -> str:
+        """The database's path, spelt anew where another file has taken its name.
+
+        MLflow keeps a database open for the life of a process, by the letters of its URI, the file gone or not.
+        """
+        files = _opened.setdefault(self.database, [])
+        if not files or files[-1] not in (self._file_identity(), None):
+            files.append(None)
+        return "/." * (len(files) - 1) + str(self.database)
 
     @contextmanager
     def _answers(self) -> Iterator[None]:
