@@ -12,7 +12,8 @@ from gran_bench.config import TrainConfig
 from gran_bench.entry import run
 
 # All that decides a result, so that a job of a sweep runs what the sweep began with, whatever is edited meanwhile.
-LOADS = ["gran_bench.experiment", "gran_bench.sweep_run", *sorted({f"gran_bench.{source}" for source in MODEL_SOURCES.values()})]
+MODELS = sorted({f"gran_bench.{source}" for source in MODEL_SOURCES.values()})
+LOADS = ["gran_bench.experiment", "gran_bench.sweep_run", *MODELS]
 
 
 def task(config: TrainConfig) -> object:
