@@ -12,6 +12,7 @@ import yaml
 import gran_bench.conf
 from gran_bench import config as schemas
 from gran_bench import config_choices, config_consistency
+from gran_bench.composition import checked_config, compose
 from gran_bench.config import (
     MODEL_SCHEMAS,
     BoundaryConfig,
@@ -27,7 +28,6 @@ from gran_bench.config_check import dotted_keys, nearest_key, read_config, valid
 from gran_bench.config_identity import UNDECIDING, deciding_keys
 from gran_bench.config_rules import RULES, ConfigError, Range
 from gran_bench.dem.initial_checks import check_initial_state
-from gran_bench.entry import checked_config, compose
 from gran_bench.metrics.position_error import HORIZONS
 from gran_bench.scene import build_scene
 from gran_bench.surrogate import boundary, contact
@@ -228,6 +228,7 @@ def test_every_value_of_the_schema_has_a_rule():
         ("model=ccnn model.width=63", ["model.width=63", "even"]),
         ("model=ccnn model.kernel=radial", ["model.kernel=radial", "model=radial"]),
         ("rollout.frames=500", ["rollout.frames=500", "400"]),
+        ("trainer=paper trainer.budget=time", ["trainer.budget=time", "trainer.minutes"]),
         ("optim.final_learning_rate=1", ["optim.final_learning_rate=1", "optim.learning_rate"]),
         ("seed=abc", ["seed=abc", "whole number"]),
         ("seed=1.5", ["seed=1.5", "whole number"]),
@@ -350,7 +351,7 @@ def test_the_nearest_key_is_the_one_that_was_meant(typed, meant):
 @pytest.mark.parametrize(
     "override",
     [
-        *("threads=1", "judge.speeds_rpm=[30]", "judge.gif=false", "tracking.root=/else"),
+        *("judge.speeds_rpm=[30]", "tracking.sweep=x", "judge.gif=false", "tracking.root=/else"),
         *("dataset.root=x", "dataset.workers=1", "dataset.replicas=3", "dataset.unseen_packing_seed=2"),
         *("trainer.minutes=3", "trainer.checkpoint_every=1", "trainer.checkpoint_steps=1", "trainer.log_every=1"),
     ],
@@ -362,15 +363,8 @@ def test_a_key_that_leaves_the_weights_as_they_are_is_not_among_those_that_decid
 @pytest.mark.parametrize(
     "override",
     [
-        *(
-            "seed=1",
-            "device=cpu",
-            "model.iterations=4",
-            "loss.spin=0.1",
-            "rollout.noise=0",
-            "rollout.growth=linear",
-            "optim.accumulate=3",
-        ),
+        *("seed=1", "device=cpu", "threads=1", "model.iterations=4", "loss.spin=0.1", "rollout.noise=0"),
+        *("rollout.growth=linear", "optim.accumulate=3", "trainer.budget=time"),
         *("trainer.steps=10", "trainer.startup_fraction=0", "dataset.packing_seed=3", "dem.time_step=1e-4"),
         *("dataset.training_speeds_rpm=[20]", "scene.material.friction=0.4", "model=ccnn"),
     ],
@@ -383,6 +377,11 @@ def test_walls_decide_where_the_model_looks_at_them():
     assert "boundary" not in deciding_keys(train_config())
     seen, unseen = (deciding_keys(train_config("model=ccnn", f"boundary={kind}")) for kind in ("spheres", "none"))
     assert seen != unseen
+
+
+def test_a_cap_of_minutes_decides_nothing_and_a_budget_of_minutes_does():
+    one, two = (deciding_keys(train_config("trainer.budget=time", f"trainer.minutes={m}")) for m in (1, 2))
+    assert one != two
 
 
 def test_every_undeciding_key_is_a_key():

@@ -10,9 +10,11 @@ from pathlib import Path
 import pytest
 
 import gran_bench.conf
+from gran_bench.composition import Source, changed_in, described_jobs, run_folder
 from gran_bench.config import TrainConfig
 from gran_bench.config_rules import ConfigError
-from gran_bench.entry import FAILED, REFUSED, complain, distinct_overrides, run, run_folder
+from gran_bench.entry import run
+from gran_bench.job import FAILED, REFUSED, complain
 from gran_bench.scene import SceneError
 from gran_bench.state import StateError
 
@@ -105,6 +107,9 @@ def refuse(monkeypatch, capsys, tmp_path):
         ("--config-name=trian", ["trian"]),
         ("-m seed=1,2 scene.material.restitution=0.5,1.2", ["scene.material.restitution=1.2"]),
         ("-m model=ccnn,radail", ["model=radail", "did you mean radial?"]),
+        ("-m seed=interval(1,2)", ["does not support sweep type"]),
+        ("+experiment=sweep_radius", ["sweep over", "add -m"]),
+        ("tracking.sweep=mine", ["tracking.sweep=mine", "add -m"]),
         ("--cfg job model=cnn", ["model=cnn", "did you mean ccnn?"]),
     ],
 )
@@ -194,18 +199,41 @@ def test_a_multirun_that_is_asked_for_by_hydras_mode_is_one(probe):
 # ---- parts -----------------------------------------------------------------------------------------------
 
 
-def test_every_value_of_every_sweep_is_seen_once():
-    lines = list(distinct_overrides(["seed=1,2", "model=ccnn,radial", "threads=1"], multirun=True))
-    assert lines == [
+def jobs_of(*overrides: str, multirun: bool = True) -> list[list[str]]:
+    return [job for job, _ in described_jobs(Source("train"), overrides, multirun).jobs]
+
+
+def test_every_job_of_a_sweep_is_known_before_any_starts():
+    assert jobs_of("seed=1,2", "model=ccnn,radial", "threads=1") == [
         ["seed=1", "model=ccnn", "threads=1"],
-        ["seed=2", "model=ccnn", "threads=1"],
         ["seed=1", "model=radial", "threads=1"],
+        ["seed=2", "model=ccnn", "threads=1"],
+        ["seed=2", "model=radial", "threads=1"],
     ]
-    assert list(distinct_overrides(["seed=1,2"], multirun=False)) == [["seed=1,2"]]
-    # What a sweeper will draw from an interval is not known before it draws.
-    assert list(distinct_overrides(["optim.learning_rate=interval(1e-4,1e-2)", "seed=3"], multirun=True)) == [
-        ["seed=3"]
+    assert jobs_of("seed=1", multirun=False) == [["seed=1"]]
+
+
+def test_a_recipe_holds_its_axes_and_the_command_line_takes_their_place():
+    jobs = jobs_of("+experiment=sweep_radius")
+    assert len({job[0] for job in jobs}) == 6
+    assert all("+experiment=sweep_radius" in job for job in jobs)
+    assert jobs_of("+experiment=sweep_radius", "model.radius=0.09", "seed=4,5") == [
+        ["model.radius=0.09", "seed=4", "+experiment=sweep_radius"],
+        ["model.radius=0.09", "seed=5", "+experiment=sweep_radius"],
     ]
+    with pytest.raises(ConfigError, match=r"sweep over model\.radius.*add -m"):
+        jobs_of("+experiment=sweep_radius", multirun=False)
+
+
+def test_what_a_command_changes_is_its_choices_without_places_and_the_recipes_name():
+    lines = [
+        "+experiment=smoke",
+        "seed=1",
+        "tracking.root=/else",
+        "hydra/launcher=local",
+        "+scene.wall_material.friction=1",
+    ]
+    assert changed_in(lines) == ["scene.wall_material.friction=1", "seed=1"]
 
 
 @pytest.mark.parametrize(
@@ -216,7 +244,8 @@ def test_every_value_of_every_sweep_is_seen_once():
         (["seed=1", "model=ccnn"], "smoke+model-ccnn+seed-1"),
         (["model=ccnn", "seed=1"], "smoke+model-ccnn+seed-1"),
         (["tracking.root=/else", "dataset.root=x", "hydra/launcher=local", "trainer.minutes=3"], "smoke"),
-        (["judge=quick", "judge.gif=false", "threads=1", "dataset.unseen_packing_seed=2"], "smoke"),
+        (["judge=quick", "judge.gif=false", "tracking.sweep=x", "dataset.unseen_packing_seed=2"], "smoke"),
+        (["threads=1"], "smoke+threads-1"),
         (["++experimental=1"], "smoke+experimental-1"),
         (
             ["dataset=small", "+scene.wall_material.friction=0.1"],

@@ -22,12 +22,13 @@ MODULES = sorted(path for path in SOURCE.rglob("*.py") if path.name != "__init__
 
 # A module may import from rooms before its own. The first four know nothing of granular flow.
 ROOMS = [
-    *("atomic", "source_digest", "provenance", "stopping"),
+    *("atomic", "source_digest", "code_identity", "provenance", "stopping"),
     *("config", "config_identity", "config_rules", "config_choices", "config_consistency", "config_check"),
     *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses", "rollout", "metrics"),
-    *("baselines", "trainer", "evaluation_plan", "evaluation", "plots", "export", "tracking", "report", "run_record"),
-    "experiment",
-    *("override_errors", "entry", "shipped", "result_page"),
+    *("baselines", "trainer", "training_start", "evaluation_plan", "evaluation", "plots", "export", "tracking"),
+    *("sweep", "report", "run_identity", "run_record", "experiment"),
+    *("override_errors", "composition", "sweep_data", "sweep_run", "job", "launcher", "entry"),
+    *("shipped", "result_page", "stability"),
 ]
 ENTRIES = ["train", "generate", "verify", "evaluate", "benchmark", "stress", "ui"]
 

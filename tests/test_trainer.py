@@ -213,6 +213,47 @@ def test_the_time_cap_counts_across_resumes(tmp_path):
     assert result.seconds == pytest.approx(trainer.seconds)
 
 
+class Clock:
+    """Processor and wall time that go on by a second at each look; every second look is the end of an update."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        self.now += 0.5
+        return self.now
+
+
+def test_a_budget_of_time_takes_the_learning_rate_to_its_end_and_a_resume_goes_on_with_what_was_spent(
+    tmp_path, monkeypatch
+):
+    clock = Clock()
+    monkeypatch.setattr("gran_bench.trainer.time.process_time", clock)
+    optim = OptimConfig(learning_rate=1e-2, final_learning_rate=1e-4, schedule="cosine", accumulate=1)
+    rollout = RolloutConfig(frames=1, final_frames=2, final_from=0.5)
+
+    def part(minutes: float) -> tuple[Trainer, list]:
+        trainer = TrainerConfig(budget="time", steps=10**6, minutes=minutes, log_every=1, checkpoint_steps=1)
+        return train(tmp_path / "run", optim=optim, rollout=rollout, trainer=trainer)
+
+    whole, logged = part(minutes=10.0 / 60.0)
+    assert whole.spent >= 10.0
+    assert whole.step == len(logged) < 30
+    rates = [metrics["learning_rate"] for _, metrics in logged]
+    assert rates[0] == pytest.approx(1e-2)
+    assert all(later <= earlier for earlier, later in itertools.pairwise(rates))
+    assert rates[-1] < 5e-4
+    halves = [metrics["frames_ahead"] for _, metrics in logged]
+    assert halves[0] == 1
+    assert halves[-1] == 2
+    # Killed after its last checkpoint, it has nothing left to spend; with twice the budget it is in the middle.
+    again, more = part(minutes=10.0 / 60.0)
+    assert (again.step, more) == (whole.step, [])
+    again, more = part(minutes=20.0 / 60.0)
+    assert again.spent >= 20.0
+    assert more[0][1]["learning_rate"] == pytest.approx(learning_rate(optim, 1, 2), rel=0.15)
+
+
 def test_a_training_stopped_after_its_last_update_knows_its_loss(tmp_path):
     whole, _ = train(tmp_path / "whole")
     (tmp_path / "late").mkdir()

@@ -257,8 +257,9 @@ class OptimConfig:
 class TrainerConfig:
     """Budgets, checkpoints, validation."""
 
-    steps: int = 1000  # optimiser updates
-    minutes: float | None = None  # cap that counts across resumes; null: none
+    budget: str = "steps"  # steps | time: what the schedule runs through, and what ends it
+    steps: int = 1000  # optimiser updates, at most
+    minutes: float | None = None  # across resumes; a cap, or with budget=time the budget; null: none
     checkpoint_every: float = 30.0  # s between checkpoints
     checkpoint_steps: int | None = None  # or every so many updates
     log_every: int = 20  # updates between logged losses
@@ -283,6 +284,8 @@ class TrackingConfig:
     experiment: str = "gran-bench"
     root: str = "results"  # folder of the database, the artifacts and the run folders
     folder: str | None = None  # name of this run in <root>/runs/, before its key; null: the recipe, what was changed
+    sweep: str | None = None  # folder of a sweep in <root>/sweeps/; null: the recipe, what was changed
+    parent: str | None = None  # id of the MLflow run that this one belongs to; a sweep sets it
     enabled: bool = True
 
 

@@ -223,6 +223,10 @@ def _check_training(config: TrainConfig) -> None:
         "frames ahead, so choose a later end",
     )
     _require(
+        config.trainer.budget != "time" or config.trainer.minutes is not None,
+        "trainer.budget=time needs minutes to spend, and trainer.minutes is null; give trainer.minutes",
+    )
+    _require(
         optim.final_learning_rate <= optim.learning_rate,
         f"optim.final_learning_rate={optim.final_learning_rate:g} exceeds optim.learning_rate="
         f"{optim.learning_rate:g}; choose at most that",

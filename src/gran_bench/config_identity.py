@@ -7,11 +7,12 @@ from typing import Any
 
 from gran_bench.config import TrainConfig
 
-# Sections and dotted keys that say where, when, how fast or against what, and leave every bit of the weights as it is.
-# ``device`` is not among them: a GPU adds in another order.
+# Sections and dotted keys that say where, when, how often or against what, and leave every bit of the weights as it is.
+# ``device`` is not among them: a GPU adds in another order. Nor is ``threads``: with a budget of time they decide how
+# far a training gets.
 UNDECIDING = frozenset(
     {
-        *("experiment", "threads", "judge", "tracking"),
+        *("experiment", "judge", "tracking"),
         *("dataset.root", "dataset.workers"),
         *("dataset.holdout_speeds_rpm", "dataset.unseen_packing_seed", "dataset.replicas"),
         *("trainer.minutes", "trainer.checkpoint_every", "trainer.checkpoint_steps", "trainer.log_every"),
@@ -22,10 +23,12 @@ UNDECIDING = frozenset(
 def deciding_keys(config: TrainConfig) -> dict[str, Any]:
     """The config as nested plain values, without what does not decide the trained weights.
 
-    The contact network has walls of its own, so ``boundary`` decides nothing there.
+    The contact network has walls of its own, so ``boundary`` decides nothing there. A cap of minutes only says when to
+    pause; a budget of minutes sets the pace of the schedule.
     """
     values = asdict(config)
-    for key in UNDECIDING | ({"boundary"} if config.model.name == "contact" else set()):
+    undeciding = UNDECIDING | ({"boundary"} if config.model.name == "contact" else set())
+    for key in undeciding - ({"trainer.minutes"} if config.trainer.budget == "time" else set()):
         section, _, name = key.rpartition(".")
         del (values[section] if section else values)[name]
     return values

@@ -268,6 +268,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "weight_average": Range(0.0, 1.0, open_high=True),
     },
     TrainerConfig: {
+        "budget": OneOf(("steps", "time")),
         "steps": at_least(1),
         "minutes": positive("minutes"),
         "checkpoint_every": positive("s"),
@@ -282,7 +283,14 @@ RULES: dict[type, dict[str, Rule]] = {
         "short_horizon_starts": at_least(1),
         "gif": Switch(),
     },
-    TrackingConfig: {"experiment": Text(), "root": Text(), "folder": Text(), "enabled": Switch()},
+    TrackingConfig: {
+        "experiment": Text(),
+        "root": Text(),
+        "folder": Text(),
+        "sweep": Text(),
+        "parent": Text(),
+        "enabled": Switch(),
+    },
     TrainConfig: {
         "experiment": Text(),
         "seed": at_least(0),

@@ -7,38 +7,42 @@ any interruption and a finished run only prints its summary again.
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-import torch
 
 from gran_bench import tracking
 from gran_bench.atomic import write_text
 from gran_bench.config import EvaluateConfig, SceneConfig, TrainConfig
 from gran_bench.config_check import read_config
-from gran_bench.config_identity import deciding_keys
 from gran_bench.config_rules import ConfigError
-from gran_bench.dataset import Split, Windows, ensure_cases, read_case, split_cases
-from gran_bench.dataset.case_spec import key_hash
+from gran_bench.dataset import Windows, ensure_cases
 from gran_bench.evaluation import evaluate
 from gran_bench.evaluation_plan import Plan
 from gran_bench.plots import draw_evaluation, loss_curves
 from gran_bench.provenance import provenance
-from gran_bench.report import flat_metrics, headline
-from gran_bench.run_record import Clock, LossLog, RunRecord, hash_of, tell
-from gran_bench.scene import Scene, build_scene
+from gran_bench.run_identity import RunIdentity, hash_of, identify, judged_by, judging_plan, splits, wants_more
+from gran_bench.run_record import (
+    FIGURES,
+    LOSSES,
+    MODEL,
+    TRAINING,
+    Clock,
+    LossLog,
+    RunRecord,
+    log_judgement,
+    tell,
+    training_metrics,
+)
+from gran_bench.scene import build_scene
 from gran_bench.stopping import StopRequest, stop_on_signals
-from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model
 from gran_bench.surrogate.step import Surrogate
 from gran_bench.trainer import CHECKPOINT, Trainer, TrainingStopped
+from gran_bench.training_start import device_named, make_model, training_windows
 
-MODEL = "model.pt"
-TRAINING = "training.json"
-LOSSES = "losses.csv"
 
 def run_experiment(config: TrainConfig) -> dict[str, Any]:
     """Run the experiment that a config describes, or what is left of it.
@@ -56,18 +60,19 @@ def run_experiment(config: TrainConfig) -> dict[str, Any]:
     tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
     clock = Clock()
     with stop_on_signals() as stop:
-        split = split_cases(scene, config.dem, config.dataset)
+        split = splits(config)
         tell(f"data: {len(split.all)} cases in {Path(config.dataset.root).resolve()}")
         with clock.stage("data"):
             ensure_cases(split.all, config.dataset.root, config.dataset.workers)
             windows = training_windows(config, split)
-        key = hash_of(deciding_keys(config), windows.digest)
-        folder = Path(config.tracking.root) / "runs" / f"{config.tracking.folder or config.experiment}-{key[:8]}"
-        plan = Plan(scene, config.dem, config.dataset, config.judge)
-        record = RunRecord(folder, key, _judged_by(plan), config, scene.name, windows.digest, clock)
+        run_identity, plan = identify(config), judging_plan(config)
+        folder = run_identity.folder
+        record = RunRecord(run_identity, config, scene.name, clock)
 
         def work(run: tracking.Run) -> dict[str, Any]:
             model = make_model(config, scene)
+            device = next(model.parameters()).device
+            tell(f"model {config.model.name}: {model.parameter_count} parameters on {device}")
             with record.clock.stage("training"):
                 training = train_stage(config, model, windows, folder, run, stop)
             return judge_stage(record, model, plan, asdict(config.model), training, run)
@@ -94,9 +99,10 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
     tell(f"model {card.model['name']}: {model.parameter_count} parameters from {path}, made for scene {scene.name}")
     _refuse_unfair(config, card.origin)
     plan = Plan(scene, config.dem, config.dataset, config.judge)
-    key = hash_of(digest, _judged_by(plan))
+    key = hash_of(digest, judged_by(plan))
     folder = Path(config.tracking.root) / "evaluations" / f"{path.parent.name}-{key[:8]}"
-    record = RunRecord(folder, key, _judged_by(plan), config, scene.name, card.origin["data_digest"], Clock())
+    identity = RunIdentity(folder, key, judged_by(plan), card.origin["data_digest"])
+    record = RunRecord(identity, config, scene.name, Clock())
     with stop_on_signals():
         return record.carry_out(
             lambda run: judge_stage(record, model, plan, card.model, card.origin, run), lambda finished: False
@@ -104,29 +110,6 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
 
 
 # ---- stages ----------------------------------------------------------------------------------------------
-
-
-def training_windows(config: TrainConfig, split: Split) -> Windows:
-    """The training side of the data; nothing of the held-out cases is opened."""
-    cases = [read_case(spec.path(config.dataset.root)) for spec in split.training]
-    trainer = config.trainer
-    return Windows(cases, config.seed, trainer.startup_fraction, trainer.startup_seconds)
-
-
-def make_model(config: TrainConfig, scene: Scene) -> Surrogate:
-    """The model with its seeded first weights, on its device."""
-    torch.manual_seed(config.seed)
-    device = device_named(config.device)
-    model = build_model(config.model, config.boundary, scene).to(device)
-    tell(f"model {config.model.name}: {model.parameter_count} parameters on {device}")
-    return model
-
-
-def device_named(name: str) -> str:
-    """The torch device of ``auto``, ``cpu`` or ``cuda``."""
-    if name == "auto":
-        return "cuda" if torch.cuda.is_available() else "cpu"
-    return name
 
 
 def train_stage(
@@ -148,16 +131,14 @@ def train_stage(
 
     def keep(metrics: dict[str, float], step: int) -> None:
         log.add(metrics, step)
-        run.log_metrics(_training_metrics(metrics), step)
+        run.log_metrics(training_metrics(metrics), step)
 
     trainer = Trainer(model, windows, config, folder, keep, lambda: stop.requested)
     if trainer.resume():
         tell(f"training goes on from update {trainer.step} of {config.trainer.steps} ({folder / CHECKPOINT})")
-        if trainer.resumed_from_other_code:
-            tell(f"the code has changed since that checkpoint; to train anew, move {folder} away")
     log.drop_after(trainer.step)
     for row in log.rows:  # what the store missed when the process was killed
-        run.log_metrics(_training_metrics(row), int(row["step"]))
+        run.log_metrics(training_metrics(row), int(row["step"]))
     try:
         with stop.deferred():
             result = trainer.run()
@@ -184,17 +165,6 @@ def train_stage(
     return training
 
 
-def _training_metrics(row: dict[str, float]) -> dict[str, float]:
-    """Logged losses by their names in the tracking store."""
-    return {f"training/{name}": value for name, value in row.items() if name != "step" and math.isfinite(value)}
-
-
-def wants_more(config: TrainConfig, training: dict[str, Any]) -> bool:
-    """Whether a training that its time cap stopped has a larger cap now."""
-    minutes = config.trainer.minutes
-    return training["stopped_by"] == "time" and (minutes is None or 60.0 * minutes > training["seconds"])
-
-
 def judge_stage(
     record: RunRecord,
     model: Surrogate,
@@ -204,12 +174,12 @@ def judge_stage(
     run: tracking.Run,
 ) -> dict[str, Any]:
     """Roll out, judge, draw and record; returns the summary."""
-    config, folder = record.config, record.folder
+    config, folder = record.config, record.identity.folder
     with record.clock.stage("judging"):
         evaluation = evaluate(model, plan, folder, tell)
     with record.clock.stage("figures"):
         tell("figures")
-        place = folder / "figures"
+        place = folder / FIGURES
         figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, model_keys["name"])
         if (folder / LOSSES).exists():
             figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
@@ -222,19 +192,8 @@ def judge_stage(
         "wall_seconds": record.clock.seconds,
         **evaluation.summary,
     }
-    for metrics in (headline(summary), flat_metrics(summary)):
-        run.log_metrics(metrics, training["steps"], supersede=True)
-    for figure in figures:
-        run.log_artifact(figure, "figures")
+    log_judgement(run, summary, figures)
     return summary
-
-
-# ---- what determines a run -------------------------------------------------------------------------------
-
-
-def _judged_by(plan: Plan) -> str:
-    """Hash of what a model is judged on: the config keys, and every run of the DEM that it is held against."""
-    return hash_of(asdict(plan.judge), [key_hash(spec.key) for spec in plan.cases])
 
 
 def _refuse_unfair(config: EvaluateConfig, origin: dict[str, Any]) -> None:

@@ -1,7 +1,8 @@
-"""Say in one line what Hydra or OmegaConf says in many, and name the nearest right word."""
+"""Say in one line what Hydra, OmegaConf or a full disk says in many, and name the nearest right word."""
 
 from __future__ import annotations
 
+import errno
 import re
 from difflib import get_close_matches
 from pathlib import PurePosixPath
@@ -29,9 +30,20 @@ def explain(error: Exception, schema: type) -> str | None:
     if isinstance(error, OmegaConfBaseException):
         key = getattr(error, "full_key", None)
         return f"{key}: {_first_line(error)}" if key else _first_line(error)
+    if is_full_disk(error):
+        where = f" {error.filename}" if error.filename else ""
+        return (
+            f"the disk takes no more ({error.strerror}{where}); free space, and the same command goes on from here: "
+            "what is finished is whole"
+        )
     if isinstance(error, YAMLError) or type(error).__module__.startswith("gran_bench."):
         return " ".join(str(error).split())
     return None
+
+
+def is_full_disk(error: Exception) -> bool:
+    """Whether the system refused to write for want of space, quota or permitted file size."""
+    return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def _missing_choice(error: MissingConfigException) -> str:

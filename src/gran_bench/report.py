@@ -1,14 +1,19 @@
-"""What a finished run says: ``summary.json`` for machines, a table for people, eight headline figures for both."""
+"""What a finished run says: ``summary.json`` for machines, a table for people, eight headline figures for both.
+
+``python -m gran_bench.report [FOLDER ...]`` reports sweeps.
+"""
 
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 from gran_bench.atomic import write_text
 from gran_bench.metrics.judgement import shown_multiple
 from gran_bench.metrics.outside import FailureCount
+from gran_bench.sweep.command import report_command
 
 SUMMARY = "summary.json"
 
@@ -144,3 +149,7 @@ def _figure(value: float | None, unit: str) -> str:
 
 def _note(row: dict[str, Any]) -> str:
     return f"  [{row['note']}]" if row.get("note") else ""
+
+
+if __name__ == "__main__":
+    sys.exit(report_command())

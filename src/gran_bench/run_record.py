@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
+import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,9 +17,14 @@ import pandas as pd
 from gran_bench import tracking
 from gran_bench.atomic import locked, write_atomically, write_text
 from gran_bench.config import EvaluateConfig, TrainConfig
-from gran_bench.provenance import code_digest, provenance
-from gran_bench.report import read_summary, summary_table, write_summary
+from gran_bench.provenance import provenance
+from gran_bench.report import flat_metrics, headline, read_summary, summary_table, write_summary
+from gran_bench.run_identity import RunIdentity
 
+MODEL = "model.pt"
+TRAINING = "training.json"
+LOSSES = "losses.csv"
+FIGURES = "figures"
 CONFIG = "config.json"
 CLOCK = "clock.json"
 TRACKED = "tracked"  # subfolder of the summary that the store gets; the run's own is written when the store is done
@@ -27,24 +32,18 @@ TRACKED = "tracked"  # subfolder of the summary that the store gets; the run's o
 
 @dataclass(frozen=True)
 class RunRecord:
-    """What a run is called and what determines it.
+    """A run that is to be done, or was: who it is, what its command says, and its clock.
 
     Attributes:
-        folder: of its files.
-        key: hash of what determines the result of its training; the run's identity in the tracking store.
-        judged_by: hash of what determines its judgement; a finished run is judged anew where it has changed.
+        identity: its folder, and what determines it; the key is its identity in the tracking store.
         config: of the command.
         scene_name: for people.
-        data_digest: of the training data.
         clock: wall time of its stages.
     """
 
-    folder: Path
-    key: str
-    judged_by: str
+    identity: RunIdentity
     config: TrainConfig | EvaluateConfig
     scene_name: str
-    data_digest: str
     clock: Clock
 
     def carry_out(
@@ -59,19 +58,22 @@ class RunRecord:
         Raises:
             TrackingError: the tracking store failed; the summary was written and printed nevertheless.
         """
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with locked(self.folder / ".lock", lambda: tell(f"another process works on {self.folder}; waiting for it")):
-            for leftover in self.folder.rglob(".*.tmp"):
+        folder = self.identity.folder
+        folder.mkdir(parents=True, exist_ok=True)
+        with locked(folder / ".lock", lambda: tell(f"another process works on {folder}; waiting for it")):
+            for leftover in folder.rglob(".*.tmp"):
                 leftover.unlink()
-            finished = read_summary(self.folder)
-            if finished is not None and finished["judged_by"] == self.judged_by and not outgrown(finished):
-                return self._say_again(finished)
+            finished = finished_summary(self.identity)
+            if finished is not None and not outgrown(finished):
+                print(summary_table(finished))
+                tell(f"this run was finished before; its figures and summary are in {folder}")
+                return finished
             summary, failure = self._tracked(work)
             if summary is not None:
                 # Last of all: its presence says that the run is finished.
-                write_summary(self.folder, summary)
+                write_summary(folder, summary)
                 print(summary_table(summary))
-                tell(f"figures and summary in {self.folder}; compare runs with `make ui`")
+                tell(f"figures and summary in {folder}; compare runs with `make ui`")
             if failure is not None:
                 raise failure
         return summary
@@ -80,26 +82,61 @@ class RunRecord:
         self, work: Callable[[tracking.Run], dict[str, Any]]
     ) -> tuple[dict[str, Any] | None, tracking.TrackingError | None]:
         """The summary of the work, and what the tracking store failed at; a store must not cost a result."""
-        summary = None
-        self.clock.keep_in(self.folder / CLOCK)
-        write_text(self.folder / CONFIG, json.dumps(asdict(self.config), indent=1) + "\n")
-        tags = {"data_digest": self.data_digest, **provenance()}
+        summary, identity = None, self.identity
+        self.clock.keep_in(identity.folder / CLOCK)
+        write_text(identity.folder / CONFIG, json.dumps(asdict(self.config), indent=1) + "\n")
         try:
-            with tracking.open_run(self.config.tracking, self.folder.name, self.key, asdict(self.config), tags) as run:
-                run.log_dataset(self.scene_name, self.data_digest, str(Path(self.config.dataset.root).resolve()))
-                summary = {"judged_by": self.judged_by, **work(run)}
-                run.log_artifact(write_summary(self.folder / TRACKED, summary))
+            with self.opened() as run:
+                summary = {"judged_by": identity.judged_by, **work(run)}
+                run.log_artifact(write_summary(identity.folder / TRACKED, summary))
         except tracking.TrackingError as failure:
             return summary, failure
         return summary, None
 
-    def _say_again(self, summary: dict[str, Any]) -> dict[str, Any]:
-        """A finished run prints its summary again, and says where the code has changed since."""
-        print(summary_table(summary))
-        tell(f"this run was finished before; its figures and summary are in {self.folder}")
-        if {summary["provenance"]["code_digest"], summary["training"]["code_digest"]} != {code_digest()}:
-            tell(f"the code has changed since; to run it anew, move {self.folder} away")
-        return summary
+    @contextmanager
+    def opened(self) -> Iterator[tracking.Run]:
+        """The run in the tracking store, open, with what it was made from."""
+        config, digest = self.config, self.identity.data_digest
+        tags = {"data_digest": digest, **provenance()}
+        identity, parent = self.identity, config.tracking.parent
+        with tracking.open_run(config.tracking, identity.name, identity.key, asdict(config), tags, parent) as run:
+            run.log_dataset(self.scene_name, digest, str(Path(config.dataset.root).resolve()))
+            yield run
+
+    def record_again(self, summary: dict[str, Any]) -> None:
+        """Put a finished run into a tracking store that does not know it, from the files in its folder.
+
+        Raises:
+            TrackingError: the store does not take it.
+        """
+        folder = self.identity.folder
+        with self.opened() as run:
+            if (folder / LOSSES).exists():
+                for row in pd.read_csv(folder / LOSSES).to_dict("records"):
+                    run.log_metrics(training_metrics(row), int(row["step"]))
+            if (folder / MODEL).exists():
+                run.log_artifact(folder / MODEL, "model")
+            log_judgement(run, summary, sorted((folder / FIGURES).glob("*")))
+            run.log_artifact(write_summary(folder / TRACKED, summary))
+
+
+def finished_summary(identity: RunIdentity) -> dict[str, Any] | None:
+    """The summary of a run that is finished and judged as it would be now, else None."""
+    summary = read_summary(identity.folder)
+    return summary if summary is not None and summary["judged_by"] == identity.judged_by else None
+
+
+def training_metrics(row: dict[str, float]) -> dict[str, float]:
+    """Logged losses by their names in the tracking store."""
+    return {f"training/{name}": value for name, value in row.items() if name != "step" and math.isfinite(value)}
+
+
+def log_judgement(run: tracking.Run, summary: dict[str, Any], figures: Iterable[Path]) -> None:
+    """Record what the judge said, at the last update of the training."""
+    for metrics in (headline(summary), flat_metrics(summary)):
+        run.log_metrics(metrics, summary["training"]["steps"], supersede=True)
+    for figure in figures:
+        run.log_artifact(figure, FIGURES)
 
 
 class Clock:
@@ -152,11 +189,6 @@ class LossLog:
     def drop_after(self, step: int) -> None:
         """Forget rows of updates that a resumed training will do again."""
         self.rows = [row for row in self.rows if row["step"] <= step]
-
-
-def hash_of(*values: Any) -> str:
-    """12 hex digits of the SHA-256 of plain values."""
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def tell(line: str) -> None:

@@ -9,10 +9,10 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 import gran_bench
+from gran_bench.composition import compose
 from gran_bench.config import GenerateConfig, SceneConfig
 from gran_bench.config_check import read_config
 from gran_bench.config_rules import ConfigError
-from gran_bench.entry import compose
 from gran_bench.override_errors import explain
 from gran_bench.scene import Scene, build_scene
 

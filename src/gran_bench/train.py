@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+from gran_bench.code_identity import MODEL_SOURCES
+from gran_bench.composition import PlannedJob
 from gran_bench.config import TrainConfig
 from gran_bench.entry import run
+
+# All that decides a result, so that a job of a sweep runs what the sweep began with, whatever is edited meanwhile.
+MODELS = sorted({f"gran_bench.{source}" for source in MODEL_SOURCES.values()})
+LOADS = ["gran_bench.experiment", "gran_bench.sweep_run", *MODELS]
 
 
 def task(config: TrainConfig) -> object:
@@ -14,5 +24,12 @@ def task(config: TrainConfig) -> object:
     return run_experiment(config)
 
 
+def sweep(jobs: Sequence[PlannedJob], name: str) -> AbstractContextManager[Any]:
+    """What happens around the jobs of a multirun."""
+    from gran_bench.sweep_run import open_sweep
+
+    return open_sweep(jobs, name)
+
+
 if __name__ == "__main__":
-    run(task, "train", TrainConfig)
+    run(task, "train", TrainConfig, sweep, loads=LOADS)

@@ -27,7 +27,6 @@ from gran_bench.atomic import write_atomically
 from gran_bench.config import OptimConfig, RolloutConfig, TrainConfig
 from gran_bench.dataset import Window, Windows
 from gran_bench.losses import FrameAhead, Target, WindowLoss
-from gran_bench.provenance import code_digest
 from gran_bench.surrogate.step import FrameState, Surrogate
 
 CHECKPOINT = "checkpoint.pt"
@@ -130,10 +129,9 @@ class Trainer:
         self.parameters = list(model.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, lr=config.optim.learning_rate)
         self.average = [p.detach().clone() for p in self.parameters] if config.optim.weight_average else None
-        self.step, self.seconds, self.last_loss = 0, 0.0, math.nan
+        self.step, self.seconds, self.spent, self.last_loss = 0, 0.0, 0.0, math.nan
         on_cpu = self.parameters[0].device.type == "cpu"
         self.workers = min(config.threads, config.optim.accumulate) if on_cpu else 1
-        self.resumed_from_other_code = False
         self._memories: dict[int, list[Any]] = {}
         self._following = threading.Lock()
         self.replicas = [model] + [self._sharing_copy() for _ in range(self.workers - 1)]
@@ -155,8 +153,8 @@ class Trainer:
             "average": self.average,
             "step": self.step,
             "seconds": self.seconds,
+            "spent": self.spent,
             "loss": self.last_loss,
-            "code_digest": code_digest(),
         }
         write_atomically(self.folder / CHECKPOINT, lambda file: torch.save(state, file))
 
@@ -172,8 +170,29 @@ class Trainer:
             for kept, saved in zip(self.average, state["average"], strict=True):
                 kept.copy_(saved)
         self.step, self.seconds, self.last_loss = state["step"], state["seconds"], state["loss"]
-        self.resumed_from_other_code = state["code_digest"] != code_digest()
+        self.spent = state["spent"]
         return True
+
+    @property
+    def expected_steps(self) -> float:
+        """Updates that the whole budget holds, so that learning rate and growing rollouts end with it.
+
+        With ``budget: time`` the pace so far says how many; the clock then has a part in the result, which no second
+        training repeats bit by bit.
+        """
+        budget = self.config.trainer
+        if budget.budget == "steps":
+            return budget.steps
+        share = max(self.spent / (60.0 * budget.minutes), self.step / budget.steps)
+        return self.step / share if self.step else budget.steps
+
+    def _clock(self) -> float:
+        """The clock, s, that minutes are counted by: of the wall; of a budget of time on a CPU, of the processor.
+
+        Processor time, summed over threads, gives each choice of a sweep as much work, whatever else the machine does.
+        """
+        on_cpu = self.parameters[0].device.type == "cpu"
+        return time.process_time() if on_cpu and self.config.trainer.budget == "time" else time.monotonic()
 
     # ---- one update --------------------------------------------------------------------------------------
 
@@ -262,7 +281,7 @@ class Trainer:
         Raises:
             TrainingDiverged: a loss or a gradient is not finite.
         """
-        config, steps = self.config.optim, self.config.trainer.steps
+        config, steps = self.config.optim, self.expected_steps
         frames = frames_ahead(self.config.rollout, self.step, steps)
         first = self.step * config.accumulate
         # Window w runs on copy w mod workers; the copies are used by one thread at a time.
@@ -320,7 +339,8 @@ class Trainer:
         budget = self.config.trainer
         cap = math.inf if budget.minutes is None else 60.0 * budget.minutes
         last_saved = time.monotonic()
-        before, began = self.seconds, time.monotonic()
+        before, began = (self.seconds, self.spent), (time.monotonic(), self._clock())
+        warm = False
         threads = torch.get_num_threads()
         # Threads run whole windows. Threads inside an operation would fight them, and would sum in another order.
         torch.set_num_threads(1)
@@ -330,9 +350,13 @@ class Trainer:
         self.model.train()
         try:
             with ThreadPoolExecutor(self.workers, thread_name_prefix="windows") as pool:
-                while self.step < budget.steps and self.seconds < cap:
+                while self.step < budget.steps and self.spent < cap:
                     metrics = self.update(pool)
-                    self.seconds = before + time.monotonic() - began
+                    if not warm:
+                        # A process's first update loads or compiles its kernels, which is no training.
+                        began, warm = (time.monotonic(), self._clock()), True
+                    self.seconds = before[0] + time.monotonic() - began[0]
+                    self.spent = before[1] + self._clock() - began[1]
                     self.last_loss = metrics["loss"]
                     bar.update()
                     bar.set_postfix(loss=f"{self.last_loss:.4f}", refresh=False)

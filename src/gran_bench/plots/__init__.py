@@ -14,6 +14,7 @@ from gran_bench.plots.nearest import nearest_cases
 from gran_bench.plots.position_error import position_error
 from gran_bench.plots.scene_state import scene_state
 from gran_bench.plots.speeds import speed_distribution
+from gran_bench.plots.sweep import sweep_axis
 from gran_bench.plots.time_error import Contender, time_against_error
 
 __all__ = [
@@ -32,5 +33,6 @@ __all__ = [
     "scene_state",
     "speed_by_depth",
     "speed_distribution",
+    "sweep_axis",
     "time_against_error",
 ]

@@ -1,8 +1,19 @@
 """Runs in MLflow: recorded in batches, reopened on resume, never at the cost of a result."""
 
-from gran_bench.tracking.opening import open_parent, open_run
+from gran_bench.tracking.opening import Child, end_child, open_run, reopen_ended, schedule_children
 from gran_bench.tracking.run import Run
-from gran_bench.tracking.store import Store, TrackingError
+from gran_bench.tracking.store import DATABASE, Store, TrackingError
 from gran_bench.tracking.user_interface import ui
 
-__all__ = ["Run", "Store", "TrackingError", "open_parent", "open_run", "ui"]
+__all__ = [
+    "DATABASE",
+    "Child",
+    "Run",
+    "Store",
+    "TrackingError",
+    "end_child",
+    "open_run",
+    "reopen_ended",
+    "schedule_children",
+    "ui",
+]

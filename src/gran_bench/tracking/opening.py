@@ -5,9 +5,9 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict, dataclass, is_dataclass
 from typing import Any
 
 from gran_bench.config import TrackingConfig
@@ -60,13 +60,85 @@ def open_run(
         run.finish("FINISHED")
 
 
-def open_parent(config: TrackingConfig, name: str, key: str, params: Mapping[str, Any] | object) -> str | None:
-    """The id of a parent run (made where it is missing) that a sweep's runs belong to; None without tracking."""
+@dataclass(frozen=True)
+class Child:
+    """A run of a sweep before its job starts.
+
+    Attributes:
+        name: for people.
+        key: hash of what determines the result.
+        finished: whether its result is there already.
+    """
+
+    name: str
+    key: str
+    finished: bool = False
+
+
+def schedule_children(config: TrackingConfig, parent: str | None, children: Iterable[Child]) -> set[str]:
+    """Make a run ``SCHEDULED`` for each child that has none, and hang all of them under their parent.
+
+    A child that has a run already keeps it: one that is finished stays as it is, any other waits to start again.
+
+    Args:
+        config: where, or that nothing is recorded.
+        parent: id of the parent run; None without tracking.
+        children: of the sweep.
+
+    Returns:
+        Keys of the children that are finished while the store does not say so: their record is missing there.
+
+    Raises:
+        TrackingError: the store cannot be used.
+    """
+    if parent is None:
+        return set()
+    store, missing = Store(config), set()
+    with store.alone():
+        for child in children:
+            run_id = store.run_of(child.key)
+            if run_id is None:
+                store.create_run(child.name, child.key, parent, "SCHEDULED")
+                status = "SCHEDULED"
+            else:
+                store.adopt_run(run_id, parent)
+                status = store.status_of(run_id)
+            if child.finished and status != "FINISHED":
+                missing.add(child.key)
+            elif not child.finished and run_id is not None:
+                store.reopen_run(run_id, child.name, ENDED_TAG, "SCHEDULED")
+    return missing
+
+
+@contextmanager
+def reopen_ended(config: TrackingConfig, key: str) -> Iterator[Run | None]:
+    """The run of a key, to add to what it records without a change of its status; None where there is none.
+
+    Raises:
+        TrackingError: the store cannot be used.
+    """
+    store = Store(config)
+    run_id = store.run_of(key)
+    run = None if run_id is None else StoredRun(store, run_id, resumed=True)
+    yield run
+    if run is not None:
+        run.send()
+
+
+def end_child(config: TrackingConfig, key: str, why: str) -> None:
+    """Mark a run that its own process could not close as ``FAILED``, with the reason.
+
+    Raises:
+        TrackingError: the store cannot be used.
+    """
     if not config.enabled:
-        return None
-    run = _open(Store(config), name, key, dotted(params), {}, None)
-    run.finish("FINISHED")
-    return run.run_id
+        return
+    store = Store(config)
+    with store.alone():
+        run_id = store.run_of(key)
+        if run_id is not None and store.status_of(run_id) in ("SCHEDULED", "RUNNING"):
+            store.add_tags(run_id, {ENDED_TAG: why})
+            store.close_run(run_id, "FAILED")
 
 
 def dotted(params: Mapping[str, Any] | object, prefix: str = "") -> dict[str, str]:
@@ -94,6 +166,8 @@ def _open(
             run_id = store.create_run(name, key, parent)
         else:
             store.reopen_run(run_id, name, without_tag=ENDED_TAG)
+            if parent is not None:
+                store.adopt_run(run_id, parent)
         changed = store.add_params(run_id, params)
     run = StoredRun(store, run_id, resumed)
     for label, value in (tags | {f"resumed_with.{param}": value for param, value in changed.items()}).items():

@@ -115,7 +115,7 @@ class StoredRun(Run):
 
     def flush(self) -> None:
         try:
-            self._send()
+            self.send()
             self._next_flush, self._failing = time.monotonic() + FLUSH_SECONDS, False
         except TrackingError as error:
             # The run is worth more than its record: it goes on, and the record is tried again.
@@ -129,7 +129,7 @@ class StoredRun(Run):
             return
         self._finished, self._backlog.status = True, status
         try:
-            self._send()
+            self.send()
         except TrackingError as error:
             kept = self._store.root / UNSENT / f"{self.run_id}.json"
             try:
@@ -144,7 +144,7 @@ class StoredRun(Run):
                 "when the next run opens"
             ) from error
 
-    def _send(self) -> None:
+    def send(self) -> None:
         """Send the backlog; what was sent leaves it, so that a failure in the middle repeats nothing."""
         waiting, store = self._backlog, self._store
         if self._resumed:
@@ -186,7 +186,7 @@ def send_kept(store: Store) -> None:
             kept = json.loads(path.read_text("utf-8"))
             run = StoredRun(store, path.stem, resumed=True)
             run._backlog = Backlog(**kept | {"metrics": [MetricPoint(*point) for point in kept["metrics"]]})
-            run._send()
+            run.send()
         except (TrackingError, ValueError, TypeError, KeyError) as error:
             # Its run may be gone with an older store; that must not keep all later runs from being recorded.
             print(f"warning: {path} could not be sent ({error}); delete it if its run is gone", file=sys.stderr)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 DATABASE = "mlflow.db"
 ARTIFACTS = "artifacts"
 KEY_TAG = "gran_bench.key"
+PARENT_TAG = "mlflow.parentRunId"
 
 # MLflow reads these when it is imported. Nothing leaves the machine, and the terminal belongs to the run.
 QUIET = {"MLFLOW_DISABLE_TELEMETRY": "true", "DO_NOT_TRACK": "true", "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false"}
@@ -33,6 +34,9 @@ _PARAMS_A_REQUEST = 100
 _LONGEST_VALUE = 5000  # characters of a parameter or tag
 _LONGEST_DIGEST = 36
 _ILLEGAL = re.compile(r"[^\w\-.: /]", re.ASCII)  # in the name of a metric
+
+# The files that this process opened under each name of a database, by device and number; None while one is opened.
+_opened: dict[Path, list[tuple[int, int] | None]] = {}
 
 
 class TrackingError(RuntimeError):
@@ -75,15 +79,16 @@ class Store:
     def __init__(self, config: TrackingConfig) -> None:
         self.root = Path(config.root).resolve()
         self.database = self.root / DATABASE
-        self.uri = f"sqlite:///{self.database}"
+        self.uri = f"sqlite:///{self.database}"  # of the first file of that name that this process opens
         self.artifacts_uri = (self.root / ARTIFACTS).as_uri()
         self._lock = self.root / ".locks" / "mlflow.lock"
         self._identity: tuple[int, int] | None = None
         # Several first starts at once crash each other while they make the tables.
         with self.alone(), self._answers():
-            self._client = _client(self.uri)
+            self._client = _client(f"sqlite:///{self._spelling()}")
             self._experiment_id = self._experiment(config.experiment)
             self._identity = self._file_identity()
+            _opened[self.database][-1] = self._identity
 
     @contextmanager
     def alone(self) -> Iterator[None]:
@@ -104,18 +109,42 @@ class Store:
             )
         return found[0].info.run_id if found else None
 
-    def create_run(self, name: str, key: str, parent: str | None) -> str:
-        """Make a run under a key; returns its id."""
-        tags = {KEY_TAG: key} | ({"mlflow.parentRunId": parent} if parent else {})
+    def status_of(self, run_id: str) -> str:
+        """``SCHEDULED``, ``RUNNING``, ``FINISHED``, ``FAILED`` or ``KILLED``."""
         with self._answers():
-            return self._client.create_run(self._experiment_id, tags=tags, run_name=name).info.run_id
+            return self._client.get_run(run_id).info.status
 
-    def reopen_run(self, run_id: str, name: str, without_tag: str) -> None:
-        """Mark a run as running again, and remove the tag that says how it ended."""
+    def create_run(self, name: str, key: str, parent: str | None, status: str = "RUNNING") -> str:
+        """Make a run under a key; returns its id."""
+        tags = {KEY_TAG: key} | ({PARENT_TAG: parent} if parent else {})
         with self._answers():
-            self._client.update_run(run_id, status="RUNNING", name=name)
+            run_id = self._client.create_run(self._experiment_id, tags=tags, run_name=name).info.run_id
+            if status != "RUNNING":
+                self._client.update_run(run_id, status=status)
+        return run_id
+
+    def adopt_run(self, run_id: str, parent: str) -> None:
+        """Hang a run under a parent, unless it has one that is there."""
+        with self._answers():
+            present = self._client.get_run(run_id).data.tags.get(PARENT_TAG)
+            if present == parent or (present is not None and self._has_run(present)):
+                return
+            self._client.set_tag(run_id, PARENT_TAG, parent)
+
+    def reopen_run(self, run_id: str, name: str, without_tag: str, status: str = "RUNNING") -> None:
+        """Mark a run as running again, or as waiting to, and remove the tag that says how it ended."""
+        with self._answers():
+            self._client.update_run(run_id, status=status, name=name)
             if without_tag in self._client.get_run(run_id).data.tags:
                 self._client.delete_tag(run_id, without_tag)
+
+    def _has_run(self, run_id: str) -> bool:
+        from mlflow.exceptions import MlflowException
+
+        try:
+            return self._client.get_run(run_id).info.lifecycle_stage == "active"
+        except MlflowException:
+            return False
 
     def close_run(self, run_id: str, status: str) -> None:
         """End a run as ``FINISHED``, ``FAILED`` or ``KILLED``."""
@@ -188,6 +217,16 @@ class Store:
                 "the folder was moved; move it back, or choose another tracking.experiment"
             )
         return experiment.experiment_id
+
+    def _spelling(self) -> str:
+        """The database's path, spelt anew where another file has taken its name.
+
+        MLflow keeps a database open for the life of a process, by the letters of its URI, the file gone or not.
+        """
+        files = _opened.setdefault(self.database, [])
+        if not files or files[-1] not in (self._file_identity(), None):
+            files.append(None)
+        return "/." * (len(files) - 1) + str(self.database)
 
     @contextmanager
     def _answers(self) -> Iterator[None]:

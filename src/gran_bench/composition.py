@@ -1,0 +1,181 @@
+"""What a command line describes: the config of its one job, or of every job of its sweep, checked."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+import hydra
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import DictConfig, OmegaConf
+
+from gran_bench.config import GenerateConfig, TrainConfig
+from gran_bench.config_check import read_config
+from gran_bench.config_identity import UNDECIDING
+from gran_bench.config_rules import ConfigError
+from gran_bench.scene import build_scene
+
+CONFIG_MODULE = "gran_bench.conf"
+VERSION_BASE = "1.3"
+LAUNCHER = "ProcessLauncher"  # the house's own, in `launcher`
+
+# Two commands that differ in these alone train the same weights, so they share a folder.
+UNNAMED = UNDECIDING | {"hydra"}
+LONGEST_FOLDER = 150  # characters; file systems end at 255 bytes
+
+Config = TypeVar("Config")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where configs come from.
+
+    Attributes:
+        config_name: of the primary config in ``conf/``.
+        config_dir: a folder that is searched before the package's (``--config-dir``); None for none.
+        config_path: a folder that is searched instead of the package's (``--config-path``); None for none.
+    """
+
+    config_name: str
+    config_dir: str | None = None
+    config_path: str | None = None
+
+    @property
+    def flags(self) -> list[str]:
+        """The flags of a command line that choose this source."""
+        folders = {"--config-dir": self.config_dir, "--config-path": self.config_path}
+        return [f"{flag}={folder}" for flag, folder in folders.items() if folder is not None]
+
+    @contextmanager
+    def opened(self) -> Iterator[None]:
+        """Hydra, ready to compose from here and to say which choices there are."""
+        if self.config_path is not None and "://" not in self.config_path:
+            start = hydra.initialize_config_dir(str(Path(self.config_path).resolve()), version_base=VERSION_BASE)
+        else:
+            start = hydra.initialize_config_module(CONFIG_MODULE, version_base=VERSION_BASE)
+        with start:
+            yield
+
+    def composed(self, overrides: Sequence[str], hydra_too: bool = False) -> DictConfig:
+        """What Hydra composes for one job, within ``opened()``."""
+        search = [f"hydra.searchpath=[file://{Path(self.config_dir).resolve()}]"] if self.config_dir else []
+        return hydra.compose(self.config_name, [*overrides, *search], return_hydra_config=hydra_too)
+
+
+def compose(
+    config_name: str, overrides: Sequence[str], config_dir: str | None = None, config_path: str | None = None
+) -> DictConfig:
+    """What Hydra composes for one job, without starting it; arguments as of `Source`, and overrides without sweeps."""
+    source = Source(config_name, config_dir, config_path)
+    with source.opened():
+        return source.composed(overrides)
+
+
+@dataclass(frozen=True)
+class Described:
+    """The jobs that a command line describes.
+
+    Attributes:
+        jobs: overrides and composed config of each job, in the order in which Hydra numbers them.
+        complete: false where a sweeper draws values as it goes: then ``jobs`` is one that stands for what is fixed.
+        apart: whether the house's launcher gives each job a process of its own.
+    """
+
+    jobs: list[tuple[list[str], DictConfig]] = field(default_factory=list)
+    complete: bool = True
+    apart: bool = False
+
+
+@dataclass(frozen=True)
+class PlannedJob:
+    """A job of a sweep before it runs.
+
+    Attributes:
+        run: name of its run, without the key.
+        choices: what the command line changed, by key.
+        config: checked.
+    """
+
+    run: str
+    choices: dict[str, str]
+    config: TrainConfig
+
+
+def described_jobs(source: Source, overrides: Sequence[str], multirun: bool) -> Described:
+    """Compose every job of a command line: the one, or the product of all swept values.
+
+    A recipe holds its axes in ``hydra.sweeper.params``; the same key on the command line takes their place.
+
+    Raises:
+        ConfigError: a recipe that is a sweep, without ``-m``.
+        HydraException: what Hydra cannot compose.
+    """
+    with source.opened():
+        # As Hydra does: what is swept on the command line is no part of the config that chooses the sweeper.
+        parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
+        fixed = [
+            line
+            for line, override in zip(overrides, parser.parse_overrides(list(overrides)), strict=True)
+            if not (multirun and override.is_sweep_override())
+        ]
+        chosen = source.composed(fixed, hydra_too=True).hydra
+        sweeper, apart = chosen.sweeper, chosen.launcher._target_.endswith(f".{LAUNCHER}")
+        axes = OmegaConf.to_container(sweeper.params, resolve=True) if sweeper.get("params") else {}
+        if not multirun:
+            if axes:
+                raise ConfigError(f"this recipe is a sweep over {', '.join(axes)}; add -m (--multirun) to run its jobs")
+            return Described([(list(overrides), source.composed(overrides))])
+        if not sweeper._target_.endswith(f".{BasicSweeper.__name__}"):
+            return Described([(fixed, source.composed(fixed))], complete=False, apart=apart)
+        lines = [*(f"{key}={values}" for key, values in axes.items()), *overrides]
+        (jobs,) = BasicSweeper.split_arguments(parser.parse_overrides(lines), None)
+        return Described([(job, source.composed(job)) for job in jobs], apart=apart)
+
+
+def checked_config(composed: DictConfig, schema: type[Config]) -> Config:
+    """The config that Hydra composed, read into ``schema``; its scene can be built, filled and resolved in time.
+
+    Raises:
+        ConfigError, SceneError, TimeStepError: what cannot be, in one line.
+    """
+    values = OmegaConf.to_container(composed, resolve=True)
+    assert isinstance(values, dict)
+    config = read_config(schema, values)
+    if isinstance(config, TrainConfig | GenerateConfig):
+        # Imported here, so that a typo need not wait for SciPy.
+        from gran_bench.dem.time_step import choose_time_step
+
+        scene = build_scene(config.scene)
+        scene.fresh_filling(seed=0)
+        data = config.dataset
+        if scene.takes_speeds:
+            speeds = data.training_speeds_rpm + data.validation_speeds_rpm + data.holdout_speeds_rpm
+            scene = scene.at_speed(max(speeds, default=0.0))
+        choose_time_step(scene, config.dem.time_step, config.dem.allow_unsafe_step)
+    return config
+
+
+def changed_in(overrides: Sequence[str]) -> list[str]:
+    """The overrides, sorted and without ``+``, that change what is trained; the recipe's name is not among them."""
+    return sorted(
+        line.lstrip("+~")
+        for line in overrides
+        if not any(re.match(rf"{re.escape(key)}(?=[=./@]|$)", line.lstrip("+~")) for key in UNNAMED)
+    )
+
+
+def run_folder(experiment: str, overrides: Sequence[str]) -> str:
+    """The folder of a run: the recipe's name, then what was changed in it, so that no two different runs share one."""
+    # Only letters that a path in a Hydra override may have without quotes.
+    name = re.sub(r"[^\w.+-]", "_", "+".join([experiment, *changed_in(overrides)]).replace("=", "-"))
+    if len(name) > LONGEST_FOLDER:
+        digest = hashlib.sha256(name.encode()).hexdigest()[:8]
+        name = f"{name[: LONGEST_FOLDER - 9]}-{digest}"
+    return name

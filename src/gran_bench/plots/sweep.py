@@ -1,0 +1,94 @@
+"""A swept choice against error and time: a point a seed, a line through the means, failed runs at the upper edge."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+from matplotlib.axes import Axes
+
+from gran_bench.plots.style import BASELINE, DEM, FURTHER, SURROGATE, drawing, say
+
+PANELS = (
+    ("angle_error_floors", "angle error, noise floors"),
+    ("speed_w1_floors", "speed W1, noise floors"),
+    ("position_error_10_frames_mm", "position error after 10 frames, mm"),
+    ("ms_per_frame", "time for a frame, ms"),
+)
+LOG_FROM = 15.0  # largest over smallest figure from which a panel is logarithmic
+COLOURS = (SURROGATE, BASELINE, *FURTHER, DEM)
+
+
+def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path | str, title: str) -> Path:
+    """Draw one axis of a sweep against errors and time.
+
+    Args:
+        runs: a row a run: ``axis`` and ``others`` as text, ``status``, and the figures of the panels, NaN where
+            undefined.
+        axis: the swept key along x; its values are spaced as numbers where they are numbers.
+        others: the other swept keys; each combination of their values has a colour.
+        path: of the PNG.
+        title: of the figure: the sweep, and what it is judged on.
+
+    Returns:
+        The path.
+    """
+    values = list(dict.fromkeys(runs[axis]))
+    numbers = [_number(value) for value in values]
+    as_numbers = all(number is not None for number in numbers)
+    place = dict(zip(values, numbers if as_numbers else range(len(values)), strict=True))
+    series = list(runs.groupby(list(others), sort=False)) if others else [((), runs)]
+    with drawing(path, 10.4, 7.2) as figure:
+        figure.suptitle(title, x=0.01, ha="left", fontsize=10.5)
+        panels = figure.subplots(2, 2).ravel()
+        for axes, (name, label) in zip(panels, PANELS, strict=True):
+            axes.set_ylabel(label)
+            axes.set_xlabel(axis)
+            _points(axes, series, axis, name, place)
+            turned = {} if as_numbers else {"rotation": 30, "ha": "right"}
+            axes.set_xticks([place[value] for value in values], values, **turned)
+            if runs[name].isna().all() and (runs["status"] == "finished").all():
+                say(axes, "undefined in every run")
+        handles, labels = panels[0].get_legend_handles_labels()
+        if handles:
+            figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return Path(path)
+
+
+def _points(axes: Axes, series: list, axis: str, name: str, place: dict[str, float]) -> None:
+    """Seeds, means and failures of one panel."""
+    for (values, runs), colour in zip(series, _colours(len(series)), strict=True):
+        label = ", ".join(values if isinstance(values, tuple) else (values,)) or "mean over seeds"
+        found = runs.assign(x=runs[axis].map(place), y=pd.to_numeric(runs[name], errors="coerce").astype(float))
+        good = found[found["y"].notna()]
+        axes.plot(good["x"], good["y"], "o", color=colour, markersize=4.0, alpha=0.6)
+        means = good.groupby("x")["y"].mean().sort_index()
+        axes.plot(means.index, means.to_numpy(), color=colour, label=label)
+        lost = found[found["y"].isna()]
+        if len(lost):
+            # At the upper edge of the panel, wherever its scale ends: a failure has no figure and must still be seen.
+            axes.plot(
+                lost["x"], [0.985] * len(lost), "x", color=colour, markersize=8.0, markeredgewidth=2.0, clip_on=False,
+                transform=axes.get_xaxis_transform(), label=f"{label}: failed or undefined" if label else "failed",
+            )  # fmt: skip
+    found = pd.to_numeric(pd.concat([runs[name] for _, runs in series]), errors="coerce").dropna()
+    if found.empty:
+        return
+    if found.min() > 0 and found.max() > LOG_FROM * found.min():
+        axes.set_yscale("log")
+    else:
+        axes.set_ylim(0.0, 1.08 * found.max() if found.max() > 0 else 1.0)
+
+
+def _colours(count: int) -> list[str]:
+    return [COLOURS[i % len(COLOURS)] for i in range(count)]
+
+
+def _number(value: object) -> float | None:
+    try:
+        number = float(str(value))
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None

@@ -1,0 +1,1 @@
+"""What is done to the software on purpose to see whether it holds."""

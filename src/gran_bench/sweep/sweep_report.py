@@ -1,0 +1,155 @@
+"""The report of a sweep: table, CSV, a figure of each axis, what failed and why; in its folder and its parent run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from gran_bench import tracking
+from gran_bench.atomic import write_text
+from gran_bench.config import TrackingConfig
+from gran_bench.plots import sweep_axis
+from gran_bench.sweep.run_file import FAILED, FINISHED, RunFile, SweepFileError, read_runs
+from gran_bench.sweep.sweep_file import SweepFile, SweepJob, read_sweep
+from gran_bench.sweep.table import COLUMNS, SEED, axes_of, best_choices, newest, runs_frame, shown_table
+
+PAGE = "README.md"
+TABLE = "runs.csv"
+
+
+@dataclass(frozen=True)
+class SweepReport:
+    """What a report says and wrote.
+
+    Attributes:
+        text: the page, in Markdown.
+        paths: page, CSV and figures.
+        metrics: of the sweep as a whole, by their names in the tracking store.
+        tags: the best choice for each error.
+        failed: runs that failed.
+        waiting: jobs that have not ended.
+    """
+
+    text: str
+    paths: list[Path]
+    metrics: dict[str, float]
+    tags: dict[str, str]
+    failed: list[RunFile]
+    waiting: list[SweepJob]
+
+
+def report_sweep(folder: Path) -> SweepReport:
+    """Read what the runs of a sweep left, and write its page, its CSV and its figures into its folder.
+
+    Args:
+        folder: of the sweep, with ``runs/`` in it.
+
+    Raises:
+        SweepFileError: the folder holds no sweep, or a damaged one.
+    """
+    sweep, (runs, replaced) = read_sweep(folder), newest(read_runs(folder))
+    if sweep is None and not runs:
+        raise SweepFileError(f"{folder} holds no sweep; name a folder in results/sweeps")
+    frame, axes = runs_frame(runs), axes_of(runs)
+    failed = [run for run in runs if run.status == FAILED]
+    ended = {(tuple(sorted(run.choices.items())), run.seed) for run in runs}
+    waiting = [job for job in sweep.jobs if _who(job) not in ended] if sweep else []
+    name, judged = sweep.name if sweep else folder.name, _judged(runs)
+    figures = []
+    if len(runs):
+        for axis in axes or [SEED]:
+            others = [other for other in axes if other != axis]
+            path = folder / f"{axis.replace('/', '_').lstrip('+')}.png"
+            figures.append(sweep_axis(frame.astype({axis: str}), axis, others, path, f"{name}: {judged}"))
+        write_text(folder / TABLE, frame.to_csv(index=False))
+    text = _page(name, judged, sweep, runs, replaced, waiting, figures)
+    write_text(folder / PAGE, text)
+    best = best_choices(runs)
+    metrics = {f"best/{column}": value for column, (_, value) in best.items()}
+    metrics |= {
+        "sweep/runs finished": sum(run.status == FINISHED for run in runs),
+        "sweep/runs failed": len(failed),
+        "sweep/jobs waiting": len(waiting),
+    }
+    tags = {f"best.{column}": choice for column, (choice, _) in best.items()}
+    paths = [folder / PAGE, *([folder / TABLE] if len(runs) else []), *figures]
+    return SweepReport(text, paths, {key: float(value) for key, value in metrics.items()}, tags, failed, waiting)
+
+
+def log_report(run: tracking.Run, report: SweepReport) -> None:
+    """Put a report into the parent run."""
+    run.log_metrics(report.metrics, supersede=True)
+    for name, value in report.tags.items():
+        run.set_tag(name, value)
+    for path in report.paths:
+        run.log_artifact(path, "sweep")
+
+
+def report_to_parent(folder: Path, report: SweepReport) -> bool:
+    """Put a report into the parent run of its sweep, if the store beside it has one; whether it has.
+
+    Raises:
+        TrackingError: the store does not answer.
+    """
+    sweep, root = read_sweep(folder), folder.parent.parent
+    if sweep is None or not (root / tracking.DATABASE).exists():
+        return False
+    config = TrackingConfig(experiment=sweep.experiment, root=str(root))
+    with tracking.reopen_ended(config, sweep.key) as run:
+        if run is not None:
+            log_report(run, report)
+        return run is not None
+
+
+def _who(job: SweepJob) -> tuple:
+    return tuple(sorted(job.choices.items())), job.seed
+
+
+def _judged(runs: list[RunFile]) -> str:
+    """On what the runs were judged, in words: whoever chooses by a validation speed must say so."""
+    judged = sorted({(run.judged["rpm"], run.judged["as"]) for run in runs if run.judged})
+    words = [
+        f"{rpm:g} rpm, {'the validation speed, by which one may choose' if kind == 'validation' else 'held out'}"
+        for rpm, kind in judged
+    ]
+    return f"judged at {' and '.join(words)}" if words else "nothing judged yet"
+
+
+def _page(
+    name: str,
+    judged: str,
+    sweep: SweepFile | None,
+    runs: list[RunFile],
+    replaced: list[RunFile],
+    waiting: list[SweepJob],
+    figures: list[Path],
+) -> str:
+    failed = [run for run in runs if run.status == FAILED]
+    lines = [f"# {name}", ""]
+    lines.append(f"{len(runs) - len(failed)} runs finished, {len(failed)} failed, {len(waiting)} wait; {judged}.")
+    if sweep:
+        lines += ["", "```", sweep.command, "```"]
+    if runs:
+        lines += ["", "Mean ± standard deviation over seeds, shared packing; a floor is the DEM against itself.", ""]
+        lines.append(shown_table(runs))
+    headings = {column.name: column.heading for column in COLUMNS}
+    best = best_choices(runs)
+    if len(best) and len(axes_of(runs)):
+        lines += ["", "Smallest mean:", ""]
+        lines += [f"- {headings[column]}: {value:.3g} with {choice}" for column, (choice, value) in best.items()]
+    if failed:
+        lines += ["", "## Failed", ""]
+        lines += [f"- `{run.run}`: {run.reason} (log: `{run.facts.get('log', 'none')}`)" for run in failed]
+    broken = [run for run in runs if run.facts.get("broken_rollouts")]
+    if broken:
+        lines += ["", "## Rollouts that broke down", ""]
+        for run in broken:
+            frames = ", ".join(f"{name} at frame {frame}" for name, frame in run.facts["broken_rollouts"].items())
+            lines.append(f"- `{run.run}`: {frames}")
+    if waiting:
+        lines += ["", "## Not done yet", "", *(f"- `{job.run}`" for job in waiting)]
+    if replaced:
+        lines += ["", "## Not counted: newer runs of the same choices, with other code or data, took their place", ""]
+        lines += [f"- `{run.file_name}`" for run in replaced]
+    lines += ["", *(f"![{path.stem}]({path.name})" for path in figures)]
+    return "\n".join(lines).rstrip() + "\n"

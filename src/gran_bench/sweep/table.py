@@ -1,0 +1,162 @@
+"""The table of a sweep: one row for each choice, mean and spread over its seeds, and how many of them failed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+
+from gran_bench.sweep.run_file import FINISHED, RunFile
+
+SEED = "seed"
+NOT_CHOSEN = "default"  # of a key that one run changed and another left as it was
+
+
+@dataclass(frozen=True)
+class Column:
+    """A figure of the table.
+
+    Attributes:
+        name: in a run's file.
+        label: for people.
+        unit: for people.
+        digits: behind the point.
+    """
+
+    name: str
+    label: str
+    unit: str
+    digits: int
+
+    @property
+    def heading(self) -> str:
+        """Label and unit."""
+        return f"{self.label}, {self.unit}" if self.unit else self.label
+
+
+COLUMNS = (
+    Column("angle_error_deg", "angle error", "°", 2),
+    Column("angle_error_floors", "angle error", "floors", 2),
+    Column("speed_w1_m_s", "speed W1", "m/s", 4),
+    Column("speed_w1_floors", "speed W1", "floors", 2),
+    Column("position_error_10_frames_mm", "position error, 10 frames", "mm", 2),
+    Column("ms_per_frame", "a frame", "ms", 2),
+    Column("training_minutes", "training", "min", 2),
+    Column("requirements_failed", "requirements failed", "", 1),
+)
+
+
+def newest(runs: Sequence[RunFile]) -> tuple[list[RunFile], list[RunFile]]:
+    """The runs that count, and those that a later one took the place of: the same choices with other code or data."""
+    latest: dict[tuple, RunFile] = {}
+    for run in sorted(runs, key=lambda run: run.ended_at):
+        latest[tuple(sorted(run.choices.items())), run.seed] = run
+    counted = sorted(latest.values(), key=lambda run: run.run)
+    return counted, [run for run in runs if run not in counted]
+
+
+def axes_of(runs: Sequence[RunFile]) -> list[str]:
+    """The keys whose values differ among runs, but for the seed."""
+    keys = sorted({key for run in runs for key in run.choices} - {SEED})
+    return [key for key in keys if len({run.choices.get(key, NOT_CHOSEN) for run in runs}) > 1]
+
+
+def runs_frame(runs: Sequence[RunFile]) -> pd.DataFrame:
+    """One row a run: choices, seed, status, every headline figure, errors of both packings, reason of a failure."""
+    axes = axes_of(runs)
+    rows = []
+    for run in runs:
+        row = {axis: run.choices.get(axis, NOT_CHOSEN) for axis in axes}
+        row |= {"seed": run.seed, "status": run.status}
+        row |= {column.name: run.figures.get(column.name) for column in COLUMNS}
+        for packing, judged in run.packings.items():
+            for name, error in judged["errors"].items():
+                row[f"{packing}_{name}_{error['unit'] or '1'}"] = error["value"]
+                row[f"{packing}_{name}_floors"] = error["multiple_of_floor"]
+        row |= {"updates": run.training.get("steps"), "parameters": run.training.get("parameters")}
+        row |= {"reason": run.reason, "run": run.run, "key": run.key, "ended_at": run.ended_at}
+        rows.append(row)
+    frame = pd.DataFrame(rows)
+    return frame.sort_values([*axes, "seed"], key=_in_order, ignore_index=True) if rows else frame
+
+
+def choices_frame(runs: Sequence[RunFile]) -> pd.DataFrame:
+    """One row a choice: its keys, ``n`` runs that finished, ``failed`` ones, mean and spread of each figure.
+
+    The spread is the sample standard deviation over seeds; NaN for a single one. A figure that is undefined in one of
+    the runs is undefined for the choice, with the number of undefined ones beside it.
+    """
+    axes, frame = axes_of(runs), runs_frame(runs)
+    if frame.empty:
+        return frame
+    rows = []
+    groups = frame.groupby(axes, sort=False) if axes else [((), frame)]
+    for values, group in groups:
+        done = group[group["status"] == FINISHED]
+        row = dict(zip(axes, values if isinstance(values, tuple) else (values,), strict=True))
+        row |= {"n": len(done), "failed": len(group) - len(done)}
+        for column in COLUMNS:
+            figures = pd.to_numeric(done[column.name], errors="coerce").astype(float)
+            undefined = int(figures.isna().sum())
+            row[column.name] = math.nan if undefined or done.empty else figures.mean()
+            row[f"{column.name}_spread"] = math.nan if undefined or len(done) < 2 else figures.std()
+            row[f"{column.name}_undefined"] = undefined
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def shown_table(runs: Sequence[RunFile]) -> str:
+    """The table of choices in Markdown, legible on a terminal too."""
+    axes, frame = axes_of(runs), choices_frame(runs)
+    headings = [*axes, "runs", "failed", *(column.heading for column in COLUMNS)]
+    rows = [headings]
+    for _, row in frame.iterrows():
+        rows.append([*(str(row[axis]) for axis in axes), str(row["n"]), str(row["failed"])])
+        rows[-1] += [_shown(row, column) for column in COLUMNS]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(headings))]
+    padded = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows]
+    lines = [f"| {' | '.join(row)} |" for row in padded]
+    lines.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
+    return "\n".join(lines)
+
+
+def best_choices(runs: Sequence[RunFile]) -> dict[str, tuple[str, float]]:
+    """For each error, and the time of a frame, the choice with the smallest mean: its words and the mean.
+
+    A choice with a failed or undefined run is no candidate.
+    """
+    axes, frame = axes_of(runs), choices_frame(runs)
+    found = {}
+    for column in COLUMNS[:6]:
+        if frame.empty:
+            continue
+        candidates = frame[(frame["failed"] == 0) & frame[column.name].notna()]
+        if len(candidates):
+            row = candidates.loc[candidates[column.name].idxmin()]
+            found[column.name] = (", ".join(f"{axis}={row[axis]}" for axis in axes) or "the one", row[column.name])
+    return found
+
+
+def _shown(row: pd.Series, column: Column) -> str:
+    if row[f"{column.name}_undefined"]:
+        return f"undefined in {row[f'{column.name}_undefined']}"
+    if math.isnan(row[column.name]):
+        return "-"
+    text = f"{row[column.name]:.{column.digits}f}"
+    spread = row[f"{column.name}_spread"]
+    return text if math.isnan(spread) else f"{text} ± {spread:.{column.digits}f}"
+
+
+def _in_order(values: pd.Series) -> pd.Series:
+    """Numbers by size before words by letter."""
+    return values.map(lambda value: (0, float(value), "") if is_number(value) else (1, 0.0, str(value)))
+
+
+def is_number(value: object) -> bool:
+    """Whether a swept value is a finite number."""
+    try:
+        return math.isfinite(float(str(value)))
+    except ValueError:
+        return False

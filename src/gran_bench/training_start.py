@@ -1,0 +1,31 @@
+"""Where a training starts: the windows that it sees and the model's seeded first weights."""
+
+from __future__ import annotations
+
+import torch
+
+from gran_bench.config import TrainConfig
+from gran_bench.dataset import Split, Windows, read_case
+from gran_bench.scene import Scene
+from gran_bench.surrogate.build import build_model
+from gran_bench.surrogate.step import Surrogate
+
+
+def training_windows(config: TrainConfig, split: Split) -> Windows:
+    """The training side of the data; nothing of the held-out cases is opened."""
+    cases = [read_case(spec.path(config.dataset.root)) for spec in split.training]
+    trainer = config.trainer
+    return Windows(cases, config.seed, trainer.startup_fraction, trainer.startup_seconds)
+
+
+def make_model(config: TrainConfig, scene: Scene) -> Surrogate:
+    """The model with its seeded first weights, on its device."""
+    torch.manual_seed(config.seed)
+    return build_model(config.model, config.boundary, scene).to(device_named(config.device))
+
+
+def device_named(name: str) -> str:
+    """The torch device of ``auto``, ``cpu`` or ``cuda``."""
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    return name

@@ -1,0 +1,210 @@
+"""A sweep is unbreakable: killed whole or in one job, without its store or without disk, nothing finished is lost."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import shutil
+import signal
+import sqlite3
+import time
+from pathlib import Path
+
+import pytest
+
+from gran_bench import experiment
+from gran_bench.composition import PlannedJob, Source, changed_in, checked_config, described_jobs
+from gran_bench.config import TrainConfig
+from gran_bench.override_errors import explain
+from gran_bench.stability.sweep_kill import PATIENCE, start, sweep_command, sweep_under_kills
+from gran_bench.sweep.run_file import read_runs
+from gran_bench.sweep_run import Sweep, open_sweep
+from gran_bench.tracking import TrackingError
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder whose ``data`` the tests of this module share."""
+    return tmp_path_factory.mktemp("sweeps")
+
+
+def stored(root: Path) -> dict[str, tuple[str, str | None]]:
+    """Status and parent's name of every run in a store, by name."""
+    name = "(select name from runs as parents where run_uuid = tags.value)"
+    parent = f"(select {name} from tags where run_uuid = runs.run_uuid and key = 'mlflow.parentRunId')"
+    with sqlite3.connect(root / "mlflow.db") as store:
+        rows = store.execute(f"select name, status, {parent} from runs").fetchall()
+    assert len({row[0] for row in rows}) == len(rows)
+    return {row[0]: row[1:] for row in rows}
+
+
+def statuses(root: Path) -> list[str]:
+    """Of the children, in the order of their names."""
+    return [status for _, (status, parent) in sorted(stored(root).items()) if parent is not None]
+
+
+# ---- killed ----------------------------------------------------------------------------------------------
+
+
+def test_a_sweep_that_is_killed_as_a_whole_ends_like_one_that_is_not(place: Path):
+    result = sweep_under_kills(place, jobs=3, kills=1, seed=1)
+    assert result.passed, "\n".join(result.lines())
+    assert result.kills == 1
+
+
+def test_a_job_that_the_system_kills_fails_alone_and_the_same_command_finishes_it(place: Path):
+    folder = place / "one job"
+    command = [*sweep_command(place / "data", jobs=2), "trainer.steps=25"]
+    process, patience = start(command, folder), time.monotonic() + PATIENCE
+    while not (found := _process_of_first_job(folder)):
+        assert process.poll() is None, (folder / "said.txt").read_text()
+        assert time.monotonic() < patience
+        time.sleep(0.005)
+    os.kill(found, signal.SIGKILL)
+    assert process.wait(PATIENCE) == 1
+    assert statuses(folder / "results") == ["FAILED", "FINISHED"]
+    assert stored(folder / "results")["kills"] == ("FAILED", None)
+    killed, other = read_runs(folder / "results" / "sweeps" / "kills")
+    assert (killed.status, other.status) == ("failed", "finished")
+    assert "signal 9" in killed.reason
+    assert f"{killed.reason} (log: `{killed.facts['log']}`)" in (folder / "said.txt").read_text()
+    process = start(command, folder)
+    assert process.wait(PATIENCE) == 0
+    assert statuses(folder / "results") == ["FINISHED", "FINISHED"]
+    assert stored(folder / "results")["kills"] == ("FINISHED", None)
+
+
+def _process_of_first_job(folder: Path) -> int | None:
+    """Id of the first job's process, once it has its log."""
+    for log in folder.glob("results/sweeps/kills/logs/*radius-0.06+*.log"):
+        if found := re.search(r"^---- \S+  process (\d+)  ", log.read_text("utf-8")):
+            return int(found[1])
+    return None
+
+
+# ---- in this process: a store that vanishes, a disk that is full, records from elsewhere -------------------
+
+
+def planned(place: Path, root: Path, *more: str) -> list[PlannedJob]:
+    """The two jobs of a quick sweep."""
+    lines = [line for line in sweep_command(place / "data", jobs=2)[5:] if not line.startswith("hydra/")]
+    lines += [f"tracking.root={root}", "trainer.steps=3", *more]
+    jobs = []
+    for overrides, composed in described_jobs(Source("train"), [*lines, "+experiment=smoke"], multirun=True).jobs:
+        config = checked_config(composed, TrainConfig)
+        radius = next(line.partition("=")[2] for line in overrides if line.startswith("model.radius"))
+        config.tracking.folder = f"R{radius}"
+        jobs.append(PlannedJob(f"R{radius}", dict(x.partition("=")[::2] for x in changed_in(overrides)), config))
+    return jobs
+
+
+def do(sweep: Sweep, jobs: list[PlannedJob], number: int) -> None:
+    """What a job of the sweep does, but for its log."""
+    if number not in sweep.done:
+        jobs[number].config.tracking.parent = sweep.parent
+        sweep.finished(number, experiment.run_experiment(jobs[number].config))
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the figures of a run."""
+    monkeypatch.setattr(experiment, "draw_evaluation", lambda *arguments: [])
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_store_that_vanishes_is_told_and_the_same_command_records_all_again(place: Path, tmp_path: Path):
+    root = tmp_path / "results"
+    jobs = planned(place, root)
+
+    def first_life() -> None:
+        with open_sweep(jobs, "kills") as sweep:
+            assert statuses(root) == ["SCHEDULED", "SCHEDULED"]
+            do(sweep, jobs, 0)
+            assert statuses(root) == ["FINISHED", "SCHEDULED"]
+            (root / "mlflow.db").unlink()
+            do(sweep, jobs, 1)
+
+    with pytest.raises(TrackingError, match=r"mlflow\.db does not answer: the file is gone or was replaced"):
+        first_life()
+    summaries = sorted(root.glob("runs/*/summary.json"))
+    times = [path.stat().st_mtime_ns for path in summaries]
+    assert len(times) == 2
+    jobs = planned(place, root)
+    with open_sweep(jobs, "kills") as sweep:
+        assert len(sweep.done) == 2
+    assert statuses(root) == ["FINISHED", "FINISHED"]
+    assert stored(root)["kills"] == ("FINISHED", None)
+    assert [path.stat().st_mtime_ns for path in summaries] == times
+    with sqlite3.connect(root / "mlflow.db") as store:
+        keys = {row[0] for row in store.execute("select distinct key from latest_metrics")}
+    assert {"training/loss", "shared/error/speed_w1", "sweep/runs finished"} <= keys
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_full_disk_is_one_clear_line_and_what_was_finished_stays(place: Path, tmp_path: Path):
+    root = tmp_path / "results"
+    jobs = planned(place, root, "tracking.enabled=false")
+    former = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with open_sweep(jobs, "full") as sweep:
+        do(sweep, jobs, 0)
+        # From here on no file may be larger than a model, as where a disk has little left: a rollout is.
+        resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, former[1]))
+        try:
+            with pytest.raises(OSError, match="File too large") as full:
+                do(sweep, jobs, 1)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, former)
+        message = explain(full.value, TrainConfig)
+        assert message.startswith("the disk takes no more")
+        assert "free space, and the same command goes on" in message
+        sweep.failed(1, message)
+    trained = next(root.glob("runs/R0.065-*/training.json"))
+    before = trained.stat().st_mtime_ns
+    assert not list(root.rglob("*.tmp"))
+    page = (root / "sweeps" / "kills" / "README.md").read_text("utf-8")
+    assert "1 runs finished, 1 failed" in page
+    assert "the disk takes no more" in page
+    jobs = planned(place, root, "tracking.enabled=false")
+    with open_sweep(jobs, "full") as sweep:
+        assert list(sweep.done) == [0]
+        do(sweep, jobs, 1)
+    assert trained.stat().st_mtime_ns == before
+    assert "2 runs finished, 0 failed" in (root / "sweeps" / "kills" / "README.md").read_text("utf-8")
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_run_that_any_sweep_has_recorded_is_not_done_again_and_the_store_learns_it(place: Path, tmp_path: Path):
+    here, there = tmp_path / "here", tmp_path / "there"
+    jobs = planned(place, here, "tracking.enabled=false")
+    with open_sweep(jobs, "mine") as sweep:
+        do(sweep, jobs, 0)
+    # Another machine has the committed small files, and nothing else.
+    shutil.copytree(here / "sweeps" / "kills" / "runs", there / "sweeps" / "committed" / "runs")
+    jobs = planned(place, there)
+    with open_sweep(jobs, "mine") as sweep:
+        assert list(sweep.done) == [0]
+        assert "its record is" in sweep.done[0]
+    assert not list(there.glob("runs/R0.06-*"))
+    assert statuses(there) == ["FINISHED", "SCHEDULED"]
+    assert [run.run for run in read_runs(there / "sweeps" / "kills")] == ["R0.06"]
+    with sqlite3.connect(there / "mlflow.db") as store:
+        keys = {row[0] for row in store.execute("select key from latest_metrics")}
+    assert "speed W1 m per s" in keys
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_job_whose_data_cannot_be_made_stops_no_other(place: Path, tmp_path: Path):
+    (tmp_path / "no folder").write_text("a file where data should go")
+    jobs = planned(place, tmp_path / "results", "tracking.enabled=false")
+    jobs[1].config.dataset.root = str(tmp_path / "no folder")
+    with open_sweep(jobs, "mine") as sweep:
+        assert sweep.jobs[1].key == ""
+        do(sweep, jobs, 0)
+        with pytest.raises(Exception, match=r"cannot be made|could not be made") as failure:
+            do(sweep, jobs, 1)
+        sweep.failed(1, str(failure.value))
+    runs = read_runs(tmp_path / "results" / "sweeps" / "kills")
+    assert [(run.run, run.status) for run in runs] == [("R0.06", "finished"), ("R0.065", "failed")]
+
+

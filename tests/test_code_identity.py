@@ -1,0 +1,78 @@
+"""Which source decides a result: all that is imported on the way to its numbers, and nothing else."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import gran_bench
+from gran_bench import code_identity
+from gran_bench.code_identity import JUDGING, MODEL_SOURCES, TRAINING, judging_code, modules_behind, training_code
+from gran_bench.config import MODEL_SCHEMAS
+
+
+@pytest.fixture
+def edited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The hashes of a copy of the package, and what appends a line to a file of it and gives the hashes after that."""
+    source = Path(gran_bench.__file__).parent
+    copy = tmp_path / "gran_bench"
+    shutil.copytree(source, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(gran_bench, "__file__", str(copy / "__init__.py"))
+
+    def codes() -> tuple[dict[str, str], str]:
+        code_identity._taken.clear()
+        code_identity._tree.cache_clear()
+        return {model: training_code(model) for model in MODEL_SOURCES}, judging_code()
+
+    def edit(file: str, line: str) -> tuple[dict[str, str], str]:
+        path = copy / file
+        path.write_text(path.read_text("utf-8") + f"\n{line}\n", "utf-8")
+        return codes()
+
+    yield codes(), edit
+    monkeypatch.undo()
+    code_identity._taken.clear()
+    code_identity._tree.cache_clear()
+
+
+def test_every_model_has_its_source():
+    assert set(MODEL_SOURCES) == set(MODEL_SCHEMAS)
+
+
+def test_what_computes_the_numbers_is_found_and_what_only_shows_them_is_not():
+    training = modules_behind(*TRAINING, MODEL_SOURCES["contact"])
+    assert {"trainer", "surrogate.contact", "surrogate.contact_memory", "dataset.windows"} <= training
+    assert any(module.split(".")[0] == "losses" for module in training)
+    assert not {"surrogate.ccnn", "evaluation", "report", "tracking.run", "config", "provenance", "plots"} & training
+    judging = modules_behind(*JUDGING)
+    assert {"evaluation", "rollout", "metrics.judge", "metrics.angle_of_repose", "baselines"} <= judging
+    assert not {"trainer", "surrogate.contact", "report"} & judging
+
+
+def test_a_changed_line_changes_what_depends_on_it_and_nothing_else(edited):
+    (models, judging), edit = edited
+    one, same_judging = edit("surrogate/contact_solver.py", "SWEEPS = 3")
+    assert one["contact"] != models["contact"]
+    assert (one["radial"], one["ccnn"], same_judging) == (models["radial"], models["ccnn"], judging)
+    two, other_judging = edit("metrics/angle_of_repose.py", "WIDTH = 3")
+    assert (two, other_judging != judging) == (one, True)
+    three, _ = edit("trainer.py", "PACE = 3")
+    assert all(three[model] != two[model] for model in models)
+
+
+@pytest.mark.parametrize(
+    ("file", "line"),
+    [("trainer.py", "# a remark"), ("report.py", "X = 1"), ("plots/style.py", "X = 1"), ("config.py", "X = 1")],
+)
+def test_remarks_tables_and_figures_decide_nothing(edited, file, line):
+    before, edit = edited
+    assert edit(file, line) == before
+
+
+def test_a_process_goes_by_the_hashes_that_it_was_given(monkeypatch):
+    monkeypatch.setattr(code_identity, "_taken", {})
+    code_identity.take_over({"judging": "0" * 12})
+    assert judging_code() == "0" * 12
+    assert training_code("contact") == code_identity.taken_hashes()["training contact"] != "0" * 12

@@ -1,0 +1,183 @@
+"""What a sweep keeps and says: every run in its table, failures too; the page can be made anew from small files."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from test_report import SCENE, broken, flowing, summary_of
+
+from gran_bench.report import headline, report_command
+from gran_bench.sweep.run_file import (
+    RunFile,
+    SweepFileError,
+    failed_run,
+    finished_run,
+    read_runs,
+    recorded_runs,
+)
+from gran_bench.sweep.sweep_file import SweepFile, SweepJob, read_sweep
+from gran_bench.sweep.sweep_report import report_sweep
+from gran_bench.sweep.table import axes_of, best_choices, choices_frame, newest, runs_frame, shown_table
+
+
+def run(radius: str, seed: int, angle: float, w1: float = 0.1, name: str = "", **changes) -> RunFile:
+    """A finished run by hand, whose figures are easy to average."""
+    figures = {
+        "angle_error_deg": angle,
+        "angle_error_floors": 2 * angle,
+        "speed_w1_m_s": w1,
+        "speed_w1_floors": 10 * w1,
+        "position_error_10_frames_mm": 5.0,
+        "ms_per_frame": 1e3 * float(radius),
+        "training_minutes": 2.0,
+        "requirements_failed": 1.0,
+    }
+    choices = {"model.radius": radius, "seed": str(seed)}
+    values = {"figures": figures, "judged": {"rpm": 35.0, "as": "validation"}, "ended_at": "2025-01-01T00:00:00+00:00"}
+    key = f"{radius}{seed}".replace(".", "").ljust(12, "0")
+    name = name or f"r+model.radius-{radius}+seed-{seed}"
+    return RunFile(name, key, "j", "finished", choices, seed, **values | changes)
+
+
+def lost(radius: str, seed: int, reason: str = "the loss is not finite at update 7") -> RunFile:
+    choices = {"model.radius": radius, "seed": str(seed)}
+    facts = {"log": "logs/x.log"}
+    return failed_run(f"r+model.radius-{radius}+seed-{seed}", f"{radius}{seed}", "j", choices, seed, reason, facts)
+
+
+# ---- a run's file ----------------------------------------------------------------------------------------
+
+
+def test_a_finished_run_leaves_a_few_kilobytes_that_hold_both_packings(tmp_path: Path):
+    summary = summary_of(flowing(SCENE, seed=3), broken(7), failed_frames=(None, 7))
+    summary["training"] |= {"loss": 0.1, "data_digest": "d", "model_sha256": "s"}
+    summary |= {"judged_by": "judge", "provenance": {"commit": "abc"}}
+    missed = headline(summary)["requirements failed"]
+    left = finished_run("name", "0123456789ab", {"seed": "0"}, 0, summary, missed)
+    path = left.write(tmp_path)
+    assert path == tmp_path / "runs" / "name-01234567.json"
+    assert path.stat().st_size < 10_000
+    assert read_runs(tmp_path) == [left]
+    assert left.figures["angle_error_deg"] == summary["judged"]["shared"]["errors"]["surface_angle"]["value"]
+    assert left.figures["requirements_failed"] == missed
+    assert left.packings["unseen"]["failures"]["non_finite_states"] == 24
+    assert left.packings["unseen"]["errors"]["speed_w1"]["note"]
+    assert left.facts["broken_rollouts"] == {"30rpm_unseen": 7}
+
+
+def test_what_any_sweep_has_recorded_is_known_by_key_and_judge_but_a_failure_is_not(tmp_path: Path):
+    good, bad = run("0.08", 0, 1.0), lost("0.1", 0)
+    path = good.write(tmp_path / "sweeps" / "one")
+    bad.write(tmp_path / "sweeps" / "two")
+    assert recorded_runs(tmp_path) == {(good.key, "j"): path}
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"run": "x"}'])
+def test_a_damaged_file_is_named(tmp_path: Path, text: str):
+    path = tmp_path / "runs" / "x.json"
+    path.parent.mkdir()
+    path.write_text(text)
+    with pytest.raises(SweepFileError, match=rf"{re.escape(str(path))}.*delete it"):
+        read_runs(tmp_path)
+
+
+# ---- the table -------------------------------------------------------------------------------------------
+
+
+def test_a_choice_has_the_mean_and_the_spread_of_its_seeds():
+    runs = [run("0.08", 0, 1.0), run("0.08", 1, 3.0), run("0.1", 0, 5.0)]
+    assert axes_of(runs) == ["model.radius"]
+    first, second = (row for _, row in choices_frame(runs).iterrows())
+    assert (first["model.radius"], first["n"], first["failed"]) == ("0.08", 2, 0)
+    assert first["angle_error_deg"] == 2.0
+    assert first["angle_error_deg_spread"] == pytest.approx(2**0.5)
+    assert (second["n"], second["angle_error_deg"]) == (1, 5.0)
+    assert "2.00 ± 1.41" in shown_table(runs)
+    assert best_choices(runs)["angle_error_deg"] == ("model.radius=0.08", 2.0)
+
+
+def test_values_are_in_the_order_of_their_numbers():
+    frame = runs_frame([run(radius, 0, 1.0) for radius in ("0.1", "0.08", "0.0625", "1e-1")])
+    assert list(frame["model.radius"]) == ["0.0625", "0.08", "0.1", "1e-1"]
+
+
+def test_a_failed_run_stays_in_the_table_and_its_choice_is_not_the_best():
+    runs = [run("0.08", 0, 0.5), lost("0.08", 1), run("0.1", 0, 5.0)]
+    first, _ = (row for _, row in choices_frame(runs).iterrows())
+    assert (first["n"], first["failed"]) == (1, 1)
+    assert best_choices(runs)["angle_error_deg"] == ("model.radius=0.1", 5.0)
+
+
+def test_a_figure_that_is_undefined_in_one_seed_is_so_for_the_choice():
+    undefined = run("0.08", 1, 1.0)
+    undefined = replace(undefined, figures=undefined.figures | {"angle_error_deg": None})
+    table = shown_table([run("0.08", 0, 1.0), undefined])
+    assert "undefined in 1" in table
+
+
+def test_a_newer_run_of_the_same_choices_takes_the_place_of_an_older_one():
+    old = run("0.08", 0, 9.0)
+    new = replace(run("0.08", 0, 1.0), key="f" * 12, ended_at="2026-01-01T00:00:00+00:00")
+    assert newest([new, old]) == ([new], [old])
+
+
+# ---- the page --------------------------------------------------------------------------------------------
+
+
+def sweep_in(folder: Path, *runs: RunFile, jobs: int = 0) -> None:
+    for one in runs:
+        one.write(folder)
+    listed = [SweepJob(one.run, one.key, one.judged_by, one.choices, one.seed) for one in runs]
+    listed += [SweepJob(f"waits {i}", f"w{i}", "j", {"model.radius": "0.2", "seed": str(i)}, i) for i in range(jobs)]
+    SweepFile(folder.name, "k", "python -m gran_bench.train -m ...", "gran-bench", listed).write(folder)
+
+
+def test_the_page_says_what_it_is_judged_on_what_failed_and_what_waits(tmp_path: Path):
+    folder = tmp_path / "results" / "sweeps" / "mine"
+    sweep_in(folder, run("0.08", 0, 1.0), run("0.1", 0, 2.0), lost("0.15", 0), jobs=2)
+    report = report_sweep(folder)
+    text = (folder / "README.md").read_text("utf-8")
+    assert text == report.text
+    assert "2 runs finished, 1 failed, 2 wait; judged at 35 rpm, the validation speed" in text
+    assert "the loss is not finite at update 7 (log: `logs/x.log`)" in text
+    assert "waits 1" in text
+    assert (len(report.failed), len(report.waiting)) == (1, 2)
+    assert report.metrics["best/angle_error_deg"] == 1.0
+    assert report.tags["best.angle_error_deg"] == "model.radius=0.08"
+    assert (folder / "model.radius.png").read_bytes().startswith(b"\x89PNG")
+    assert len((folder / "runs.csv").read_text().splitlines()) == 4
+    assert read_sweep(folder).jobs[-1].run == "waits 1"
+
+
+def test_a_sweep_of_which_all_failed_has_a_page_and_a_figure_too(tmp_path: Path):
+    folder = tmp_path / "sweeps" / "mine"
+    sweep_in(folder, lost("0.08", 0), lost("0.1", 0))
+    report = report_sweep(folder)
+    assert "0 runs finished, 2 failed" in report.text
+    assert (folder / "model.radius.png").exists()
+
+
+def test_sweeps_are_reported_at_any_time_from_their_files_alone(tmp_path: Path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert report_command([]) == 2
+    assert "holds no sweep" in capsys.readouterr().err
+    for name in ("one", "two"):
+        sweep_in(tmp_path / "results" / "sweeps" / name, run("0.08", 0, 1.0))
+    assert report_command([]) == 0
+    said = capsys.readouterr()
+    assert "# one" in said.out
+    assert "# two" in said.out
+    (tmp_path / "results" / "sweeps" / "one" / "runs" / "x.json").write_text("{")
+    assert report_command(["results/sweeps/one", "results/sweeps/two"]) == 1
+    said = capsys.readouterr()
+    assert "x.json is no file of a sweep's run" in said.err
+    assert "# two" in said.out
+
+
+def test_a_runs_file_is_plain_json(tmp_path: Path):
+    path = run("0.08", 0, 1.0).write(tmp_path)
+    assert json.loads(path.read_text("utf-8"))["choices"] == {"model.radius": "0.08", "seed": "0"}
