@@ -25,7 +25,8 @@ ROOMS = [
     *("atomic", "source_digest", "provenance", "stopping"),
     *("config", "config_identity", "config_rules", "config_consistency", "config_check"),
     *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses", "rollout", "metrics"),
-    *("baselines", "trainer", "evaluation_plan", "evaluation", "plots", "export", "tracking", "report", "run_record"),
+    *("baselines", "trainer", "evaluation_plan", "evaluation", "plots", "export", "tracking", "report", "run_page"),
+    "run_record",
     "experiment",
     *("override_errors", "entry", "shipped", "result_page"),
 ]

@@ -25,9 +25,9 @@ from gran_bench.dataset import Split, Windows, ensure_cases, read_case, split_ca
 from gran_bench.dataset.case_spec import key_hash
 from gran_bench.evaluation import evaluate
 from gran_bench.evaluation_plan import Plan
-from gran_bench.plots import draw_evaluation, loss_curves
+from gran_bench.plots import draw_evaluation, drawn_for, loss_curves
 from gran_bench.provenance import provenance
-from gran_bench.report import flat_metrics, headline
+from gran_bench.run_page import record_judgement
 from gran_bench.run_record import Clock, LossLog, RunRecord, hash_of, tell
 from gran_bench.scene import Scene, build_scene
 from gran_bench.stopping import StopRequest, stop_on_signals
@@ -210,9 +210,10 @@ def judge_stage(
     with record.clock.stage("figures"):
         tell("figures")
         place = folder / "figures"
-        figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, model_keys["name"])
-        if (folder / LOSSES).exists():
-            figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
+        with drawn_for(folder.name):
+            figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, model_keys["name"])
+            if (folder / LOSSES).exists():
+                figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
     summary = {
         "experiment": training["experiment"],
         "provenance": provenance(),
@@ -222,10 +223,7 @@ def judge_stage(
         "wall_seconds": record.clock.seconds,
         **evaluation.summary,
     }
-    for metrics in (headline(summary), flat_metrics(summary)):
-        run.log_metrics(metrics, training["steps"], supersede=True)
-    for figure in figures:
-        run.log_artifact(figure, "figures")
+    record_judgement(run, summary, folder, figures)
     return summary
 
 

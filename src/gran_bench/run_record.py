@@ -83,7 +83,7 @@ class RunRecord:
         summary = None
         self.clock.keep_in(self.folder / CLOCK)
         write_text(self.folder / CONFIG, json.dumps(asdict(self.config), indent=1) + "\n")
-        tags = {"data_digest": self.data_digest, **provenance()}
+        tags = {"data_digest": self.data_digest, "scene": self.scene_name, "folder": str(self.folder), **provenance()}
         try:
             with tracking.open_run(self.config.tracking, self.folder.name, self.key, asdict(self.config), tags) as run:
                 run.log_dataset(self.scene_name, self.data_digest, str(Path(self.config.dataset.root).resolve()))

@@ -13,6 +13,7 @@ from gran_bench.plots.nearest import nearest_cases
 from gran_bench.plots.position_error import position_error
 from gran_bench.plots.scene_state import scene_state
 from gran_bench.plots.speeds import speed_distribution
+from gran_bench.plots.style import drawn_for
 from gran_bench.plots.time_error import Contender, time_against_error
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "diagnostics",
     "draw_discharge",
     "draw_evaluation",
+    "drawn_for",
     "flow_animation",
     "flow_pattern",
     "loss_curves",
