@@ -14,7 +14,8 @@ from gran_bench.tracking.names import HEADLINE
 
 VIEW = "what-matters"
 VIEW_TAG = f"mlflow.sharedViewState.{VIEW}"
-WIDE_NAME = 330  # pixels of the column of run names
+RUN_NAME, DATASET = "attributes.`Run Name`", "attributes.`Dataset`"  # columns, as the UI names them
+WIDE_NAME, WIDE_FIGURE = 300, 170  # pixels of a column
 
 # From left to right in the table.
 COLUMN_METRICS = (
@@ -30,7 +31,8 @@ COLUMN_PARAMS = ("model.name", "model.radius", "boundary.kind", "rollout.frames"
 COLUMN_TAGS = ("scene", "judged")
 # Axes from left to right: what was chosen, then what came out.
 AXES_PARAMS = ("model.name", "model.radius", "boundary.kind", "rollout.frames")
-AXES_METRICS = ("rollout ms per frame", "speed W1 floors", "angle error floors")
+ERRORS = ("angle error floors", "speed W1 floors")
+CHOICES, TIMES = "choices against error", "error against time"  # sections of the charts
 
 DESCRIPTION = (
     f"**What matters?** The saved view *{VIEW}* (menu Views) shows each run's headline figures, best angle of repose "
@@ -75,9 +77,9 @@ def view_state() -> dict[str, Any]:
         "lifecycleFilter": "Active",
         "modelVersionFilter": "All Runs",
         "datasetsFilter": [],
-        "selectedColumns": [*columns, "attributes.`Dataset`"],
-        "columnOrder": [],
-        "columnWidths": {"runName": WIDE_NAME},
+        "selectedColumns": [*columns, DATASET],
+        "columnOrder": [RUN_NAME, *columns, DATASET],
+        "columnWidths": {RUN_NAME: WIDE_NAME, **{column: WIDE_FIGURE for column in columns}},
         "runsExpanded": {},
         "runsPinned": [],
         "runsHidden": [],
@@ -85,8 +87,9 @@ def view_state() -> dict[str, Any]:
         "runsHiddenMode": "SHOW_ALL",
         "compareRunCharts": _charts(),
         "compareRunSections": [
-            _section("what matters"),
-            *(_section(name) for name in ("headline", "training")),
+            _section(CHOICES, columns=1),
+            _section(TIMES, columns=2),
+            *(_section(name, columns=3) for name in ("headline", "training")),
         ],
         "viewMaximized": False,
         "runListHidden": False,
@@ -101,29 +104,35 @@ def view_state() -> dict[str, Any]:
     }
 
 
-def _section(name: str) -> dict[str, Any]:
-    return {"uuid": name, "name": name, "display": True, "isReordered": True, "deleted": False, "isGenerated": False}
+def _section(name: str, columns: int) -> dict[str, Any]:
+    shown = {"display": True, "isReordered": True, "deleted": False, "isGenerated": False}
+    return {"uuid": name, "name": name, "columns": columns, **shown}
 
 
 def _charts() -> list[dict[str, Any]]:
     """Choices against errors, error against time, then a bar for each headline figure, and the loss."""
-    parallel = {
-        "type": "PARALLEL",
-        "selectedParams": list(AXES_PARAMS),
-        "selectedMetrics": [HEADLINE + name for name in AXES_METRICS],
-        "showAllRuns": True,
-    }
+    # Two, because a run without one of the figures has no line: a rollout that broke down has no angle.
+    parallels = [
+        {
+            "type": "PARALLEL",
+            "displayName": f"choices against {name}",
+            "selectedParams": list(AXES_PARAMS),
+            "selectedMetrics": [f"{HEADLINE}rollout ms per frame", f"{HEADLINE}requirements failed", HEADLINE + name],
+            "showAllRuns": True,
+        }
+        for name in ERRORS
+    ]
     scatters = [
         {
             "type": "SCATTER",
             "xaxis": {"key": f"{HEADLINE}rollout ms per frame", "type": "METRIC"},
             "yaxis": {"key": HEADLINE + name, "type": "METRIC"},
         }
-        for name in ("angle error floors", "speed W1 floors")
+        for name in ERRORS
     ]
     bars = [{"type": "BAR", "metricKey": HEADLINE + name, "displayName": name} for name in COLUMN_METRICS]
     loss = {"type": "LINE", "metricKey": "training/loss", "displayName": "loss", "scaleType": "log"}
-    placed = [("what matters", chart) for chart in (parallel, *scatters)]
+    placed = [(CHOICES, chart) for chart in parallels] + [(TIMES, chart) for chart in scatters]
     placed += [("headline", chart) for chart in bars] + [("training", loss)]
     return [
         {"uuid": f"chart-{i}", "metricSectionId": section, "deleted": False, "isGenerated": False, **_DEFAULTS, **chart}
