@@ -84,8 +84,10 @@ class RunRecord:
         self.clock.keep_in(self.folder / CLOCK)
         write_text(self.folder / CONFIG, json.dumps(asdict(self.config), indent=1) + "\n")
         tags = {"data_digest": self.data_digest, "scene": self.scene_name, "folder": str(self.folder), **provenance()}
+        # Where a run is kept differs from run to run and decides nothing: as a parameter it would head each comparison.
+        params = {name: value for name, value in asdict(self.config).items() if name != "tracking"}
         try:
-            with tracking.open_run(self.config.tracking, self.folder.name, self.key, asdict(self.config), tags) as run:
+            with tracking.open_run(self.config.tracking, self.folder.name, self.key, params, tags) as run:
                 run.log_dataset(self.scene_name, self.data_digest, str(Path(self.config.dataset.root).resolve()))
                 summary = {"judged_by": self.judged_by, **work(run)}
                 run.log_artifact(write_summary(self.folder / TRACKED, summary))
