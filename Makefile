@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PORT ?= 5000
 
-.PHONY: train data test lint ui verify bench clean
+.PHONY: train data test lint ui browser-test verify bench clean
 
 train: $(READY)
 	$(BIN)/python -m gran_bench.train +experiment=holdout30rpm
@@ -23,6 +23,11 @@ lint: $(READY)
 
 ui: $(READY)
 	$(BIN)/python -m gran_bench.ui port=$(PORT)
+
+# Needs chromium and chromedriver (Debian: chromium, chromium-driver); selenium is installed here, as only this uses it.
+browser-test: $(READY)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check "selenium>=4.20"
+	$(BIN)/python -m pytest -m browser tests/browser
 
 verify: $(READY)
 	$(BIN)/python -m data_gen.verify

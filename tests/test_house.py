@@ -26,7 +26,7 @@ ROOMS = [
     *("config", "config_identity", "config_rules", "config_choices", "config_consistency", "config_check"),
     *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses", "rollout", "metrics"),
     *("baselines", "trainer", "training_start", "evaluation_plan", "evaluation", "plots", "export", "tracking"),
-    *("sweep", "report", "run_identity", "run_record", "experiment"),
+    *("sweep", "report", "run_page", "run_identity", "run_record", "experiment"),
     *("override_errors", "composition", "sweep_data", "sweep_run", "job", "launcher", "entry"),
     *("shipped", "result_page", "stability"),
 ]

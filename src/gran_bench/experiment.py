@@ -21,21 +21,11 @@ from gran_bench.config_rules import ConfigError
 from gran_bench.dataset import Windows, ensure_cases
 from gran_bench.evaluation import evaluate
 from gran_bench.evaluation_plan import Plan
-from gran_bench.plots import draw_evaluation, loss_curves
+from gran_bench.plots import draw_evaluation, drawn_for, loss_curves
 from gran_bench.provenance import provenance
 from gran_bench.run_identity import RunIdentity, hash_of, identify, judged_by, judging_plan, splits, wants_more
-from gran_bench.run_record import (
-    FIGURES,
-    LOSSES,
-    MODEL,
-    TRAINING,
-    Clock,
-    LossLog,
-    RunRecord,
-    log_judgement,
-    tell,
-    training_metrics,
-)
+from gran_bench.run_page import FIGURES, record_judgement
+from gran_bench.run_record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, tell, training_metrics
 from gran_bench.scene import build_scene
 from gran_bench.stopping import StopRequest, stop_on_signals
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model
@@ -180,9 +170,10 @@ def judge_stage(
     with record.clock.stage("figures"):
         tell("figures")
         place = folder / FIGURES
-        figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, model_keys["name"])
-        if (folder / LOSSES).exists():
-            figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
+        with drawn_for(folder.name):
+            figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, model_keys["name"])
+            if (folder / LOSSES).exists():
+                figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
     summary = {
         "experiment": training["experiment"],
         "provenance": provenance(),
@@ -192,7 +183,7 @@ def judge_stage(
         "wall_seconds": record.clock.seconds,
         **evaluation.summary,
     }
-    log_judgement(run, summary, figures)
+    record_judgement(run, summary, folder, figures)
     return summary
 
 

@@ -1,4 +1,4 @@
-"""What a finished run says: ``summary.json`` for machines, a table for people, eight headline figures for both.
+"""What a finished run says: ``summary.json`` for machines, a table for people, headline figures for both.
 
 ``python -m gran_bench.report [FOLDER ...]`` reports sweeps.
 """
@@ -14,6 +14,7 @@ from gran_bench.atomic import write_text
 from gran_bench.metrics.judgement import shown_multiple
 from gran_bench.metrics.outside import FailureCount
 from gran_bench.sweep.command import report_command
+from gran_bench.tracking.names import HEADLINE
 
 SUMMARY = "summary.json"
 
@@ -39,8 +40,6 @@ def headline(summary: dict[str, Any]) -> dict[str, float]:
     """
     shared = summary["judged"]["shared"]
     rollout = summary["rollouts"][f"{summary['judged_rpm']:g}rpm"]
-    verdicts = [row["verdict"] for judged in summary["judged"].values() for row in judged["requirements"].values()]
-    strangers = sum(not row["is_own"] for row in summary["nearest_case"].values())
     found = {
         "angle error deg": shared["errors"]["surface_angle"]["value"],
         "angle error floors": shared["errors"]["surface_angle"]["multiple_of_floor"],
@@ -49,9 +48,25 @@ def headline(summary: dict[str, Any]) -> dict[str, float]:
         "position error 10 frames mm": _scaled(summary["position_error"]["10_frames"]["m"], 1e3),
         "rollout ms per frame": rollout["ms_per_frame_median"],
         "training minutes": summary["training"]["seconds"] / 60.0,
-        "requirements failed": float(verdicts.count("fail") + strangers + len(_broken_rollouts(summary))),
+        "requirements failed": float(len(missed_requirements(summary))),
+        "rollouts failed": float(len(_broken_rollouts(summary))),
     }
     return {name: float(value) for name, value in found.items() if value is not None}
+
+
+def missed_requirements(summary: dict[str, Any]) -> list[str]:
+    """A line for each requirement that is not met: judged ones, speeds not told apart, rollouts that broke down."""
+    missed = [
+        f"{row['label']}: {_figure(row['value'], row['unit'])} ({packing} packing)"
+        for packing, judged in summary["judged"].items()
+        for row in judged["requirements"].values()
+        if row["verdict"] == "fail"
+    ]
+    for name, row in summary["nearest_case"].items():
+        if not row["is_own"]:
+            nearest = "nothing" if row["nearest_rpm"] is None else f"{row['nearest_rpm']:g} rpm"
+            missed.append(f"rolled out at {name}, nearest to {nearest}")
+    return missed + [f"rollout {name} broke down at frame {k}" for name, k in _broken_rollouts(summary).items()]
 
 
 def _broken_rollouts(summary: dict[str, Any]) -> dict[str, int]:
@@ -65,8 +80,11 @@ def _scaled(value: float | None, factor: float) -> float | None:
 
 
 def flat_metrics(summary: dict[str, Any]) -> dict[str, float]:
-    """Every defined figure of a summary under ``packing/kind/name`` for the tracking store."""
-    metrics = {}
+    """Every defined figure of a summary for the tracking store, as ``headline/name`` or ``packing/kind/name``.
+
+    The UI draws a group for each first word, in the order of the alphabet: the headline figures come first.
+    """
+    metrics: dict[str, Any] = {HEADLINE + name: value for name, value in headline(summary).items()}
     for packing, judged in summary["judged"].items():
         for name, row in judged["errors"].items():
             metrics[f"{packing}/error/{name}"] = row["value"]

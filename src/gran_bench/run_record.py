@@ -6,7 +6,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -18,13 +18,13 @@ from gran_bench import tracking
 from gran_bench.atomic import locked, write_atomically, write_text
 from gran_bench.config import EvaluateConfig, TrainConfig
 from gran_bench.provenance import provenance
-from gran_bench.report import flat_metrics, headline, read_summary, summary_table, write_summary
+from gran_bench.report import read_summary, summary_table, write_summary
 from gran_bench.run_identity import RunIdentity
+from gran_bench.run_page import FIGURES, record_judgement
 
 MODEL = "model.pt"
 TRAINING = "training.json"
 LOSSES = "losses.csv"
-FIGURES = "figures"
 CONFIG = "config.json"
 CLOCK = "clock.json"
 TRACKED = "tracked"  # subfolder of the summary that the store gets; the run's own is written when the store is done
@@ -97,9 +97,11 @@ class RunRecord:
     def opened(self) -> Iterator[tracking.Run]:
         """The run in the tracking store, open, with what it was made from."""
         config, digest = self.config, self.identity.data_digest
-        tags = {"data_digest": digest, **provenance()}
         identity, parent = self.identity, config.tracking.parent
-        with tracking.open_run(config.tracking, identity.name, identity.key, asdict(config), tags, parent) as run:
+        tags = {"data_digest": digest, "scene": self.scene_name, "folder": str(identity.folder), **provenance()}
+        # Where a run is kept differs from run to run and decides nothing: as a parameter it would head each comparison.
+        params = {name: value for name, value in asdict(config).items() if name != "tracking"}
+        with tracking.open_run(config.tracking, identity.name, identity.key, params, tags, parent) as run:
             run.log_dataset(self.scene_name, digest, str(Path(config.dataset.root).resolve()))
             yield run
 
@@ -116,7 +118,7 @@ class RunRecord:
                     run.log_metrics(training_metrics(row), int(row["step"]))
             if (folder / MODEL).exists():
                 run.log_artifact(folder / MODEL, "model")
-            log_judgement(run, summary, sorted((folder / FIGURES).glob("*")))
+            record_judgement(run, summary, folder, sorted((folder / FIGURES).glob("*")))
             run.log_artifact(write_summary(folder / TRACKED, summary))
 
 
@@ -129,14 +131,6 @@ def finished_summary(identity: RunIdentity) -> dict[str, Any] | None:
 def training_metrics(row: dict[str, float]) -> dict[str, float]:
     """Logged losses by their names in the tracking store."""
     return {f"training/{name}": value for name, value in row.items() if name != "step" and math.isfinite(value)}
-
-
-def log_judgement(run: tracking.Run, summary: dict[str, Any], figures: Iterable[Path]) -> None:
-    """Record what the judge said, at the last update of the training."""
-    for metrics in (headline(summary), flat_metrics(summary)):
-        run.log_metrics(metrics, summary["training"]["steps"], supersede=True)
-    for figure in figures:
-        run.log_artifact(figure, FIGURES)
 
 
 class Clock:

@@ -237,7 +237,8 @@ def _schedule(
             with record.opened() as run:
                 path = sweep.folder / "runs" / sweep.jobs[number].file_name
                 kept = read_run(path)
-                run.log_metrics(kept.facts["headline"], kept.training["steps"], supersede=True)
+                figures = {f"{tracking.HEADLINE}{name}": value for name, value in kept.facts["headline"].items()}
+                run.log_metrics(figures, supersede=True)
                 run.log_artifact(path)
 
 

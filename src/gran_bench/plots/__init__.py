@@ -14,6 +14,7 @@ from gran_bench.plots.nearest import nearest_cases
 from gran_bench.plots.position_error import position_error
 from gran_bench.plots.scene_state import scene_state
 from gran_bench.plots.speeds import speed_distribution
+from gran_bench.plots.style import drawn_for
 from gran_bench.plots.sweep import sweep_axis
 from gran_bench.plots.time_error import Contender, time_against_error
 
@@ -25,6 +26,7 @@ __all__ = [
     "draw_discharge",
     "draw_drum_flow",
     "draw_evaluation",
+    "drawn_for",
     "flow_animation",
     "flow_pattern",
     "loss_curves",

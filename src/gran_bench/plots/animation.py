@@ -15,7 +15,7 @@ from gran_bench.atomic import whole_file
 from gran_bench.metrics.speeds import velocities
 from gran_bench.plots.flow_pattern import fastest, view_half_width
 from gran_bench.plots.spheres import draw_spheres, view_along_axis
-from gran_bench.plots.style import SPEED_MAP
+from gran_bench.plots.style import SPEED_MAP, run_drawn_for
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
 
@@ -58,6 +58,7 @@ def flow_animation(runs: Mapping[str, Trajectory], scene: Scene, path: Path | st
                 duration=round(1e3 * stride * scene.frame_interval),
                 loop=0,
                 optimize=False,
+                comment=f"gran-bench run {run_drawn_for()}" if run_drawn_for() else "",
                 disposal=1,
             )
             size = temporary.stat().st_size

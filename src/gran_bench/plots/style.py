@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 import matplotlib
@@ -41,6 +42,28 @@ _LOOK = {
 }
 
 
+_run_name: ContextVar[str | None] = ContextVar("run_name", default=None)
+
+
+@contextmanager
+def drawn_for(run_name: str) -> Iterator[None]:
+    """Let every figure of the block carry the name of its run: in small print, and in the file's metadata.
+
+    Args:
+        run_name: that finds the run: the name of its folder.
+    """
+    token = _run_name.set(run_name)
+    try:
+        yield
+    finally:
+        _run_name.reset(token)
+
+
+def run_drawn_for() -> str | None:
+    """Name of the run that figures are drawn for at present."""
+    return _run_name.get()
+
+
 @contextmanager
 def drawing(path: Path | str, width: float, height: float) -> Iterator[Figure]:
     """A figure of ``width`` × ``height`` inches that is written to ``path`` (PNG) when the block ends well.
@@ -50,8 +73,14 @@ def drawing(path: Path | str, width: float, height: float) -> Iterator[Figure]:
     with matplotlib.rc_context(_LOOK):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
+        name = run_drawn_for()
+        if name is not None:
+            # A caption of its own line, so that it covers nothing; long names shrink to the figure's width.
+            size = min(6.5, 115.0 * width / max(len(name), 1))
+            figure.supxlabel(name, x=0.995, ha="right", fontsize=size, color=QUIET)
         with whole_file(path) as temporary:
-            figure.savefig(temporary, format="png", dpi=160)
+            description = None if name is None else {"Description": f"gran-bench run {name}"}
+            figure.savefig(temporary, format="png", dpi=160, metadata=description)
 
 
 def say(axes: Axes, text: str) -> None:

@@ -1,5 +1,6 @@
 """Runs in MLflow: recorded in batches, reopened on resume, never at the cost of a result."""
 
+from gran_bench.tracking.names import HEADLINE, HEADLINE_FIGURES, shown_name
 from gran_bench.tracking.opening import Child, end_child, open_run, reopen_ended, schedule_children
 from gran_bench.tracking.run import Run
 from gran_bench.tracking.store import DATABASE, Store, TrackingError
@@ -7,6 +8,8 @@ from gran_bench.tracking.user_interface import ui
 
 __all__ = [
     "DATABASE",
+    "HEADLINE",
+    "HEADLINE_FIGURES",
     "Child",
     "Run",
     "Store",
@@ -15,5 +18,6 @@ __all__ = [
     "open_run",
     "reopen_ended",
     "schedule_children",
+    "shown_name",
     "ui",
 ]

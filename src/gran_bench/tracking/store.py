@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from gran_bench.atomic import locked
 from gran_bench.config import TrackingConfig
+from gran_bench.tracking.names import shown_name
+from gran_bench.tracking.views import VIEW_TAG, experiment_tags
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -86,7 +88,7 @@ class Store:
         # Several first starts at once crash each other while they make the tables.
         with self.alone(), self._answers():
             self._client = _client(f"sqlite:///{self._spelling()}")
-            self._experiment_id = self._experiment(config.experiment)
+            self.experiment_id = self._experiment(config.experiment)
             self._identity = self._file_identity()
             _opened[self.database][-1] = self._identity
 
@@ -105,7 +107,7 @@ class Store:
         """Id of the latest run that was opened under a key."""
         with self._answers():
             found = self._client.search_runs(
-                [self._experiment_id], filter_string=f"tags.`{KEY_TAG}` = '{key}'", max_results=1
+                [self.experiment_id], filter_string=f"tags.`{KEY_TAG}` = '{key}'", max_results=1
             )
         return found[0].info.run_id if found else None
 
@@ -118,7 +120,7 @@ class Store:
         """Make a run under a key; returns its id."""
         tags = {KEY_TAG: key} | ({PARENT_TAG: parent} if parent else {})
         with self._answers():
-            run_id = self._client.create_run(self._experiment_id, tags=tags, run_name=name).info.run_id
+            run_id = self._client.create_run(self.experiment_id, tags=tags, run_name=shown_name(name)).info.run_id
             if status != "RUNNING":
                 self._client.update_run(run_id, status=status)
         return run_id
@@ -134,7 +136,7 @@ class Store:
     def reopen_run(self, run_id: str, name: str, without_tag: str, status: str = "RUNNING") -> None:
         """Mark a run as running again, or as waiting to, and remove the tag that says how it ended."""
         with self._answers():
-            self._client.update_run(run_id, status=status, name=name)
+            self._client.update_run(run_id, status=status, name=shown_name(name))
             if without_tag in self._client.get_run(run_id).data.tags:
                 self._client.delete_tag(run_id, without_tag)
 
@@ -150,6 +152,15 @@ class Store:
         """End a run as ``FINISHED``, ``FAILED`` or ``KILLED``."""
         with self._answers():
             self._client.set_terminated(run_id, status)
+
+    def dress_experiment(self) -> None:
+        """Give the experiment what the UI starts with, as of this version; what a user has written stays."""
+        with self._answers():
+            there = self._client.get_experiment(self.experiment_id).tags
+            for name, value in experiment_tags().items():
+                own = name.startswith(VIEW_TAG)
+                if name not in there or (own and there[name] != value):
+                    self._client.set_experiment_tag(self.experiment_id, name, value)
 
     # ---- what a run records ----------------------------------------------------------------------------------
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gran_bench.config import TrackingConfig
 from gran_bench.tracking.store import QUIET, Store, TrackingError
+from gran_bench.tracking.views import view_path
 
 HOST = "127.0.0.1"
 
@@ -28,7 +29,9 @@ def ui(root: Path | str, port: int = 5000, experiment: str = TrackingConfig.expe
             raise TrackingError(
                 f"port {port} cannot be used ({error}); is the UI open already? Choose another: make ui PORT={port + 1}"
             ) from error
-    print(f"the runs are at http://{HOST}:{port} (Ctrl-C ends)", file=sys.stderr, flush=True)
+    store.dress_experiment()
+    page = f"http://{HOST}:{port}{view_path(store.experiment_id)}"
+    print(f"the runs, best first, are in some seconds at {page} (Ctrl-C ends)", file=sys.stderr, flush=True)
     command = [sys.executable, "-m", "mlflow", "ui", "--backend-store-uri", store.uri]
     # One worker and no job executor: 2 processes instead of 15.
     command += ["--default-artifact-root", store.artifacts_uri, "--host", HOST, "--port", str(port), "--workers", "1"]
