@@ -1,0 +1,1 @@
+"""The stress test: a fixed list of hard cases, each with an expectation that was written before it ran."""
