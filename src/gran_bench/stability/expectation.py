@@ -38,7 +38,7 @@ class Bound:
         high = f" ≤ {self.at_most:g}" if self.at_most is not None else ""
         if self.at_least is not None and self.at_least == self.at_most:
             low, high = "", f" = {self.at_most:g}"
-        return f"{low}{self.quantity}{high} {self.unit}".rstrip()
+        return f"{low}{self.quantity}{high} {_shown(self.unit)}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -100,12 +100,6 @@ class Failure:
     error: str
     message: str
 
-    @classmethod
-    def of(cls, error: BaseException) -> Failure:
-        """What an exception says."""
-        return cls(type(error).__name__, str(error))
-
-
 Outcome = Observation | Failure
 
 
@@ -147,12 +141,16 @@ def verdict(expectation: Expectation, outcome: Outcome) -> Verdict:
 def _found(expectation: Expectation, outcome: Observation) -> str:
     """The bounded quantities first, then the flags, then what nothing flagged."""
     values = [
-        f"{bound.quantity} {outcome.quantities.get(bound.quantity, math.nan):.4g} {bound.unit}".rstrip()
+        f"{bound.quantity} {outcome.quantities.get(bound.quantity, math.nan):.4g} {_shown(bound.unit)}".rstrip()
         for bound in expectation.bounds
     ]
     others = [] if values else [f"{name} {value:.4g}" for name, value in outcome.quantities.items()]
     hidden = [f"{outcome.unflagged} failures that no flag tells of"] if outcome.unflagged else []
     return "; ".join([*values, *others, *map(_one_line, outcome.flags), *hidden])
+
+
+def _shown(unit: str) -> str:
+    return "" if unit == "-" else unit
 
 
 def _one_line(text: str, longest: int = 200) -> str:

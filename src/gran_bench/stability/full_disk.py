@@ -50,7 +50,7 @@ def full_disk(bench: Bench, writes: str, sizes: list[int]) -> Observation:
                 write()
             quiet += 1
         except Exception as error:
-            told.append(f"{type(error).__name__}: {error}".replace(str(bench.folder), "…"))
+            told.append(f"{type(error).__name__}: {error}".replace(str(folder), str(bench.folder)))
         after = _files(folder)
         lost += sum(after.get(path) != digest for path, digest in before.items())
         partial += sum(path not in before for path in after)

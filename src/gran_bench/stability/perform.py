@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,11 +45,19 @@ def perform(task: Task) -> Outcome:
     shared.mkdir(parents=True, exist_ok=True)
     try:
         subject = _subject(task.checkpoint) if task.checkpoint else None
-        return EXPERIMENTS[task.kind].run(Bench(folder, shared, subject), **task.parameters)
+        seen = EXPERIMENTS[task.kind].run(Bench(folder, shared, subject), **task.parameters)
+        return replace(seen, flags=tuple(_without(flag, folder, shared) for flag in seen.flags))
     except Exception as error:
-        return Failure.of(error)
+        return Failure(type(error).__name__, _without(str(error), folder, shared))
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _without(text: str, *folders: Path) -> str:
+    """A message without the names of folders that exist only while the list runs."""
+    for folder in folders:
+        text = text.replace(str(folder), "…")
+    return text
 
 
 def model_file(checkpoint: str) -> Path:
