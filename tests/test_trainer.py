@@ -22,6 +22,7 @@ from gran_bench.config import (
 )
 from gran_bench.scene import build_scene
 from gran_bench.surrogate.build import build_model
+from gran_bench.surrogate.checkpoint import CheckpointError
 from gran_bench.surrogate.step import FrameState, Surrogate
 from gran_bench.trainer import (
     CHECKPOINT,
@@ -184,6 +185,18 @@ def test_the_time_cap_counts_across_resumes(tmp_path):
     result = capped.run(progress=False)
     assert (result.stopped_by, result.steps) == ("time", 4)
     assert result.seconds == pytest.approx(trainer.seconds)
+
+
+def test_a_damaged_checkpoint_is_refused_by_name_with_the_remedy(tmp_path):
+    trainer, _ = train(tmp_path, trainer=TrainerConfig(steps=2))
+    path = tmp_path / CHECKPOINT
+    content = path.read_bytes()
+    place = content.index(trainer.parameters[0].detach().numpy().tobytes())
+    flipped = content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
+    for damaged in (content[:-1], content[:100], b"", flipped):
+        path.write_bytes(damaged)
+        with pytest.raises(CheckpointError, match=r"checkpoint\.pt is not a whole checkpoint .*; delete it"):
+            train(tmp_path, trainer=TrainerConfig(steps=4))
 
 
 def test_a_training_stopped_after_its_last_update_knows_its_loss(tmp_path):
