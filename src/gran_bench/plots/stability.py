@@ -13,7 +13,7 @@ from matplotlib.ticker import NullFormatter
 from gran_bench.plots.style import BAND, BASELINE, DEM, FURTHER, QUIET, SURROGATE, drawing, say
 
 TRAINED = (20.0, 60.0)  # rpm, the range of the training speeds of the shipped model
-MARKS = ("o", "s", "D", "^", "v", "P")
+MARKS = ("o", "s", "D", "v", "P", "X")  # of failures; a hollow triangle points up from where none was
 
 
 def draw_time_to_failure(runs: Mapping[str, Sequence[tuple[float, float, bool]]], path: Path | str) -> Path:
@@ -33,21 +33,22 @@ def draw_time_to_failure(runs: Mapping[str, Sequence[tuple[float, float, bool]]]
         colours = (SURROGATE, BASELINE, *FURTHER)
         for k, (model, rows) in enumerate(runs.items()):
             # Side by side where two models share a speed.
-            shift = 2.5 * (k - 0.5 * (len(runs) - 1))
-            colour, mark = colours[k % len(colours)], MARKS[k % len(MARKS)]
-            for i, (speed, seconds, survived) in enumerate(sorted(rows)):
-                x = _squeezed(speed) + shift
+            shift, colour, mark = 2.5 * k, colours[k % len(colours)], MARKS[k % len(MARKS)]
+            axes.plot([], [], mark, color=colour, markersize=7, label=model)
+            for speed, seconds, survived in rows:
+                x, look = _squeezed(speed) + shift, {"color": colour, "linestyle": "none"}
                 axes.plot([x, x], [1e-2, seconds], color=colour, linewidth=1.0, alpha=0.5)
-                axes.plot(x, seconds, mark if not survived else "^", color=colour, markersize=8 if survived else 7,
-                          markerfacecolor="white" if survived else colour, linestyle="none",
-                          label=model if i == 0 else None)  # fmt: skip
+                if survived:
+                    axes.plot(x, seconds, "^", markersize=8, markerfacecolor="white", **look)
+                else:
+                    axes.plot(x, seconds, mark, markersize=7, **look)
         axes.plot([], [], "^", color=QUIET, markerfacecolor="white", markersize=8, label="did not fail until there")
         axes.set_yscale("log")
         axes.set_ylim(1e-2, 100.0)
         axes.yaxis.set_major_formatter("{x:g}")
         speeds = sorted({speed for rows in runs.values() for speed, _, _ in rows})
         axes.set_xticks([_squeezed(speed) for speed in speeds], [f"{speed:g}" for speed in speeds])
-        axes.set_xlabel("speed of the drum, rpm (not to scale beyond 120)")
+        axes.set_xlabel("speed of the drum, rpm; to scale up to 120")
         axes.set_ylabel("time to failure, s")
         figure.legend(loc="outside lower center", ncols=3)
     return Path(path)

@@ -100,6 +100,7 @@ class Failure:
     error: str
     message: str
 
+
 Outcome = Observation | Failure
 
 

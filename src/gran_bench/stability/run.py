@@ -26,7 +26,10 @@ from gran_bench.surrogate.checkpoint import file_digest
 
 KEPT, SHARED, OWN = "kept", "beds", "work"
 # What a case depends on: all of the package but what draws and tells.
-ROOMS = ("scene", "neighbors", "dem", "verification", "dataset", "surrogate", "metrics", "stability", "tracking")
+ROOMS = (
+    *("scene", "neighbors", "dem", "verification", "dataset", "surrogate", "metrics", "stability", "tracking"),
+    *("atomic.py", "state.py", "rollout.py", "losses.py", "trainer.py"),
+)
 
 
 @dataclass(frozen=True)
