@@ -7,13 +7,16 @@ import math
 import re
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
-from gran_bench.config import StressConfig
+from gran_bench.config import BoundaryConfig, CconvModelConfig, SceneConfig, StressConfig
 from gran_bench.config_rules import ConfigError
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
+from gran_bench.scene import build_scene
+from gran_bench.shipped import shipped_model
 from gran_bench.stability.case_list import read_cases, shipped_cases
 from gran_bench.stability.command import StressFailed, chosen, run_stress
 from gran_bench.stability.crew import Worker, outcome_of
@@ -22,7 +25,8 @@ from gran_bench.stability.experiment import Experiment
 from gran_bench.stability.perform import Task
 from gran_bench.stability.registry import EXPERIMENTS
 from gran_bench.stability.run import carry_out, errands, forget
-from gran_bench.surrogate.checkpoint import CheckpointError
+from gran_bench.surrogate.build import build_model
+from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, save_model
 
 CASE = """
 - name: gap
@@ -183,6 +187,24 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path):
     assert again[0].outcome == seen[0].outcome
     forget(tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_every_model_gets_every_case_that_is_for_it(tmp_path):
+    config, boundary, scene = CconvModelConfig(name="radial", kernel="radial"), BoundaryConfig(), SceneConfig("drum")
+    for diameter in (0.05, 0.04):
+        scene.filling.diameter = diameter
+        model = build_model(config, boundary, build_scene(scene))
+        card = ModelCard(asdict(config), asdict(boundary), asdict(scene), {})
+        save_model(tmp_path / f"{diameter}" / "model.pt", model.state_dict(), card)
+    files = [shipped_model(), tmp_path / "0.05" / "model.pt"]
+    todo = [(errand.case.name, errand.model) for errand in errands(shipped_cases(EXPERIMENTS), files, tmp_path)]
+    contact, radial = "contact (holdout30rpm)", "radial (0.05)"
+    assert {("20 rpm", contact), ("20 rpm", radial), ("no sphere at all", "")} < set(todo)
+    assert ("model, turned by 40° about the axis", radial) not in todo
+    assert ("convolution, turned by 40° about the axis", contact) not in todo
+    assert len(todo) == len(set(todo))
+    with pytest.raises(ConfigError, match=r"made for spheres of 0\.04 m, and the lists have 0\.05 m"):
+        errands(shipped_cases(EXPERIMENTS), [tmp_path / "0.04" / "model.pt"], tmp_path)
 
 
 def test_a_case_that_crashes_or_hangs_costs_itself_alone(tmp_path, monkeypatch):

@@ -12,6 +12,7 @@ from matplotlib.ticker import NullFormatter
 
 from gran_bench.plots.style import BAND, BASELINE, DEM, FURTHER, QUIET, SURROGATE, drawing, say
 
+ROUND = tuple(digit * 10.0**power for power in range(-3, 4) for digit in (1, 2, 5))
 TRAINED = (20.0, 60.0)  # rpm, the range of the training speeds of the shipped model
 MARKS = ("o", "s", "D", "v", "P", "X")  # of failures; a hollow triangle points up from where none was
 
@@ -74,7 +75,7 @@ def draw_dem_step(curves: Mapping[str, Sequence[float]], path: Path | str) -> Pa
         left, right = figure.subplots(1, 2)
         left.axhspan(1e-3, floor, color="#f0f0f0", zorder=0)
         left.axhline(floor, color=BAND, linewidth=1.0)
-        left.text(1e3 * step[0], floor * 0.9, "floor: nudged by 1e-9 m", fontsize=8.5, color="#666666", va="top")
+        left.text(1.05e3 * step[0], floor * 0.9, "floor: nudged by 1e-9 m", fontsize=8.5, color="#666666", va="top")
         left.loglog(1e3 * step[shown], error[shown], "o-", color=DEM)
         highest = 3.0 * max([*error[shown], floor])
         left.loglog(1e3 * step[~alive], np.full((~alive).sum(), highest / 1.5), "x", color=SURROGATE, markersize=9,
@@ -83,8 +84,11 @@ def draw_dem_step(curves: Mapping[str, Sequence[float]], path: Path | str) -> Pa
         left.set_ylabel("error of the angle of the centre of mass, °")
         right.loglog(1e3 * step[alive], cost[alive], "o-", color=DEM)
         right.set_ylabel("run time of a frame of 10 ms, ms")
-        right.yaxis.set_major_formatter("{x:g}")
-        right.yaxis.set_minor_formatter(NullFormatter())
+        right.set_yticks([t for t in ROUND if cost[alive].min() / 2 < t < 2 * cost[alive].max()])
+        left.set_yticks([t for t in ROUND if 0.2 * min([*error[shown], floor]) < t < highest])
+        for axes in (left, right):
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_minor_formatter(NullFormatter())
         for axes, name in ((left, "error"), (right, "cost")):
             axes.set_title(f"{name} against step")
             _contact_fractions(axes, contact)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections import defaultdict
 from collections.abc import Sequence
@@ -51,10 +52,12 @@ def run_stress(config: StressConfig) -> list[Result]:
         results = carry_out(todo, folder, config.workers, config.patience, lambda result: None)
     print(table(results))
     seconds = time.perf_counter() - began
-    write_page(results, folder, provenance(), draw_figures(results, folder), seconds)
+    # Times are of a machine that may have had other work.
+    origin = provenance() | {"load, mean of 1, 5 and 15 min": ", ".join(f"{load:.1f}" for load in os.getloadavg())}
+    write_page(results, folder, origin, draw_figures(results, folder), seconds)
     forget(folder)
     print(f"\nthe page is {folder / PAGE}\n{closing_line(results, seconds)}")
-    failed = [result.case.name for result in results if result.verdict.word == FAILED]
+    failed = [result.name for result in results if result.verdict.word == FAILED]
     if failed:
         raise StressFailed(f"{len(failed)} of {len(results)} expectations are not met: {', '.join(failed)}")
     return results

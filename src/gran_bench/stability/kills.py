@@ -19,7 +19,7 @@ from gran_bench.stability.experiment import Bench, Experiment
 from gran_bench.stability.tiny import tiny_specs
 from gran_bench.trainer import CHECKPOINT
 
-PATIENCE = 240.0  # s, for a process that should have ended long ago
+PATIENCE = 500.0  # s, for a process that should have ended long ago
 SWEEP = "gran_bench.stability.sweep_kill"
 
 

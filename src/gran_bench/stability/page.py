@@ -54,7 +54,7 @@ def table(results: Sequence[Result], widest: int = 64) -> str:
 def closing_line(results: Sequence[Result], seconds: float) -> str:
     """How many cases ended how, and which failed, in a line."""
     words = Counter(result.verdict.word for result in results)
-    failed = [result.case.name for result in results if result.verdict.word == FAILED]
+    failed = [result.name for result in results if result.verdict.word == FAILED]
     counted = ", ".join(f"{words[word]} {word}" for word in (MET, FLAGGED, ABSENT, FAILED) if words[word])
     return f"{len(results)} cases in {seconds:.0f} s: {counted}" + (f" ({', '.join(failed)})" if failed else "")
 
@@ -139,5 +139,5 @@ def _failures(results: Sequence[Result]) -> Iterator[str]:
     yield "## What the surrogates did wrong"
     yield ""
     for result, flags in told:
-        yield f"- {result.case.name}{f', {result.model}' if result.model else ''}: {'; '.join(flags)}"
+        yield f"- {result.name}: {'; '.join(flags)}"
     yield ""

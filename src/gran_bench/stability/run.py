@@ -51,6 +51,11 @@ class Result:
     kept: bool = False
 
     @property
+    def name(self) -> str:
+        """Of the case, and of its model where it has one."""
+        return f"{self.case.name}, {self.model}" if self.model else self.case.name
+
+    @property
     def verdict(self) -> Verdict:
         """How it ended."""
         return verdict(self.case.expectation, self.outcome)

@@ -59,7 +59,7 @@ def _failed(crew: list[subprocess.Popen[str]]) -> list[str]:
     return told
 
 
-def one_tracking_store(bench: Bench, jobs: int = 8, steps: int = 20) -> Observation:
+def one_tracking_store(bench: Bench, jobs: int = 8, steps: int = 10) -> Observation:
     """Jobs that open one tracking store at the same moment, the first time it is opened, and all record.
 
     Args:
