@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -35,7 +37,7 @@ class Worker:
 
         def give_up() -> None:
             late.set()
-            process.kill()
+            _kill(process)
 
         watch = threading.Timer(self.patience, give_up)
         watch.daemon = True
@@ -58,7 +60,7 @@ class Worker:
     def dismiss(self) -> None:
         """End the process, whatever it does."""
         if self._process is not None and self._process.poll() is None:
-            self._process.kill()
+            _kill(self._process)
         if self._process is not None:
             self._process.wait()
             for pipe in (self._process.stdin, self._process.stdout):
@@ -80,6 +82,13 @@ class Worker:
                 start_new_session=True,  # Ctrl-C is for the parent, which then ends its workers
             )
         return self._process
+
+
+def _kill(process: subprocess.Popen[str]) -> None:
+    """Kill a worker, and with it what it has started in its session."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.kill()
 
 
 def outcome_of(document: Mapping[str, Any]) -> Outcome:
