@@ -7,6 +7,7 @@ import math
 import re
 import subprocess
 import sys
+import textwrap
 from dataclasses import asdict
 from pathlib import Path
 
@@ -17,14 +18,16 @@ from gran_bench.config_rules import ConfigError
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_model
+from gran_bench.stability import case_list
 from gran_bench.stability.case_list import read_cases, shipped_cases
 from gran_bench.stability.command import StressFailed, chosen, run_stress
 from gran_bench.stability.crew import Worker, outcome_of
 from gran_bench.stability.expectation import Bound, Expectation, Failure, Observation, verdict
 from gran_bench.stability.experiment import Experiment
+from gran_bench.stability.page import closing_line, row
 from gran_bench.stability.perform import Task
 from gran_bench.stability.registry import EXPERIMENTS
-from gran_bench.stability.run import carry_out, errands, forget
+from gran_bench.stability.run import Result, carry_out, errands, forget
 from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, save_model
 
@@ -166,6 +169,19 @@ ERROR = Expectation("error", error="StateError", says=("sphere 3", "move it"))
 )
 def test_a_verdict_is_what_the_expectation_says(expectation, outcome, word):
     assert verdict(expectation, outcome).word == word
+
+
+def test_a_known_failure_still_fails_and_is_told_as_known():
+    (case,) = cases_of(CASE.replace("LIMIT", "0.1").replace("name: gap", "known: springs\n  name: gap"))
+    result = Result(case, "", Observation({"energy_released": 0.5}), 1.0)
+    assert result.verdict.word == "FAILED"
+    assert row(result)[4] == "FAILED (known: springs)"
+    assert "1 FAILED (gap)" in closing_line([result], 1.0)
+
+
+def test_the_documented_form_of_a_list_is_legal():
+    example = case_list.__doc__.partition("of the form\n\n")[2].partition("\n\nwhere")[0]
+    assert [case.kind for case in cases_of(textwrap.dedent(example))] == ["start_overlap"]
 
 
 # ---- the run -------------------------------------------------------------------------------------------------

@@ -2,16 +2,15 @@
 
 A list is a YAML file of the form
 
-    - name: impact at 1000 m/s        # of the case, once in the list
-      kind: head_on                   # one of `registry.EXPERIMENTS`
-      short: true                     # whether the short list has it too (default false)
-      models: [contact]               # names of models that the case is for (default: every one)
-      with: {speed: 1000.0}           # parameters of the experiment
+    - name: overlap at the start      # of the case, once in the list
+      kind: start_overlap             # one of `registry.EXPERIMENTS`
+      short: true                     # whether the short list has it too; false where it is left out
+      with: {overlap: 0.1}            # parameters of the experiment
       expect:
-        met: [{quantity: restitution_error, at_most: 0.01, unit: "-"}]
-        says: []
+        met: [{quantity: energy_released, at_most: 1.0, unit: of the stored}]
 
-where ``expect`` has one of ``met`` and ``flagged``, with bounds, or ``error``, with the name of an exception.
+where ``expect`` has one of ``met`` and ``flagged``, with bounds, or ``error``, with the name of an exception; ``says``
+beside it lists words that the error, or the flags, must hold. ``models: [contact]`` keeps a case to models of that name. ``known: why`` marks a failure that is not mended yet; it goes on failing.
 """
 
 from __future__ import annotations
