@@ -10,7 +10,8 @@ A list is a YAML file of the form
         met: [{quantity: energy_released, at_most: 1.0, unit: of the stored}]
 
 where ``expect`` has one of ``met`` and ``flagged``, with bounds, or ``error``, with the name of an exception; ``says``
-beside it lists words that the error, or the flags, must hold. ``models: [contact]`` keeps a case to models of that name. ``known: why`` marks a failure that is not mended yet; it goes on failing.
+beside it lists words that the error, or the flags, must hold. ``models: [contact]`` keeps a case to models of that
+name. ``known: why`` marks a failure that is not mended yet; it goes on failing.
 """
 
 from __future__ import annotations
