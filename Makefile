@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PORT ?= 5000
 
-.PHONY: train data test lint ui browser-test verify bench clean
+.PHONY: train data test lint ui browser-test verify bench stress clean
 
 train: $(READY)
 	$(BIN)/python -m gran_bench.train +experiment=holdout30rpm
@@ -38,6 +38,9 @@ bench: $(READY)
 	$(BIN)/python benchmarks/dem_scaling.py --counts 300 1000 3000 10000 30000
 	$(BIN)/python benchmarks/contact_network.py
 	$(BIN)/python benchmarks/cconv.py
+
+stress: $(READY)
+	$(BIN)/python -m gran_bench.stress
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .ruff_cache

@@ -22,6 +22,7 @@ from gran_bench.config import (
 )
 from gran_bench.scene import build_scene
 from gran_bench.surrogate.build import build_model
+from gran_bench.surrogate.checkpoint import CheckpointError
 from gran_bench.surrogate.step import FrameState, Surrogate
 from gran_bench.trainer import (
     CHECKPOINT,
@@ -252,6 +253,18 @@ def test_a_budget_of_time_takes_the_learning_rate_to_its_end_and_a_resume_goes_o
     again, more = part(minutes=20.0 / 60.0)
     assert again.spent >= 20.0
     assert more[0][1]["learning_rate"] == pytest.approx(learning_rate(optim, 1, 2), rel=0.15)
+
+
+def test_a_damaged_checkpoint_is_refused_by_name_with_the_remedy(tmp_path):
+    trainer, _ = train(tmp_path, trainer=TrainerConfig(steps=2))
+    path = tmp_path / CHECKPOINT
+    content = path.read_bytes()
+    place = content.index(trainer.parameters[0].detach().numpy().tobytes())
+    flipped = content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
+    for damaged in (content[:-1], content[:100], b"", flipped):
+        path.write_bytes(damaged)
+        with pytest.raises(CheckpointError, match=r"checkpoint\.pt is not a whole checkpoint .*; delete it"):
+            train(tmp_path, trainer=TrainerConfig(steps=4))
 
 
 def test_a_training_stopped_after_its_last_update_knows_its_loss(tmp_path):

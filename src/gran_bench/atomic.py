@@ -36,6 +36,10 @@ def whole_file(path: Path | str) -> Iterator[Path]:
         temporary.replace(path)
         # The rename itself lives in the folder, so the folder needs its own sync to survive a power cut.
         _sync(path.parent)
+    except OSError as error:
+        if error.filename is None:  # a write that fails does not know what it was writing
+            error.filename = str(path)
+        raise
     finally:
         with suppress(FileNotFoundError):
             temporary.unlink()

@@ -337,3 +337,17 @@ class UiConfig:
 
     port: int = 5000  # of this machine
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
+
+
+@dataclass
+class StressConfig:
+    """Everything that `python -m gran_bench.stress` reads."""
+
+    profile: str = "full"  # full | short
+    cases: list[str] = field(default_factory=list)  # names of cases of that profile; empty: all
+    case_list: str | None = None  # YAML file of cases; null: the list in the package
+    checkpoint: str = "shipped"  # model file; `shipped`: the one in the package
+    also: list[str] = field(default_factory=list)  # further model files
+    workers: int = 2  # cases at a time
+    patience: float = 600.0  # s that a case may take
+    output: str = "results/stress"  # folder of the page

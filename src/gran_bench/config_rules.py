@@ -27,6 +27,7 @@ from gran_bench.config import (
     RotationConfig,
     SceneConfig,
     SizesConfig,
+    StressConfig,
     TrackingConfig,
     TrainConfig,
     TrainerConfig,
@@ -300,6 +301,16 @@ RULES: dict[type, dict[str, Rule]] = {
     GenerateConfig: {},
     EvaluateConfig: {"checkpoint": Text(), "device": OneOf(("auto", "cpu", "cuda"))},
     UiConfig: {"port": Range(1, 65535)},
+    StressConfig: {
+        "profile": OneOf(("full", "short")),
+        "cases": Text(),
+        "case_list": Text(),
+        "checkpoint": Text(),
+        "also": Text(),
+        "workers": at_least(1),
+        "patience": positive("s"),
+        "output": Text(),
+    },
 }
 
 

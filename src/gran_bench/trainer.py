@@ -23,10 +23,10 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from gran_bench.atomic import write_atomically
 from gran_bench.config import OptimConfig, RolloutConfig, TrainConfig
 from gran_bench.dataset import Window, Windows
 from gran_bench.losses import FrameAhead, Target, WindowLoss
+from gran_bench.surrogate.checkpoint import CheckpointError, read_tensors, write_tensors
 from gran_bench.surrogate.step import FrameState, Surrogate
 
 CHECKPOINT = "checkpoint.pt"
@@ -156,14 +156,24 @@ class Trainer:
             "spent": self.spent,
             "loss": self.last_loss,
         }
-        write_atomically(self.folder / CHECKPOINT, lambda file: torch.save(state, file))
+        write_tensors(self.folder / CHECKPOINT, state)
 
     def resume(self) -> bool:
-        """Go on from the checkpoint in the folder; False if there is none."""
+        """Go on from the checkpoint in the folder; False if there is none.
+
+        Raises:
+            CheckpointError: it is damaged.
+        """
         path = self.folder / CHECKPOINT
         if not path.exists():
             return False
-        state = torch.load(path, map_location=self.parameters[0].device, weights_only=True)
+        try:
+            state = read_tensors(path, self.parameters[0].device)
+        except Exception as error:
+            raise CheckpointError(
+                f"{path} is not a whole checkpoint ({type(error).__name__}: {' '.join(str(error).split())[:200]}); "
+                "delete it, and the same command trains from the start"
+            ) from error
         self.model.load_state_dict(state["model"])
         self.optimizer.load_state_dict(state["optimizer"])
         if self.average is not None:
@@ -320,7 +330,7 @@ class Trainer:
     def _save_divergence(self, draws: list[int]) -> None:
         path = self.folder / DIVERGED
         state = {"model": self.model.state_dict(), "step": self.step, "draws": draws, "seed": self.config.seed}
-        write_atomically(path, lambda file: torch.save(state, file))
+        write_tensors(path, state)
         raise TrainingDiverged(
             f"the loss is not finite at update {self.step}; the weights and the windows that led there are in {path}. "
             "Try a smaller optim.learning_rate, optim.gradient_clip=0.2 or fewer rollout.frames"

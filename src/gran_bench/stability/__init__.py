@@ -1,1 +1,1 @@
-"""What is done to the software on purpose to see whether it holds."""
+"""The stress test: a fixed list of hard cases, each with an expectation that was written before it ran."""

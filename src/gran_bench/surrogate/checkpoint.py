@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from gran_bench.surrogate.step import Surrogate
 
 
 class CheckpointError(ValueError):
-    """A file that is not a model of this project; the message names it and the remedy."""
+    """A file of weights that cannot be read or written; the message names it and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -41,21 +42,51 @@ class ModelCard:
 
 def save_model(path: Path, weights: dict[str, Tensor], card: ModelCard) -> str:
     """Write a model file whole or not at all; returns the SHA-256 of its bytes."""
-    content = {"weights": {name: value.cpu() for name, value in weights.items()}, **vars(card)}
-    write_atomically(path, lambda file: torch.save(content, file))
+    write_tensors(path, {"weights": {name: value.cpu() for name, value in weights.items()}, **vars(card)})
     return file_digest(path)
+
+
+def write_tensors(path: Path, content: dict[str, Any]) -> None:
+    """Write tensors and plain values, whole or not at all.
+
+    Raises:
+        CheckpointError: the disk is full, or will not take the file; one that was there before is as it was.
+    """
+    try:
+        write_atomically(path, lambda file: torch.save(content, file))
+    except (OSError, RuntimeError) as error:  # torch hides the one behind the other
+        reason = error if isinstance(error, OSError) else error.__context__ or error
+        raise CheckpointError(
+            f"{path} cannot be written ({getattr(reason, 'strerror', None) or reason}); free space and run the same "
+            "command again, an older file of that name is as it was"
+        ) from error
+
+
+def read_tensors(path: Path, device: torch.device | str = "cpu") -> dict[str, Any]:
+    """What `write_tensors` has written.
+
+    Raises:
+        ValueError: a byte of it is not as it was written.
+        Exception: of any kind where it is no such file.
+    """
+    # torch reads past a flipped bit; the archive around the tensors has a checksum of each.
+    with zipfile.ZipFile(path) as archive:
+        damaged = archive.testzip()
+    if damaged is not None:
+        raise ValueError(f"{damaged} does not match its checksum")
+    return torch.load(path, map_location=device, weights_only=True)
 
 
 def load_card(path: Path) -> tuple[ModelCard, dict[str, Tensor]]:
     """Card and weights of a model file, without building the model.
 
     Raises:
-        CheckpointError: no such file, or not a model of this project.
+        CheckpointError: no such file, not a model of this project, or damaged.
     """
     if not Path(path).exists():
         raise CheckpointError(f"model file {path} does not exist; train one, or leave the key out: one is shipped")
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        content = read_tensors(Path(path))
         weights = content.pop("weights")
         return ModelCard(**content), weights
     except Exception as error:

@@ -121,7 +121,7 @@ def order() -> Findings:
     return Findings(tuple(checks), drawn)
 
 
-def _energy(scene: Scene, trajectory: Trajectory) -> FloatArray:
+def elastic_energy(scene: Scene, trajectory: Trajectory) -> FloatArray:
     """Kinetic energy and ⅖ K δ^{5/2} of every contact, of elastic equal spheres in a box, ``(F,)`` J."""
     pair, wall = on_sphere(scene.material), on_wall(scene.material)
     energy = 0.5 * (mass_of(trajectory.radius)[:, None] * trajectory.velocity**2).sum(axis=(1, 2))
@@ -156,7 +156,7 @@ def drift() -> Findings:
         time = LONG if modulus == SOFT else LONG * step / soft_step
         stride = round(time / step / 1000)
         trajectory = run(scene, state, step, 1000 * stride, stride).trajectory
-        energy = _energy(scene, trajectory)
+        energy = elastic_energy(scene, trajectory)
         change = energy / energy[0] - 1.0
         label = f"E {modulus:g} Pa, {trajectory.time[-1]:.3g} s, {1000 * stride:,} steps of t_c/{per_contact}"
         drawn[f"E {modulus:g} Pa, t_c/{per_contact}|time"] = trajectory.time
