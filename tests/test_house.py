@@ -14,7 +14,15 @@ import pytest
 from config_reads import Read, keys_of, reads
 
 from gran_bench import config as schemas
-from gran_bench.config import EvaluateConfig, GenerateConfig, OptimConfig, TrainConfig, TrainerConfig, UiConfig
+from gran_bench.config import (
+    BenchmarkConfig,
+    EvaluateConfig,
+    GenerateConfig,
+    OptimConfig,
+    TrainConfig,
+    TrainerConfig,
+    UiConfig,
+)
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "gran_bench"
@@ -27,7 +35,7 @@ ROOMS = [
     *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses", "rollout", "metrics"),
     *("baselines", "trainer", "evaluation_plan", "evaluation", "plots", "export", "tracking", "report", "run_record"),
     "experiment",
-    *("override_errors", "entry", "shipped", "result_page"),
+    *("override_errors", "entry", "shipped", "result_page", "comparison"),
 ]
 ENTRIES = ["train", "generate", "verify", "evaluate", "benchmark", "stress", "ui"]
 
@@ -137,7 +145,7 @@ def keys_that_are_read() -> set[Read]:
     return reads(sources, [schema for schema in vars(schemas).values() if is_dataclass(schema)])
 
 
-@pytest.mark.parametrize("schema", [TrainConfig, GenerateConfig, EvaluateConfig, UiConfig])
+@pytest.mark.parametrize("schema", [TrainConfig, GenerateConfig, EvaluateConfig, BenchmarkConfig, UiConfig])
 def test_every_config_key_is_read_by_something(schema, keys_that_are_read):
     assert set(keys_of(schema)) - keys_that_are_read == set()
 

@@ -1,0 +1,120 @@
+"""Everything that a benchmark found, as plain data: the one file that figures, table and page are made from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gran_bench.atomic import write_text
+from gran_bench.comparison.claims import Entry
+from gran_bench.comparison.errors import Reference, Scored
+from gran_bench.comparison.method import Method
+from gran_bench.comparison.spread import spread
+from gran_bench.comparison.turns import Record, Turn
+
+RESULTS = "benchmark.json"
+
+
+def method_row(method: Method, record: Record | None, scored: Scored | None, beside: Record) -> dict[str, Any]:
+    """What is known of one method, as plain data.
+
+    Args:
+        method: that was compared.
+        record: of its turns; None where it does not fit the scene.
+        scored: its error; None where it has none.
+        beside: record of the DEM at its automatic step, whose time in the same round is the unit of ``relative``.
+    """
+    row: dict[str, Any] = {"name": method.name, "kind": method.kind, "unfit_because": method.unfit_because}
+    row |= {"data_seconds": method.data_seconds, "training_seconds": method.training_seconds}
+    row |= {"simulated_seconds": method.seconds, "failure": record.failure if record else ""}
+    turns = record.turns if record else []
+    wall = [turn.wall_seconds / method.seconds for turn in turns]
+    row["wall"] = asdict(spread(wall)) if wall else None
+    row["relative"] = _relative(method, turns, beside)
+    row["cpu_seconds"] = float(np.median([t.cpu_seconds for t in turns])) / method.seconds if turns else None
+    row["peak_bytes"] = max((turn.peak_bytes for turn in turns), default=None)
+    row |= {"floors": None, "floors_low": None, "floors_high": None, "by": "", "outside": 0, "judgement": None}
+    if scored is not None:
+        row |= {"floors": scored.floors, "floors_low": scored.low, "floors_high": scored.high, "by": scored.by}
+        row |= {"outside": scored.outside, "judgement": scored.judgement}
+        row["failure"] = row["failure"] or scored.reason
+        if scored.outside:
+            row["failure"] = row["failure"] or f"{scored.outside} spheres left the container"
+    row["failed"] = bool(row["failure"])
+    return row
+
+
+def _relative(method: Method, turns: Sequence[Turn], beside: Record) -> dict[str, Any] | None:
+    """Times in units of the reference method's time in the same round: what slows a whole machine cancels."""
+    unit = {turn.round: turn.wall_seconds for turn in beside.turns}
+    ratios = [turn.wall_seconds / method.seconds / unit[turn.round] for turn in turns if turn.round in unit]
+    return asdict(spread(ratios)) if ratios else None
+
+
+def study_rows(points: dict[str, list[tuple[float, Method]]], records: dict[str, Record]) -> dict[str, list[dict]]:
+    """Cost against stiffness or number: by label, a point for each abscissa; its time is None where the run failed."""
+    found: dict[str, list[dict]] = {}
+    for label, methods in points.items():
+        found[label] = []
+        for abscissa, method in methods:
+            record = records[method.name]
+            wall = [turn.wall_seconds / method.seconds for turn in record.turns]
+            point = {"at": abscissa, "wall": asdict(spread(wall)) if wall else None, "failure": record.failure}
+            if method.kind == "dem":
+                point["time_step"] = method.job["dem"]["time_step"]
+            found[label].append(point)
+    return found
+
+
+def reference_facts(reference: Reference, replicas: int) -> dict[str, Any]:
+    """The ranked errors and the DEM's own scatter in them."""
+    return {
+        "replicas": replicas,
+        "noise": reference.noise,
+        "ranked": [{"key": row.key, "label": row.label, "unit": row.unit} for row in reference.ranked],
+    }
+
+
+def share_waited(rows: Sequence[dict[str, Any]]) -> float:
+    """Share of the wall time in which methods waited for the processor, −: how busy the machine was with other work."""
+    timed = [row for row in rows if row["wall"] and row["wall"]["median"] > 1e-3]
+    wall = sum(row["wall"]["median"] for row in timed)
+    return max(0.0, 1.0 - sum(row["cpu_seconds"] for row in timed) / wall) if wall else 0.0
+
+
+def entries(found: dict[str, Any]) -> list[Entry]:
+    """The judged methods of a benchmark, failed ones included, that were timed."""
+    return [
+        Entry(
+            row["name"],
+            row["kind"],
+            row["wall"]["median"],
+            row["wall"]["low"],
+            row["wall"]["high"],
+            None if row["failed"] else row["floors"],
+            row["data_seconds"],
+            row["training_seconds"],
+        )
+        for row in found["methods"]
+        if row["wall"] and (row["floors"] is not None or row["failed"])
+    ]
+
+
+def write_results(folder: Path, found: dict[str, Any]) -> Path:
+    """Write the results whole or not at all."""
+    write_text(folder / RESULTS, json.dumps(found, indent=1, allow_nan=False) + "\n")
+    return folder / RESULTS
+
+
+def read_all(root: Path) -> dict[str, dict[str, Any]]:
+    """All results below a folder by ``profile/scene``; a scene's full results stand for it where there are some."""
+    found = {}
+    for path in sorted(root.glob(f"*/*/{RESULTS}")):
+        found[f"{path.parent.parent.name}/{path.parent.name}"] = json.loads(path.read_text("utf-8"))
+    thorough = {place.partition("/")[2] for place in found if place.startswith("full/")}
+    return {p: r for p, r in found.items() if p.startswith("full/") or p.partition("/")[2] not in thorough}
