@@ -8,12 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from gran_bench.config import EvaluateConfig, GenerateConfig, TrainConfig
+from gran_bench.config import BenchmarkConfig, EvaluateConfig, GenerateConfig, TrainConfig
 from gran_bench.entry import checked_config, compose, distinct_overrides
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
-SCHEMAS = {"train": TrainConfig, "evaluate": EvaluateConfig, "generate": GenerateConfig}
+SCHEMAS = {
+    "train": TrainConfig,
+    "evaluate": EvaluateConfig,
+    "generate": GenerateConfig,
+    "benchmark": BenchmarkConfig,
+}
 PLAIN_BLOCKS = re.findall(r"^```\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
 COMMANDS = [line.partition("#")[0].strip() for block in PLAIN_BLOCKS for line in block.splitlines()]
 SNIPPETS = re.findall(r"^```python\n(.*?)^```", README, re.DOTALL | re.MULTILINE)

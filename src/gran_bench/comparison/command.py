@@ -155,7 +155,8 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
     for label, points in (("stiffness", contest.stiffness_methods), ("counts", contest.count_methods)):
         flat = [method for line in points.values() for _, method in line]
         studies[label] = study_rows(points, turns(flat, profile.study_rounds, label, False)) if flat else {}
-    beside = records[contest.automatic]
+    automatic = next(method for method in methods if method.name == contest.automatic)
+    beside = {turn.round: turn.wall_seconds / automatic.seconds for turn in records[automatic.name].turns}
     rows = [method_row(m, records.get(m.name), scores.get(m.name), beside) for m in methods]
     return {
         "scene": scene.name,

@@ -239,20 +239,25 @@ def why_unfit(card: ModelCard, scene: Scene, packing_seed: int) -> str:
         packing_seed: of the bed that it would start from.
     """
     home = build_scene(read_config(SceneConfig, card.scene))
+    known = {
+        "spheres of one size": scene.filling.sizes.kind == "one",
+        "one material": len(scene.materials) == 1,
+        "planes and cylinders": all(isinstance(wall, Plane | Cylinder) for wall in scene.walls),
+        "containers without an outlet": scene.outlet is None,
+    }
+    for what, holds in known.items():
+        if not holds:
+            return f"it knows {what} alone"
     same = {
-        "spheres of one size": (scene.filling.sizes.kind == "one", True),
-        "one material": (len(scene.materials), 1),
         "diameter": (scene.filling.diameter, home.filling.diameter),
         "frame interval": (scene.frame_interval, home.frame_interval),
         "gravity": (scene.gravity, home.gravity),
         "material": (scene.material, home.material),
         "wall material": (scene.wall_material, home.wall_material),
-        "planes and cylinders alone": (all(isinstance(wall, Plane | Cylinder) for wall in scene.walls), True),
-        "outlet": (scene.outlet, home.outlet),
     }
     for what, (here, there) in same.items():
         if here != there:
-            return f"it was trained on another scene ({what})"
+            return f"it was trained with another {what}"
     speeds = set(scene.rotation.speeds_rpm)
     if scene.takes_speeds and speeds & set(card.origin.get("training_speeds_rpm", ())):
         return f"it was trained at {max(speeds):g} rpm"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,15 +24,21 @@ INTRODUCTION = """\
 Every method on the same scene, the same machine, from the same settled state (a packing that no training saw), one
 thread each, in turns. `python -m gran_bench.benchmark` (`make bench`) made the figures and this page.
 
-**How to read it.** *Time* is wall time for a simulated second: the median over the rounds, with the smallest and the
-largest. *Expected* is where the median of another run of the benchmark lies with 95 % confidence, from the scatter
-over the rounds. *Relative* is the time in units of the DEM's at its automatic step in the same round, which a machine
-that is slow as a whole does not change. *Error* is a distance from nudged replicas of the DEM at half its automatic
-step, in noise floors (the mean distance of two replicas), with the 95 % interval of the mean over the replicas; where
-there are two kinds, the worse counts. *Noise* is the error up to which nothing can be told from the DEM itself: the
-upper end of the 95 % prediction interval of one more replica, judged by the others. The softened DEM starts from the
-same bed, which was settled with the scene's own stiffness. *Memory* is the peak of the method's process, Python and
-libraries included. Data and training were timed where and when they were made.
+**How to read it**
+
+- *Time* is wall time for a simulated second: the median over the rounds, with the smallest and the largest.
+- *Expected* is where the median of another run of the benchmark lies with 95 % confidence, from the scatter over the
+  rounds. *CPU* is what the processor worked; where it is less than the time, the method waited for others.
+- *Relative* is the time in units of the DEM's at its automatic step in the same round, which a machine that is slow as
+  a whole does not change.
+- *Error* is the distance from nudged replicas of the DEM at half its automatic step, in noise floors (the mean distance
+  of two replicas), with the 95 % interval of the mean over the replicas. Of two kinds of error the worse counts.
+- *Noise* is the error up to which nothing can be told from the DEM itself: the upper end of the 95 % prediction
+  interval of one more replica, judged by the others.
+- *Memory* is the peak of the method's process during a run; in brackets, what came on top of Python, libraries and the
+  loaded state.
+- Data and training were timed where and when they were made.
+- The softened DEM starts from the same bed as all others, which settled with the scene's own stiffness.
 
 Comparisons are made at equal accuracy or at equal time only. At equal accuracy the rival of a surrogate is the fastest
 DEM whose error is no larger, or lies within the noise: large steps, float32 and softened spheres included.
@@ -74,7 +81,8 @@ def table_of(found: dict[str, Any]) -> pd.DataFrame:
         flat |= {"reason": row["unfit_because"] or row["failure"], "on_frontier": row["name"] in front}
         flat |= {f"seconds_{name}": wall.get(name) for name in _SPREAD}
         flat |= {f"relative_{name}": relative.get(name) for name in _SPREAD}
-        flat |= {name: row[name] for name in ("cpu_seconds", "peak_bytes", "data_seconds", "training_seconds")}
+        flat |= {name: row[name] for name in ("cpu_seconds", "peak_bytes", "own_bytes")}
+        flat |= {name: row[name] for name in ("data_seconds", "training_seconds")}
         flat |= {"break_even_seconds": _break_even(row["name"], found)}
         flat |= {name: row[name] for name in ("floors", "floors_low", "floors_high", "by", "outside")}
         for key, error in ((row["judgement"] or {}).get("errors") or {}).items():
@@ -132,21 +140,23 @@ def _section(place: str, found: dict[str, Any]) -> Iterator[str]:
 def _table(found: dict[str, Any]) -> Iterator[str]:
     ranked = found["reference"]["ranked"]
     yield (
-        "| method | time, s | expected | relative | error, floors | "
+        "| method | time, s | expected | CPU, s | relative | error, floors | "
         + " | ".join(f"{row['label']}, {_unit(row['unit'])} (floors)" for row in ranked)
         + " | memory, MiB | data, s | training, s | break-even, s |"
     )
-    yield "|---" * (9 + len(ranked)) + "|"
+    yield "|---" * (10 + len(ranked)) + "|"
     front = {entry.name for entry in frontier(entries(found))}
     for row in found["methods"]:
         name = f"**{row['name']}**" if row["name"] in front else row["name"]
         if row["unfit_because"]:
-            yield f"| {name} | does not fit: {row['unfit_because']} " + "| " * (7 + len(ranked)) + "|"
+            yield f"| {name} | does not fit: {row['unfit_because']} " + "| " * (8 + len(ranked)) + "|"
             continue
         errors = (row["judgement"] or {}).get("errors", {})
-        cells = [name, _range(row["wall"]), _expected(row["wall"]), _range(row["relative"]), _error(row)]
+        cells = [name, _range(row["wall"]), _expected(row["wall"])]
+        cells.append("" if row["cpu_seconds"] is None else f"{row['cpu_seconds']:.3g}")
+        cells += [_range(row["relative"]), _error(row)]
         cells += [_ranked(errors.get(kind["key"])) for kind in ranked]
-        cells.append("" if row["peak_bytes"] is None else f"{row['peak_bytes'] / 2**20:.0f}")
+        cells.append(_memory(row))
         cells += [f"{row[spent]:.0f}" if row[spent] else "–" for spent in ("data_seconds", "training_seconds")]
         paid = _break_even(row["name"], found)
         cells.append("–" if paid is None else "never" if math.isinf(paid) else f"{paid:,.0f}")
@@ -183,6 +193,12 @@ def _expected(spread: dict[str, Any] | None) -> str:
     return f"{spread['expected_low']:.3g} to {spread['expected_high']:.3g}"
 
 
+def _memory(row: dict[str, Any]) -> str:
+    if row["peak_bytes"] is None:
+        return ""
+    return f"{row['peak_bytes'] / 2**20:.0f} ({row['own_bytes'] / 2**20:.0f})"
+
+
 def _unit(unit: str) -> str:
     return "mm" if unit == "m" else "°" if unit == "deg" else unit
 
@@ -193,3 +209,7 @@ def _title(place: str, found: dict[str, Any]) -> str:
 
 def _anchor(place: str, found: dict[str, Any]) -> str:
     return _title(place, found).replace(",", "").replace(" ", "-")
+
+
+if __name__ == "__main__":
+    print(write_page(Path(sys.argv[1] if len(sys.argv) > 1 else "results/benchmark")))

@@ -20,14 +20,16 @@ from gran_bench.comparison.turns import Record, Turn
 RESULTS = "benchmark.json"
 
 
-def method_row(method: Method, record: Record | None, scored: Scored | None, beside: Record) -> dict[str, Any]:
+def method_row(
+    method: Method, record: Record | None, scored: Scored | None, beside: dict[int, float]
+) -> dict[str, Any]:
     """What is known of one method, as plain data.
 
     Args:
         method: that was compared.
         record: of its turns; None where it does not fit the scene.
         scored: its error; None where it has none.
-        beside: record of the DEM at its automatic step, whose time in the same round is the unit of ``relative``.
+        beside: wall time of a simulated second of the DEM at its automatic step, s, by round: the unit of ``relative``.
     """
     row: dict[str, Any] = {"name": method.name, "kind": method.kind, "unfit_because": method.unfit_because}
     row |= {"data_seconds": method.data_seconds, "training_seconds": method.training_seconds}
@@ -35,9 +37,10 @@ def method_row(method: Method, record: Record | None, scored: Scored | None, bes
     turns = record.turns if record else []
     wall = [turn.wall_seconds / method.seconds for turn in turns]
     row["wall"] = asdict(spread(wall)) if wall else None
-    row["relative"] = _relative(method, turns, beside)
+    row["relative"] = _relative(wall, turns, beside)
     row["cpu_seconds"] = float(np.median([t.cpu_seconds for t in turns])) / method.seconds if turns else None
-    row["peak_bytes"] = max((turn.peak_bytes for turn in turns), default=None)
+    for name in ("peak_bytes", "own_bytes"):
+        row[name] = max((getattr(turn, name) for turn in turns), default=None)
     row |= {"floors": None, "floors_low": None, "floors_high": None, "by": "", "outside": 0, "judgement": None}
     if scored is not None:
         row |= {"floors": scored.floors, "floors_low": scored.low, "floors_high": scored.high, "by": scored.by}
@@ -49,10 +52,9 @@ def method_row(method: Method, record: Record | None, scored: Scored | None, bes
     return row
 
 
-def _relative(method: Method, turns: Sequence[Turn], beside: Record) -> dict[str, Any] | None:
+def _relative(wall: Sequence[float], turns: Sequence[Turn], beside: dict[int, float]) -> dict[str, Any] | None:
     """Times in units of the reference method's time in the same round: what slows a whole machine cancels."""
-    unit = {turn.round: turn.wall_seconds for turn in beside.turns}
-    ratios = [turn.wall_seconds / method.seconds / unit[turn.round] for turn in turns if turn.round in unit]
+    ratios = [seconds / beside[turn.round] for seconds, turn in zip(wall, turns, strict=True) if turn.round in beside]
     return asdict(spread(ratios)) if ratios else None
 
 

@@ -36,13 +36,15 @@ class Turn:
     Attributes:
         round: index.
         wall_seconds, cpu_seconds: of the run; where they differ, the process waited for the processor.
-        peak_bytes: largest resident memory of the method's process, Python and libraries included.
+        peak_bytes: largest resident memory of the method's process during the run, Python and libraries included.
+        own_bytes: of these, what came on top of what was resident before the run.
     """
 
     round: int
     wall_seconds: float
     cpu_seconds: float
     peak_bytes: int
+    own_bytes: int
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import os
 import resource
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +47,16 @@ def main() -> None:
 
 
 def _timed(run: Any, frames: int, keep: str | None) -> dict[str, Any]:
+    forget_peak_memory()
+    before = resident_memory("VmRSS")
     wall, cpu = time.perf_counter(), time.process_time()
     outcome: Outcome = run(frames)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    peak = peak_memory()
+    peak = resident_memory("VmHWM")
     if keep and outcome.trajectory is not None and not outcome.failure:
         keep_trajectory(Path(keep), outcome)
-    return {"wall_seconds": wall, "cpu_seconds": cpu, "peak_bytes": peak, "failure": outcome.failure}
+    memory = {"peak_bytes": peak, "own_bytes": max(0, peak - before)}
+    return {"wall_seconds": wall, "cpu_seconds": cpu, **memory, "failure": outcome.failure}
 
 
 def keep_trajectory(path: Path, outcome: Outcome) -> None:
@@ -66,17 +70,21 @@ def keep_trajectory(path: Path, outcome: Outcome) -> None:
     write_atomically(path, lambda file: np.savez(file, **facts, **single))
 
 
-def peak_memory() -> int:
-    """Largest resident memory of this process so far, bytes.
+def forget_peak_memory() -> None:
+    """Let the peak start anew, where the system can: what compiling took is not the method's."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
 
-    ``ru_maxrss`` alone would count the parent's memory at the moment of the start.
+
+def resident_memory(field: str) -> int:
+    """``VmRSS``, the resident memory of this process, or ``VmHWM``, its peak; bytes.
+
+    ``ru_maxrss`` would count the parent's memory at the moment of the start; it stands in where /proc is missing.
     """
-    try:
+    with suppress(OSError):
         for line in Path("/proc/self/status").read_text().splitlines():
-            if line.startswith("VmHWM:"):
+            if line.startswith(f"{field}:"):
                 return 1024 * int(line.split()[1])
-    except OSError:
-        pass
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 

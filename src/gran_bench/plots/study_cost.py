@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from matplotlib.ticker import LogLocator, NullFormatter
+
 from gran_bench.plots.style import DEM, FURTHER, QUIET, SURROGATE, drawing
 
 
@@ -54,7 +56,9 @@ def cost_against(
                 axes.plot(place, max(line.seconds, default=1.0), "x", color=colour, markersize=9)
         if level is not None:
             axes.axhline(level[1], color=FURTHER[0], linestyle=(0, (5, 3)), linewidth=1.4, label=level[0])
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
         axes.set_xlabel(quantity)
         axes.set_ylabel("wall time of a simulated second, s")
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2)

@@ -73,7 +73,8 @@ def time_against_error(
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.xaxis.set_major_formatter("{x:g}")
-        axes.set_yticks([t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200) if lowest / 2 < t < 3 * highest])
+        near = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1e3, 1e4, 1e5)
+        axes.set_yticks([tick for tick in near if lowest / 2 < tick < 3 * highest])
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
         times = [c.seconds for c in contenders]
