@@ -22,7 +22,7 @@ from gran_bench.comparison.claims import (
 from gran_bench.comparison.command import model_files
 from gran_bench.comparison.contest import Contest, largest_allowed_step, why_unfit
 from gran_bench.comparison.page import PAGE, page_text, table_of
-from gran_bench.comparison.results import RESULTS, read_all, share_waited
+from gran_bench.comparison.results import RESULTS, entries, read_all, share_waited
 from gran_bench.comparison.sentences import verdicts, winner
 from gran_bench.comparison.spread import spread
 from gran_bench.config import BenchmarkConfig
@@ -71,10 +71,10 @@ def test_the_frontier_is_what_its_definition_says_of_any_cloud():
 def test_the_rival_is_the_fastest_dem_that_is_as_exact_and_noise_counts_as_exact():
     soft, coarse, fine = entry("soft", 0.2, 1.2), entry("coarse", 0.1, 5.0), entry("fine", 1.0, 0.9)
     everyone = [soft, coarse, fine, entry("surrogate", 0.01, 0.5, "surrogate"), entry("failed", 0.01, None)]
-    assert fastest_rival(everyone, 1.0, noise=1.3) == soft
-    assert fastest_rival(everyone, 1.0, noise=1.0) == fine
-    assert fastest_rival(everyone, 6.0, noise=1.3) == coarse
-    assert fastest_rival(everyone, 0.5, noise=0.6) is None
+    assert fastest_rival(everyone, 1.0, accepted=1.3) == soft
+    assert fastest_rival(everyone, 1.0, accepted=1.0) == fine
+    assert fastest_rival(everyone, 6.0, accepted=1.3) == coarse
+    assert fastest_rival(everyone, 0.5, accepted=0.6) is None
     assert best_in_time(everyone, 0.3) == soft
     assert best_in_time(everyone, 0.05) is None
 
@@ -230,6 +230,7 @@ def row(name: str, kind: str, seconds: float, floors: float | None, failure: str
     found |= {"simulated_seconds": 4.0, "wall": ranges, "relative": ranges, "cpu_seconds": 0.5 * seconds}
     found |= {"peak_bytes": 2**28, "own_bytes": 2**20, "data_seconds": 0.0, "training_seconds": 0.0}
     found |= {"floors": floors, "floors_low": floors, "floors_high": floors, "by": "speed_w1", "outside": 0}
+    found |= {"failed_seconds": None}
     return found | {"judgement": None} | more
 
 
@@ -247,12 +248,13 @@ def found() -> dict:
         "reference": {
             "replicas": 5,
             "noise": 1.3,
+            "accepted": 1.3,
             "ranked": [{"key": "speed_w1", "label": "speeds, W1 a frame", "unit": "m/s"}],
         },
         "methods": [
             row("DEM 0.2 ms", "dem", 0.9, 1.0),
             row("DEM 1 ms", "dem", 0.2, 4.0),
-            row("DEM 5 ms", "dem", 0.05, None, "sphere 3 diverged"),
+            row("DEM 5 ms", "dem", 0.05, None, "sphere 3 diverged", wall=None, relative=None, failed_seconds=0.05),
             row("net", "surrogate", 0.6, 1.8, data_seconds=40.0, training_seconds=860.0),
         ],
         "waited": 0.0,
@@ -282,6 +284,11 @@ def test_a_dem_that_is_as_exact_and_faster_wins_and_training_is_never_paid_back(
     assert table.loc["net", "break_even_seconds"] == math.inf
     assert not table.loc["net", "on_frontier"]
     assert table.loc["DEM 5 ms", "failed"]
+
+
+def test_a_run_that_failed_on_its_way_has_a_place_in_the_figure(found):
+    (failed,) = [one for one in entries(found) if one.floors is None]
+    assert (failed.name, failed.seconds) == ("DEM 5 ms", 0.05)
 
 
 def test_methods_that_waited_for_the_processor_say_that_the_machine_was_busy(found):

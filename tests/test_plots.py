@@ -255,7 +255,7 @@ def test_a_failed_method_stays_in_the_picture_of_time_and_error(tmp_path, texts)
         Contender("contact", "surrogate", 0.2, 4.0, 3.0, 5.0, fast=0.19, slow=0.25),
         Contender("ccnn", "surrogate", 30.0, None),
     ]
-    time_against_error(contenders, "angle of repose", tmp_path / "time.png", noise=1.3)
+    time_against_error(contenders, "angle of repose", tmp_path / "time.png", accuracy=1.3)
     assert {"DEM", "contact", "ccnn (failed)", "nothing is faster and better"} <= set(texts)
     with pytest.raises(ValueError, match="choose one of dem, surrogate"):
         Contender("x", "magic", 1.0, 1.0)

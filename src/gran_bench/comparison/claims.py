@@ -63,15 +63,15 @@ def frontier(entries: Sequence[Entry]) -> list[Entry]:
     return sorted((entry for entry in sound if not beaten(entry)), key=lambda entry: (entry.seconds, entry.name))
 
 
-def fastest_rival(entries: Sequence[Entry], floors: float, noise: float) -> Entry | None:
+def fastest_rival(entries: Sequence[Entry], floors: float, accepted: float) -> Entry | None:
     """The fastest DEM, softened and large steps included, that is at least as exact; None where no DEM is.
 
     Args:
         entries: all methods.
         floors: error to be met, in noise floors.
-        noise: error up to which nothing can be told from the DEM itself: whoever is below is exact enough.
+        accepted: the DEM's own accuracy: whoever is below is exact enough.
     """
-    met = [e for e in entries if e.kind == "dem" and e.floors is not None and e.floors <= max(floors, noise)]
+    met = [e for e in entries if e.kind == "dem" and e.floors is not None and e.floors <= max(floors, accepted)]
     return min(met, key=lambda entry: entry.seconds, default=None)
 
 

@@ -111,7 +111,7 @@ def draw(found: dict[str, Any], folder: Path) -> None:
         for entry in entries(found)
     ]
     labels = " and ".join(row["label"] for row in found["reference"]["ranked"])
-    time_against_error(contenders, labels, folder / "time_error.png", found["reference"]["noise"])
+    time_against_error(contenders, labels, folder / "time_error.png", found["reference"]["accepted"])
     level = softened(found)
     if found["stiffness"]:
         names = {"automatic": "DEM, automatic step", "largest": "DEM, largest allowed step"}
@@ -167,7 +167,7 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
         "modulus": scene.material.youngs_modulus,
         "rounds": profile.rounds,
         "automatic": contest.automatic,
-        "reference": reference_facts(reference, config.dataset.replicas),
+        "reference": reference_facts(reference, config.dataset.replicas, scores.get(automatic.name)),
         "methods": rows,
         "waited": share_waited(rows),
         **studies,

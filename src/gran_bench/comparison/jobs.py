@@ -27,10 +27,12 @@ class Outcome:
     Attributes:
         trajectory: its frames; None for statistics without particles.
         failure: why it could not go on; empty for a run that reached its end.
+        reached: frames that a run which failed had computed before.
     """
 
     trajectory: Trajectory | None
     failure: str = ""
+    reached: int = 0
 
 
 Run = Callable[[int], Outcome]  # called with the number of frames to compute
@@ -74,7 +76,7 @@ def _dem(job: dict[str, Any]) -> Run:
         try:
             return Outcome(simulate(scene, bed, bed.time + frames * scene.frame_interval, dem=dem).trajectory)
         except SimulationError as error:
-            return Outcome(error.trajectory, str(error))
+            return Outcome(error.trajectory, str(error), max(0, error.trajectory.frame_count - 2))
 
     return run
 
@@ -92,8 +94,10 @@ def _surrogate(job: dict[str, Any]) -> Run:
 
     def run(frames: int) -> Outcome:
         result = rollout(model, scene, bed, frames + 1)
-        failed = "" if result.failed_frame is None else f"not finite from frame {result.failed_frame} on"
-        return Outcome(result.trajectory, failed)
+        if result.failed_frame is None:
+            return Outcome(result.trajectory)
+        reason = f"not finite from frame {result.failed_frame} on"
+        return Outcome(result.trajectory, reason, result.failed_frame - 1)
 
     return run
 

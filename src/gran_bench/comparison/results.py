@@ -36,6 +36,8 @@ def method_row(
     row |= {"simulated_seconds": method.seconds, "failure": record.failure if record else ""}
     turns = record.turns if record else []
     wall = [turn.wall_seconds / method.seconds for turn in turns]
+    # Where in the figure a run stands that failed on its way.
+    row["failed_seconds"] = record.failed_seconds if record else None
     row["wall"] = asdict(spread(wall)) if wall else None
     row["relative"] = _relative(wall, turns, beside)
     row["cpu_seconds"] = float(np.median([t.cpu_seconds for t in turns])) / method.seconds if turns else None
@@ -73,11 +75,20 @@ def study_rows(points: dict[str, list[tuple[float, Method]]], records: dict[str,
     return found
 
 
-def reference_facts(reference: Reference, replicas: int) -> dict[str, Any]:
-    """The ranked errors and the DEM's own scatter in them."""
+def reference_facts(reference: Reference, replicas: int, automatic: Scored | None) -> dict[str, Any]:
+    """The ranked errors and what the DEM's own accuracy in them is.
+
+    Args:
+        reference: the replicas.
+        replicas: how many.
+        automatic: the error of the DEM at its automatic step; None where that failed.
+    """
+    own = automatic.floors if automatic is not None and automatic.floors is not None else 0.0
     return {
         "replicas": replicas,
         "noise": reference.noise,
+        # Where a bed comes to rest, nudges hardly grow, and the step of the DEM counts for more than its noise.
+        "accepted": max(reference.noise, own),
         "ranked": [{"key": row.key, "label": row.label, "unit": row.unit} for row in reference.ranked],
     }
 
@@ -91,20 +102,15 @@ def share_waited(rows: Sequence[dict[str, Any]]) -> float:
 
 def entries(found: dict[str, Any]) -> list[Entry]:
     """The judged methods of a benchmark, failed ones included, that were timed."""
-    return [
-        Entry(
-            row["name"],
-            row["kind"],
-            row["wall"]["median"],
-            row["wall"]["low"],
-            row["wall"]["high"],
-            None if row["failed"] else row["floors"],
-            row["data_seconds"],
-            row["training_seconds"],
-        )
-        for row in found["methods"]
-        if row["wall"] and (row["floors"] is not None or row["failed"])
-    ]
+    timed = []
+    for row in found["methods"]:
+        wall = row["wall"] or dict.fromkeys(("median", "low", "high"), row["failed_seconds"])
+        times = [wall[name] for name in ("median", "low", "high")]
+        if times[0] is not None and (row["floors"] is not None or row["failed"]):
+            floors = None if row["failed"] else row["floors"]
+            spent = row["data_seconds"], row["training_seconds"]
+            timed.append(Entry(row["name"], row["kind"], *times, floors, *spent))
+    return timed
 
 
 def write_results(folder: Path, found: dict[str, Any]) -> Path:

@@ -19,17 +19,17 @@ from gran_bench.comparison.results import entries
 
 
 def winner(found: dict[str, Any]) -> str:
-    """Who gives an answer that cannot be told from the DEM's own in the least time."""
-    every, noise = entries(found), found["reference"]["noise"]
-    exact = [entry for entry in every if entry.floors is not None and entry.floors <= noise]
+    """Who gives an answer of the DEM's own accuracy in the least time."""
+    every, accepted = entries(found), found["reference"]["accepted"]
+    exact = [entry for entry in every if entry.floors is not None and entry.floors <= accepted]
     if not exact:
-        return "No method stays within the DEM's own noise."
+        return "No method has the DEM's own accuracy."
     first = min(exact, key=lambda entry: entry.seconds)
-    said = f"Within the DEM's own noise ({noise:.2f} floors) the fastest is **{first.name}**: {_time(first.seconds)}"
+    said = f"Of the DEM's own accuracy ({accepted:.2f} floors) the fastest is **{first.name}**: {_time(first.seconds)}"
     said += f" a simulated second, {first.floors:.2f} floors"
     if first.kind == "dem":
         return said + "."
-    rival = fastest_rival(every, noise, noise)
+    rival = fastest_rival(every, accepted, accepted)
     if first.kind == "baseline":
         said += f", after {first.data_seconds:.0f} s of data; it gives statistics and no spheres"
     if rival is None:
@@ -39,7 +39,7 @@ def winner(found: dict[str, Any]) -> str:
 
 def verdicts(found: dict[str, Any]) -> Iterator[str]:
     """A paragraph for each surrogate: what it is against the fastest DEM as exact, and the most exact DEM as fast."""
-    every, noise = entries(found), found["reference"]["noise"]
+    every, accepted = entries(found), found["reference"]["accepted"]
     front = {entry.name for entry in frontier(every)}
     for row in found["methods"]:
         if row["kind"] != "surrogate":
@@ -53,12 +53,12 @@ def verdicts(found: dict[str, Any]) -> Iterator[str]:
             continue
         place = "is on" if entry.name in front else "is not on"
         said = f"- **{entry.name}**: {entry.floors:.2f} floors in {_time(entry.seconds)} a simulated second; it {place}"
-        parts = (_equal_accuracy(entry, every, noise), _equal_time(entry, every), _paid(entry, every, noise))
+        parts = (_equal_accuracy(entry, every, accepted), _equal_time(entry, every), _paid(entry, every, accepted))
         yield " ".join([f"{said} the frontier.", *parts])
 
 
-def _equal_accuracy(entry: Entry, every: list[Entry], noise: float) -> str:
-    rival = fastest_rival(every, entry.floors, noise)
+def _equal_accuracy(entry: Entry, every: list[Entry], accepted: float) -> str:
+    rival = fastest_rival(every, entry.floors, accepted)
     if rival is None:
         return "No DEM of the ladder is as exact."
     ratio = speed_up(entry, rival)
@@ -79,8 +79,8 @@ def _equal_time(entry: Entry, every: list[Entry]) -> str:
     return f"In no more time, {rival.name} errs by {rival.floors:.2f} floors."
 
 
-def _paid(entry: Entry, every: list[Entry], noise: float) -> str:
-    rival = fastest_rival(every, entry.floors, noise)
+def _paid(entry: Entry, every: list[Entry], accepted: float) -> str:
+    rival = fastest_rival(every, entry.floors, accepted)
     spent = f"{entry.data_seconds:.0f} s of data and {entry.training_seconds:.0f} s of training"
     if rival is None:
         return f"It took {spent}."
@@ -93,7 +93,7 @@ def _paid(entry: Entry, every: list[Entry], noise: float) -> str:
 def stiffness_sentences(found: dict[str, Any]) -> Iterator[str]:
     """From which stiffness on a surrogate costs less than the DEM, and what the softened DEM makes of it."""
     study = found["stiffness"]
-    soft, noise = softened(found), found["reference"]["noise"]
+    soft, accepted = softened(found), found["reference"]["accepted"]
     for name, points in study.items():
         if name in ("automatic", "largest") or points[0]["wall"] is None:
             continue
@@ -106,15 +106,15 @@ def stiffness_sentences(found: dict[str, Any]) -> Iterator[str]:
         if soft is not None:
             verdict = "less" if soft.seconds < level else "more"
             yield (
-                f"- The fastest DEM within the noise ({soft.name}, {soft.floors:.2f} of {noise:.2f} floors) can stand "
-                f"in for any stiffer material: it costs {_time(soft.seconds)}, {verdict} than **{name}**."
+                f"- The fastest DEM of that accuracy ({soft.name}, {soft.floors:.2f} of {accepted:.2f} floors) can "
+                f"stand in for any stiffer material: it costs {_time(soft.seconds)}, {verdict} than **{name}**."
             )
 
 
 def softened(found: dict[str, Any]) -> Entry | None:
-    """The fastest DEM within the DEM's own noise: it stands in for any stiffer material."""
-    noise = found["reference"]["noise"]
-    return fastest_rival(entries(found), noise, noise)
+    """The fastest DEM of the DEM's own accuracy: it stands in for any stiffer material."""
+    accepted = found["reference"]["accepted"]
+    return fastest_rival(entries(found), accepted, accepted)
 
 
 def _time(seconds: float) -> str:

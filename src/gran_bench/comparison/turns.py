@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -24,6 +25,7 @@ import gran_bench
 from gran_bench.atomic import write_text
 from gran_bench.comparison.method import Method
 
+PREPARED_AT_A_TIME = 2
 TRAJECTORY, FAILURE = "trajectory.npz", "failure.json"
 _ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 _ONE_THREAD |= {"MKL_NUM_THREADS": "1"}
@@ -55,11 +57,13 @@ class Record:
         folder: of its files.
         turns: by round; empty for a method that failed in its first run.
         failure: why it failed; empty where it did not.
+        failed_seconds: wall time of a simulated second before it failed, s; None where it never got to a frame.
     """
 
     folder: Path
     turns: list[Turn]
     failure: str
+    failed_seconds: float | None = None
 
     @property
     def trajectory(self) -> Path:
@@ -108,14 +112,21 @@ def take_turns(
     missing = [(m, index) for index in range(rounds) for m in _order(fit, seed, index) if wants(m, index)[0]]
     with _crew() as hire, tqdm(total=len(missing), desc=label, unit="run", disable=None, leave=False) as bar:
         # All are compiled and warm before the first is timed.
-        workers = {}
-        for method in {method.name: method for method, _ in missing}.values():
+        workers: dict[str, subprocess.Popen] = {}
+
+        def prepare(method: Method) -> None:
             bar.set_postfix_str(f"preparing {method.name}", refresh=True)
             workers[method.name] = hire()
             frames = round(method.seconds / frame_interval)
             answer = _ask(workers[method.name], {"job": method.job, "frames": frames})
             if "died" in answer:
                 _fail(folders[method.name], answer["died"], died=True)
+
+        needed = list({method.name: method for method, _ in missing}.values())
+        for method in needed[:1]:  # it compiles what the others then load
+            prepare(method)
+        with ThreadPoolExecutor(PREPARED_AT_A_TIME) as lanes:
+            list(lanes.map(prepare, needed[1:]))
         for method, index in missing:
             wanted, keeps = wants(method, index)
             bar.set_postfix_str(method.name, refresh=True)
@@ -124,9 +135,13 @@ def take_turns(
                 continue
             place = folders[method.name]
             answer = _ask(workers[method.name], {"keep": str((place / TRAJECTORY).resolve()) if keeps else None})
-            died, failure = answer.pop("died", ""), answer.pop("failure", "")
-            if died or failure:
-                _fail(place, died or failure, died=bool(died))
+            if "died" in answer:
+                _fail(place, answer["died"], died=True)
+                continue
+            if "failure" in answer:
+                reached = answer["reached"] * frame_interval
+                seconds = answer["wall_seconds"] / reached if reached else None
+                _fail(place, answer["failure"], died=False, seconds=seconds)
                 continue
             turn = Turn(index, **answer)
             write_text(_path(place, index), json.dumps(asdict(turn) | {"method": method.name}, indent=1) + "\n")
@@ -141,8 +156,8 @@ def _path(folder: Path, index: int) -> Path:
     return folder / f"round{index}.json"
 
 
-def _fail(folder: Path, message: str, died: bool) -> None:
-    write_text(folder / FAILURE, json.dumps({"failure": message, "died": died}) + "\n")
+def _fail(folder: Path, message: str, died: bool, seconds: float | None = None) -> None:
+    write_text(folder / FAILURE, json.dumps({"failure": message, "died": died, "seconds": seconds}) + "\n")
 
 
 def _forget_death(folder: Path) -> None:
@@ -155,8 +170,10 @@ def _forget_death(folder: Path) -> None:
 def _read(folder: Path, rounds: int) -> Record:
     found = [json.loads(_path(folder, k).read_text("utf-8")) for k in range(rounds) if _path(folder, k).exists()]
     turns = [Turn(**{name: value for name, value in turn.items() if name != "method"}) for turn in found]
-    failure = folder / FAILURE
-    return Record(folder, turns, json.loads(failure.read_text("utf-8"))["failure"] if failure.exists() else "")
+    if not (folder / FAILURE).exists():
+        return Record(folder, turns, "")
+    failed = json.loads((folder / FAILURE).read_text("utf-8"))
+    return Record(folder, turns, failed["failure"], failed["seconds"])
 
 
 @contextmanager

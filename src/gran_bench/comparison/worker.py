@@ -56,7 +56,9 @@ def _timed(run: Any, frames: int, keep: str | None) -> dict[str, Any]:
     if keep and outcome.trajectory is not None and not outcome.failure:
         keep_trajectory(Path(keep), outcome)
     memory = {"peak_bytes": peak, "own_bytes": max(0, peak - before)}
-    return {"wall_seconds": wall, "cpu_seconds": cpu, **memory, "failure": outcome.failure}
+    if outcome.failure:
+        return {"failure": outcome.failure, "wall_seconds": wall, "reached": outcome.reached}
+    return {"wall_seconds": wall, "cpu_seconds": cpu, **memory}
 
 
 def keep_trajectory(path: Path, outcome: Outcome) -> None:
