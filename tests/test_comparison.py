@@ -286,6 +286,23 @@ def test_a_dem_that_is_as_exact_and_faster_wins_and_training_is_never_paid_back(
     assert table.loc["DEM 5 ms", "failed"]
 
 
+def test_the_page_says_where_a_surrogate_starts_to_cost_less_and_what_softening_makes_of_it(found):
+    def points(**costs):
+        return [{"at": float(at[1:]), "wall": {"median": cost}, "failure": ""} for at, cost in costs.items()]
+
+    found["stiffness"] = {
+        "automatic": points(_1e7=0.3, _1e9=3.0),
+        "largest": points(_1e7=0.1, _1e9=0.4),
+        "net": points(_1e7=0.6),
+    }
+    found["counts"] = {"DEM": points(_300=0.1, _3000=1.0), "net": points(_300=0.2, _3000=0.5)}
+    text = page_text({"quick/drum": found})
+    assert "costs less than the DEM at its largest allowed step at no stiffness that was tried" in text
+    assert "costs less than the DEM at its automatic step from E = 4.0e+07 Pa on" in text
+    assert "it costs 0.9 s, more than **net**" in text
+    assert "2 with 300 spheres, 0.5 with 3000 spheres" in text
+
+
 def test_a_run_that_failed_on_its_way_has_a_place_in_the_figure(found):
     (failed,) = [one for one in entries(found) if one.floors is None]
     assert (failed.name, failed.seconds) == ("DEM 5 ms", 0.05)

@@ -13,7 +13,7 @@ import pandas as pd
 from gran_bench.atomic import write_atomically, write_text
 from gran_bench.comparison.claims import break_even, fastest_rival, frontier
 from gran_bench.comparison.results import entries, read_all
-from gran_bench.comparison.sentences import stiffness_sentences, verdicts, winner
+from gran_bench.comparison.sentences import count_sentences, stiffness_sentences, verdicts, winner
 
 PAGE, TABLE = "README.md", "methods.csv"
 BUSY = 0.05  # share of the time that methods waited for the processor, from which on a page says so
@@ -128,7 +128,8 @@ def _section(place: str, found: dict[str, Any]) -> Iterator[str]:
         yield from ("", "**Against stiffness.**", "", f"![Cost against stiffness]({place}/stiffness.png)", "")
         yield from stiffness_sentences(found)
     if found["counts"]:
-        yield from ("", "**Against the number of spheres.**", "", f"![Cost against number]({place}/counts.png)")
+        yield from ("", "**Against the number of spheres.**", "", f"![Cost against number]({place}/counts.png)", "")
+        yield from count_sentences(found)
     yield ""
     busy = f" Methods waited {100 * found['waited']:.0f} % of their time for the processor: the machine had other work."
     busy = busy if found["waited"] > BUSY else ""

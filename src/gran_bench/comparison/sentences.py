@@ -111,6 +111,16 @@ def stiffness_sentences(found: dict[str, Any]) -> Iterator[str]:
             )
 
 
+def count_sentences(found: dict[str, Any]) -> Iterator[str]:
+    """What a surrogate costs in units of the DEM's cost at its automatic step, for each number of spheres."""
+    dem = {point["at"]: point["wall"]["median"] for point in found["counts"].get("DEM", []) if point["wall"]}
+    for name, points in found["counts"].items():
+        shares = [(p["at"], p["wall"]["median"] / dem[p["at"]]) for p in points if p["wall"] and p["at"] in dem]
+        if name != "DEM" and shares:
+            words = ", ".join(f"{share:.2g} with {count:g} spheres" for count, share in shares)
+            yield f"- **{name}** takes these times the time of the DEM at its automatic step: {words}."
+
+
 def softened(found: dict[str, Any]) -> Entry | None:
     """The fastest DEM of the DEM's own accuracy: it stands in for any stiffer material."""
     accepted = found["reference"]["accepted"]
