@@ -20,11 +20,12 @@ from gran_bench.comparison.claims import (
     speed_up,
 )
 from gran_bench.comparison.command import model_files
-from gran_bench.comparison.contest import Contest, largest_allowed_step, why_unfit
+from gran_bench.comparison.contest import Contest, largest_allowed_step
 from gran_bench.comparison.page import PAGE, page_text, table_of
 from gran_bench.comparison.results import RESULTS, entries, read_all, share_waited
 from gran_bench.comparison.sentences import verdicts, winner
 from gran_bench.comparison.spread import spread
+from gran_bench.comparison.suitability import why_unfit
 from gran_bench.config import BenchmarkConfig
 from gran_bench.config_rules import ConfigError
 from gran_bench.dem.simulate import TimeStepError, choose_time_step

@@ -9,13 +9,13 @@ from typing import Any
 
 from gran_bench.comparison.jobs import BASELINES, with_modulus
 from gran_bench.comparison.method import Method
-from gran_bench.config import BenchmarkConfig, DemConfig, SceneConfig
-from gran_bench.config_check import read_config
+from gran_bench.comparison.suitability import why_unfit
+from gran_bench.config import BenchmarkConfig, DemConfig
 from gran_bench.dataset import CaseSpec, half_step, read_attributes, replicas, to_document
 from gran_bench.dem.simulate import choose_time_step, dividing_step
 from gran_bench.dem.time_step import ERROR_FRACTION, contact_times
-from gran_bench.scene import Cylinder, Plane, Scene, build_scene
-from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card
+from gran_bench.scene import Scene, build_scene
+from gran_bench.surrogate.checkpoint import file_digest, load_card
 
 AUTOMATIC = "DEM"  # first word of the method that all times are held against: this engine, this step
 
@@ -228,42 +228,6 @@ class Contest:
 def largest_allowed_step(scene: Scene) -> float:
     """The largest step that the DEM takes without being told to: just under 0.2 of the contact time, s."""
     return dividing_step(scene.frame_interval, ERROR_FRACTION * contact_times(scene)[0] * (1.0 - 1e-6))
-
-
-def why_unfit(card: ModelCard, scene: Scene, packing_seed: int) -> str:
-    """Why a trained model cannot answer for a scene, or may not; empty where it can.
-
-    Args:
-        card: of the model.
-        scene: with its motion.
-        packing_seed: of the bed that it would start from.
-    """
-    home = build_scene(read_config(SceneConfig, card.scene))
-    known = {
-        "spheres of one size": scene.filling.sizes.kind == "one",
-        "one material": len(scene.materials) == 1,
-        "planes and cylinders": all(isinstance(wall, Plane | Cylinder) for wall in scene.walls),
-        "containers without an outlet": scene.outlet is None,
-    }
-    for what, holds in known.items():
-        if not holds:
-            return f"it knows {what} alone"
-    same = {
-        "diameter": (scene.filling.diameter, home.filling.diameter),
-        "frame interval": (scene.frame_interval, home.frame_interval),
-        "gravity": (scene.gravity, home.gravity),
-        "material": (scene.material, home.material),
-        "wall material": (scene.wall_material, home.wall_material),
-    }
-    for what, (here, there) in same.items():
-        if here != there:
-            return f"it was trained with another {what}"
-    speeds = set(scene.rotation.speeds_rpm)
-    if scene.takes_speeds and speeds & set(card.origin.get("training_speeds_rpm", ())):
-        return f"it was trained at {max(speeds):g} rpm"
-    if scene.takes_speeds and card.origin.get("packing_seed") == packing_seed:
-        return f"it was trained on packing {packing_seed}"
-    return ""
 
 
 def _decades(low: float, high: float) -> Iterator[float]:
