@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from gran_bench.comparison.claims import (
 from gran_bench.comparison.command import model_files
 from gran_bench.comparison.contest import Contest, largest_allowed_step
 from gran_bench.comparison.page import PAGE, page_text, table_of
-from gran_bench.comparison.results import RESULTS, entries, read_all, share_waited
+from gran_bench.comparison.results import FORMAT, RESULTS, ResultsError, entries, read_all, share_waited
 from gran_bench.comparison.sentences import verdicts, winner
 from gran_bench.comparison.spread import spread
 from gran_bench.comparison.suitability import why_unfit
@@ -197,6 +198,7 @@ def test_a_methods_key_follows_its_job_and_its_conditions_and_not_its_folders(tm
     assert here.key("code") != here.key("other code")
     slower = Contest(benchmark_config("scene.material.friction=0.4"), {}).methods[0]
     assert slower.key("code") != here.key("code")
+    assert replace(here, seconds=0.1).key("code") != here.key("code")
 
 
 @pytest.mark.parametrize(
@@ -238,6 +240,7 @@ def row(name: str, kind: str, seconds: float, floors: float | None, failure: str
 @pytest.fixture
 def found() -> dict:
     return {
+        "format": FORMAT,
         "scene": "drum",
         "profile": "quick",
         "spheres": 3000,
@@ -320,6 +323,9 @@ def test_full_results_of_a_scene_stand_for_it(found, tmp_path):
         (tmp_path / place).mkdir(parents=True)
         (tmp_path / place / RESULTS).write_text(json.dumps(copy.deepcopy(found)))
     assert list(read_all(tmp_path)) == ["full/drum", "quick/packing"]
+    (tmp_path / "quick/packing" / RESULTS).write_text(json.dumps(found | {"format": FORMAT - 1}))
+    with pytest.raises(ResultsError, match="another version"):
+        read_all(tmp_path)
 
 
 @pytest.mark.skipif(not (COMMITTED / PAGE).exists(), reason="no benchmark is committed")

@@ -12,6 +12,7 @@ from gran_bench.comparison.errors import Reference, Scored, errors_file, score_m
 from gran_bench.comparison.method import Method
 from gran_bench.comparison.page import TABLE, write_page, write_table
 from gran_bench.comparison.results import (
+    FORMAT,
     entries,
     method_row,
     reference_facts,
@@ -116,7 +117,10 @@ def draw(found: dict[str, Any], folder: Path) -> None:
     if found["stiffness"]:
         names = {"automatic": "DEM, automatic step", "largest": "DEM, largest allowed step"}
         lines = _cost_lines(found["stiffness"], names)
-        soft = None if level is None else (f"softened: {level.name}", level.seconds)
+        soft = None
+        if level is not None:
+            softness = "" if "E = " in level.name else f", E = {found['modulus']:.0e} Pa".replace("e+0", "e")
+            soft = (f"in its stead: {level.name}{softness}", level.seconds)
         cost_against(lines, "Young's modulus, Pa", folder / "stiffness.png", soft)
     if found["counts"]:
         lines = _cost_lines(found["counts"], {"DEM": "DEM, automatic step"})
@@ -159,6 +163,7 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
     beside = {turn.round: turn.wall_seconds / automatic.seconds for turn in records[automatic.name].turns}
     rows = [method_row(m, records.get(m.name), scores.get(m.name), beside) for m in methods]
     return {
+        "format": FORMAT,
         "scene": scene.name,
         "profile": profile.name,
         "spheres": scene.filling.count,

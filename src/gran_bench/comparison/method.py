@@ -42,13 +42,13 @@ class Method:
             raise ValueError(f"kind={self.kind!r} of {self.name!r}; choose one of {', '.join(KINDS)}")
 
     def key(self, *conditions: str) -> str:
-        """A readable name of the method's files, with a hash of the job and of the conditions that it is run under.
+        """A readable name of the method's files, with a hash of the job, how long it is, and under which conditions.
 
         Args:
             conditions: whatever else decides a measurement: code, hardware.
         """
         plain = {name: _file_names(value) if name in _FILES else value for name, value in self.job.items()}
-        text = json.dumps([plain, *conditions], sort_keys=True)
+        text = json.dumps([plain, self.seconds, *conditions], sort_keys=True)
         digest = hashlib.sha256(text.encode()).hexdigest()[:12]
         return re.sub(r"[^\w.+-]+", "-", self.name).strip("-") + f"-{digest}"
 

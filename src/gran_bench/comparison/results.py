@@ -18,6 +18,11 @@ from gran_bench.comparison.spread import spread
 from gran_bench.comparison.turns import Record, Turn
 
 RESULTS = "benchmark.json"
+FORMAT = 1  # of the file; a change makes a page refuse the older ones
+
+
+class ResultsError(ValueError):
+    """Results that a page cannot be made from; the message names the file and the remedy."""
 
 
 def method_row(
@@ -120,9 +125,16 @@ def write_results(folder: Path, found: dict[str, Any]) -> Path:
 
 
 def read_all(root: Path) -> dict[str, dict[str, Any]]:
-    """All results below a folder by ``profile/scene``; a scene's full results stand for it where there are some."""
+    """All results below a folder by ``profile/scene``; a scene's full results stand for it where there are some.
+
+    Raises:
+        ResultsError: results of another format.
+    """
     found = {}
     for path in sorted(root.glob(f"*/*/{RESULTS}")):
-        found[f"{path.parent.parent.name}/{path.parent.name}"] = json.loads(path.read_text("utf-8"))
+        results = json.loads(path.read_text("utf-8"))
+        if results.get("format") != FORMAT:
+            raise ResultsError(f"{path} was written by another version; run its command again, or remove its folder")
+        found[f"{path.parent.parent.name}/{path.parent.name}"] = results
     thorough = {place.partition("/")[2] for place in found if place.startswith("full/")}
     return {p: r for p, r in found.items() if p.startswith("full/") or p.partition("/")[2] not in thorough}

@@ -106,8 +106,8 @@ def stiffness_sentences(found: dict[str, Any]) -> Iterator[str]:
         if soft is not None:
             verdict = "less" if soft.seconds < level else "more"
             yield (
-                f"- The fastest DEM of that accuracy ({soft.name}, {soft.floors:.2f} of {accepted:.2f} floors) can "
-                f"stand in for any stiffer material: it costs {_time(soft.seconds)}, {verdict} than **{name}**."
+                f"- The fastest DEM as exact as the DEM itself ({soft.name}, {soft.floors:.2f} of {accepted:.2f} "
+                f"floors) can stand in for any stiffer material: it costs {_time(soft.seconds)}, {verdict} than **{name}**."
             )
 
 

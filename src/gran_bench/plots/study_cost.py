@@ -10,6 +10,8 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from gran_bench.plots.style import DEM, FURTHER, QUIET, SURROGATE, drawing
 
+LARGEST_IN_FULL = 1e6  # numbers up to which the measured places are the ticks
+
 
 @dataclass(frozen=True)
 class CostLine:
@@ -59,6 +61,11 @@ def cost_against(
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
+        places = sorted({place for line in lines for place in line.at})
+        if places and places[-1] < LARGEST_IN_FULL:
+            axes.set_xticks(places)
+            axes.xaxis.set_major_formatter("{x:g}")
+            axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlabel(quantity)
         axes.set_ylabel("wall time of a simulated second, s")
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2)

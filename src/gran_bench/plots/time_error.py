@@ -124,6 +124,7 @@ def _name_marks(figure: Figure, axes: Axes, marks: Sequence[tuple[Contender, flo
             label = axes.annotate(
                 text, (contender.seconds, y), xytext=(right, up), textcoords="offset points", fontsize=9,
                 ha={9: "left", -9: "right", 0: "center"}[right], va="center", color=KINDS[contender.kind][1],
+                bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6},
             )  # fmt: skip
             box = label.get_window_extent()
             if (
