@@ -104,10 +104,10 @@ def stiffness_sentences(found: dict[str, Any]) -> Iterator[str]:
             where = "at no stiffness that was tried" if at is None else f"from E = {at:.1e} Pa on"
             yield f"- **{name}** ({_time(level)} a simulated second) costs less than the DEM at {words} {where}."
         if soft is not None:
-            verdict = "less" if soft.seconds < level else "more"
+            costs = f"{_time(soft.seconds)}, {'less' if soft.seconds < level else 'more'} than **{name}**"
             yield (
                 f"- The fastest DEM as exact as the DEM itself ({soft.name}, {soft.floors:.2f} of {accepted:.2f} "
-                f"floors) can stand in for any stiffer material: it costs {_time(soft.seconds)}, {verdict} than **{name}**."
+                f"floors) can stand in for any stiffer material: it costs {costs}."
             )
 
 

@@ -125,8 +125,17 @@ def take_turns(
         needed = list({method.name: method for method, _ in missing}.values())
         for method in needed[:1]:  # it compiles what the others then load
             prepare(method)
-        with ThreadPoolExecutor(PREPARED_AT_A_TIME) as lanes:
+        lanes = ThreadPoolExecutor(PREPARED_AT_A_TIME)
+        try:
             list(lanes.map(prepare, needed[1:]))
+        except BaseException:
+            # The lanes end once nothing waits and those that they wait for are gone.
+            lanes.shutdown(wait=False, cancel_futures=True)
+            for worker in list(workers.values()):
+                worker.kill()
+            raise
+        finally:
+            lanes.shutdown()
         for method, index in missing:
             wanted, keeps = wants(method, index)
             bar.set_postfix_str(method.name, refresh=True)
