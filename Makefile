@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PORT ?= 5000
 
-.PHONY: train data test lint ui browser-test verify bench stress clean
+.PHONY: train data test lint ui browser-test verify bench bench-kernels stress clean
 
 train: $(READY)
 	$(BIN)/python -m gran_bench.train +experiment=holdout30rpm
@@ -32,8 +32,11 @@ browser-test: $(READY)
 verify: $(READY)
 	$(BIN)/python -m data_gen.verify
 
-# benchmarks/dem_vs_lammps.py needs LAMMPS; it says how.
 bench: $(READY)
+	$(BIN)/python -m gran_bench.benchmark
+
+# benchmarks/dem_vs_lammps.py needs LAMMPS; it says how.
+bench-kernels: $(READY)
 	$(BIN)/python benchmarks/dem_skips.py
 	$(BIN)/python benchmarks/dem_scaling.py --counts 300 1000 3000 10000 30000
 	$(BIN)/python benchmarks/contact_network.py

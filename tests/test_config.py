@@ -15,6 +15,7 @@ from gran_bench import config_choices, config_consistency
 from gran_bench.composition import checked_config, compose
 from gran_bench.config import (
     MODEL_SCHEMAS,
+    BenchmarkConfig,
     BoundaryConfig,
     CconvModelConfig,
     ContactModelConfig,
@@ -61,7 +62,7 @@ def test_one_word_swaps_the_model_of_every_recipe(recipe, model):
     assert isinstance(config.model, MODEL_SCHEMAS[model])
 
 
-@pytest.mark.parametrize("group", [group.name for group in GROUPS if group.name not in ("experiment", "scene")])
+@pytest.mark.parametrize("group", [g.name for g in GROUPS if g.name not in ("experiment", "scene", "profile")])
 def test_every_choice_of_every_group_composes(group):
     for path in sorted((CONF / group).glob("*.yaml")):
         # A speed must belong to one split: the judge's choices need the data set that has their speeds.
@@ -71,6 +72,12 @@ def test_every_choice_of_every_group_composes(group):
         with_it += ["model=ccnn"] if group == "boundary" and path.stem != "contact" else []
         with_it += ["model=ccnn"] if path.stem == "with_momentum" else []
         train_config(f"{group}={path.stem}", *with_it)
+
+
+@pytest.mark.parametrize("profile", [path.stem for path in (CONF / "profile").glob("*.yaml")])
+def test_every_profile_of_the_benchmark_composes_and_carries_its_name(profile):
+    composed = compose("benchmark", [f"profile={profile}"])
+    assert checked_config(composed, BenchmarkConfig).profile.name == profile
 
 
 @pytest.mark.parametrize("scene", SCENES)
@@ -161,6 +168,7 @@ def test_the_yaml_gives_every_key_of_the_schema_so_that_nothing_is_hidden():
         composed = compose("train", [f"model={model}"])
         assert list(absent(checked_config(composed, TrainConfig), composed)) == []
     assert list(absent(GenerateConfig(), compose("generate", []))) == []
+    assert list(absent(BenchmarkConfig(), compose("benchmark", []))) == []
 
 
 def test_every_value_of_the_schema_has_a_rule():

@@ -15,6 +15,7 @@ from config_reads import Read, keys_of, reads
 
 from gran_bench import config as schemas
 from gran_bench.config import (
+    BenchmarkConfig,
     EvaluateConfig,
     GenerateConfig,
     OptimConfig,
@@ -36,7 +37,7 @@ ROOMS = [
     *("baselines", "trainer", "training_start", "evaluation_plan", "evaluation", "plots", "export", "tracking"),
     *("sweep", "report", "run_page", "run_identity", "run_record", "experiment"),
     *("override_errors", "composition", "sweep_data", "sweep_run", "job", "launcher", "entry"),
-    *("shipped", "result_page", "stability"),
+    *("shipped", "result_page", "comparison", "stability"),
 ]
 ENTRIES = ["train", "generate", "verify", "evaluate", "benchmark", "stress", "ui"]
 
@@ -146,7 +147,9 @@ def keys_that_are_read() -> set[Read]:
     return reads(sources, [schema for schema in vars(schemas).values() if is_dataclass(schema)])
 
 
-@pytest.mark.parametrize("schema", [TrainConfig, GenerateConfig, EvaluateConfig, UiConfig, StressConfig])
+@pytest.mark.parametrize(
+    "schema", [TrainConfig, GenerateConfig, EvaluateConfig, BenchmarkConfig, StressConfig, UiConfig]
+)
 def test_every_config_key_is_read_by_something(schema, keys_that_are_read):
     assert set(keys_of(schema)) - keys_that_are_read == set()
 

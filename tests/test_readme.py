@@ -9,11 +9,17 @@ from pathlib import Path
 import pytest
 
 from gran_bench.composition import Source, checked_config, described_jobs
-from gran_bench.config import EvaluateConfig, GenerateConfig, StressConfig, TrainConfig
+from gran_bench.config import BenchmarkConfig, EvaluateConfig, GenerateConfig, StressConfig, TrainConfig
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
-SCHEMAS = {"train": TrainConfig, "evaluate": EvaluateConfig, "generate": GenerateConfig, "stress": StressConfig}
+SCHEMAS = {
+    "train": TrainConfig,
+    "evaluate": EvaluateConfig,
+    "generate": GenerateConfig,
+    "benchmark": BenchmarkConfig,
+    "stress": StressConfig,
+}
 PLAIN_BLOCKS = re.findall(r"^```\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
 COMMANDS = [line.partition("#")[0].strip() for block in PLAIN_BLOCKS for line in block.splitlines()]
 SNIPPETS = re.findall(r"^```python\n(.*?)^```", README, re.DOTALL | re.MULTILINE)

@@ -332,6 +332,33 @@ class EvaluateConfig:
 
 
 @dataclass
+class ProfileConfig:
+    """How thoroughly methods are compared."""
+
+    name: str = "quick"  # of the folder of the results
+    rounds: int = 5  # timed runs of every method, in turns
+    step_multiples: list[float] = field(default_factory=lambda: [0.5, 1.0, 2.0, 3.5, 5.0])  # of the automatic step
+    single_multiples: list[float] = field(default_factory=lambda: [2.0])  # the same with float32 contact forces
+    soft_moduli: list[float] = field(default_factory=lambda: [1.0e7, 1.0e6, 1.0e5])  # Pa, where softer than the scene
+    soft_multiples: list[float] = field(default_factory=lambda: [1.0, 2.0])  # of a softened DEM's own automatic step
+    numpy_frames: int = 2  # that the readable engine is timed over; 0: not at all
+    stiffness: list[float] = field(default_factory=lambda: [1.0e7, 1.0e8, 1.0e9, 7.0e10])  # Pa; empty: no such study
+    counts: list[int] = field(default_factory=lambda: [300, 1000, 3000, 6000])  # spheres; empty: no such study
+    study_frames: int = 10  # of each run in these two studies
+    study_rounds: int = 3  # of these two studies
+
+
+@dataclass
+class BenchmarkConfig(GenerateConfig):
+    """Everything that `python -m gran_bench.benchmark` reads."""
+
+    profile: ProfileConfig = field(default_factory=ProfileConfig)
+    models: list[str] = field(default_factory=lambda: ["shipped"])  # model files; `shipped`: the one in the package
+    seed: int = 0  # of the order in which methods take turns
+    root: str = "results/benchmark"  # folder of results and page, from where the command runs
+
+
+@dataclass
 class UiConfig:
     """Everything that `python -m gran_bench.ui` reads."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 
 from gran_bench.config import (
+    BenchmarkConfig,
     CconvModelConfig,
     ContactModelConfig,
     DatasetConfig,
@@ -35,6 +36,8 @@ def check_consistency(config: object) -> None:
         _check_scene(config.scene)
     if isinstance(config, TrainConfig | GenerateConfig | EvaluateConfig):
         _check_dataset(config.dataset)
+    if isinstance(config, BenchmarkConfig):
+        _check_benchmark(config)
     if isinstance(config, TrainConfig):
         _check_trainable(config.scene)
         _check_model(config)
@@ -175,6 +178,29 @@ def _check_judge(judge: JudgeConfig, dataset: DatasetConfig) -> None:
             f"judge.speeds_rpm={judge.speeds_rpm} has {speed:g} rpm, which no split of dataset has; "
             f"choose from {sorted(made)}",
         )
+
+
+def _check_benchmark(config: BenchmarkConfig) -> None:
+    speeds, profile = config.dataset.holdout_speeds_rpm, config.profile
+    _require(
+        len(speeds) == 1,
+        f"dataset.holdout_speeds_rpm={speeds} is not one speed; methods are compared at one held-out speed",
+    )
+    _require(
+        1.0 in profile.step_multiples,
+        f"profile.step_multiples={profile.step_multiples} lacks the automatic step, which all times are held against; "
+        "add 1",
+    )
+    for name in ("step_multiples", "single_multiples", "soft_moduli", "soft_multiples", "stiffness", "counts"):
+        values = getattr(profile, name)
+        _require(
+            len(values) == len(set(values)),
+            f"profile.{name}={values} has a value twice; a method is compared once",
+        )
+    _require(
+        config.scene.filling.count >= 1,
+        f"scene.filling.count={config.scene.filling.count} leaves nothing to compare; choose a value ≥ 1",
+    )
 
 
 def _check_device(device: str) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 from gran_bench.config import (
+    BenchmarkConfig,
     BoundaryConfig,
     BoxConfig,
     CconvModelConfig,
@@ -23,6 +24,7 @@ from gran_bench.config import (
     MaterialConfig,
     MixedConfig,
     OptimConfig,
+    ProfileConfig,
     RolloutConfig,
     RotationConfig,
     SceneConfig,
@@ -300,6 +302,20 @@ RULES: dict[type, dict[str, Rule]] = {
     },
     GenerateConfig: {},
     EvaluateConfig: {"checkpoint": Text(), "device": OneOf(("auto", "cpu", "cuda"))},
+    ProfileConfig: {
+        "name": Text(),
+        "rounds": at_least(1),
+        "step_multiples": positive("automatic steps"),
+        "single_multiples": positive("automatic steps"),
+        "soft_moduli": positive("Pa"),
+        "soft_multiples": positive("automatic steps"),
+        "numpy_frames": at_least(0),
+        "stiffness": positive("Pa"),
+        "counts": at_least(1),
+        "study_frames": at_least(1),
+        "study_rounds": at_least(1),
+    },
+    BenchmarkConfig: {"models": Text(), "seed": at_least(0), "root": Text()},
     UiConfig: {"port": Range(1, 65535)},
     StressConfig: {
         "profile": OneOf(("full", "short")),

@@ -166,6 +166,7 @@ COMPARISONS = (
     Comparison(
         "com_angle_peak_time", "centre-of-mass angle, time of the peak", "s", scalar_distance(peak_time("com_angle"))
     ),
+    Comparison("center_height", "height of the centre of mass, over the series", "m", series_distance("center_height")),
     Comparison("speed_w1", "speeds, W1 a frame", "m/s", speed_distance),
     Comparison("speed_w1_pattern", f"speeds at {PATTERN_TIME:g} s, W1", "m/s", speed_distance_at_pattern),
     Comparison("speed_w1_steady", "steady speeds, W1 pooled", "m/s", speed_distance_pooled),

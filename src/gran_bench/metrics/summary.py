@@ -28,7 +28,8 @@ class TrajectorySummary:
     Attributes:
         time: ``(F,)`` s.
         velocity_kind: definition of every speed in here.
-        series: by name: ``surface_angle``, ``com_angle`` (deg), ``mean_speed`` (m/s), ``translational_energy``,
+        series: by name: ``surface_angle``, ``com_angle`` (deg), ``center_height`` (m), ``mean_speed`` (m/s),
+            ``translational_energy``,
             ``rotational_energy`` (J), ``overlap_mean``, ``overlap_max``, ``wall_overlap_mean``,
             ``wall_overlap_max`` (m), ``mixing`` (−).
         sorted_speed: ``(F, N)`` float32 m/s, increasing in each state; NaN where a state is not finite.
@@ -60,6 +61,19 @@ class TrajectorySummary:
         """All speeds of the finite states of the steady part, pooled and increasing, m/s."""
         steady = self.sorted_speed[within(self.time, STEADY_FROM, np.inf)]
         return np.sort(steady[np.isfinite(steady).all(axis=1)], axis=None)
+
+
+def center_height(time: FloatArray, position: FloatArray, mass: FloatArray) -> Series:
+    """Height of the centre of mass in each state, Σ m z / Σ m, m.
+
+    Args:
+        time: ``(F,)`` s.
+        position: ``(F, N, 3)`` m.
+        mass: ``(N,)`` kg.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        height = position[..., 2].astype(np.float64) @ (mass / mass.sum())
+    return Series(time, np.where(np.isfinite(height), height, np.nan), "m", invalid_because="not finite")
 
 
 def why_no_steady_part(scene: Scene, time: FloatArray) -> str:
@@ -104,6 +118,7 @@ def summarise(trajectory: Trajectory, scene: Scene, velocity_kind: str | None = 
         series={
             "surface_angle": surface,
             "com_angle": center,
+            "center_height": center_height(time, trajectory.position, mass),
             "mean_speed": Series(
                 time, np.where(np.isfinite(mean_speed), mean_speed, np.nan), "m/s", invalid_because="not finite"
             ),

@@ -28,25 +28,30 @@ class Contender:
     Attributes:
         name: that stands beside its mark.
         kind: ``dem``, ``surrogate``, ``hybrid`` or ``baseline``.
-        milliseconds: run time of one frame.
+        seconds: wall time of a simulated second, s.
         floors: error in noise floors; None for a run that failed.
-        low, high: range of the error over seeds or packings, in floors.
+        low, high: range of the error, in floors.
+        fast, slow: range of the time, s.
     """
 
     name: str
     kind: str
-    milliseconds: float
+    seconds: float
     floors: float | None
     low: float | None = None
     high: float | None = None
+    fast: float | None = None
+    slow: float | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise ValueError(f"kind={self.kind!r} of {self.name!r}; choose one of {', '.join(KINDS)}")
 
 
-def time_against_error(contenders: Sequence[Contender], quantity: str, path: Path | str) -> Path:
-    """Draw run time a frame against error in noise floors, with the front of those that nothing beats in both.
+def time_against_error(
+    contenders: Sequence[Contender], quantity: str, path: Path | str, accuracy: float = 1.0
+) -> Path:
+    """Draw wall time of a simulated second against error in noise floors, with the front that nothing beats in both.
 
     A failed run stands above all others as a cross; it is never left out.
 
@@ -54,40 +59,44 @@ def time_against_error(contenders: Sequence[Contender], quantity: str, path: Pat
         contenders: the methods.
         quantity: what the error is of, for the axis.
         path: of the PNG.
+        accuracy: the DEM's own, in floors; shaded.
 
     Returns:
         The path.
     """
     sound = [c for c in contenders if c.floors is not None]
-    highest = max([2.0, *((c.high or c.floors) for c in sound)])
-    lowest = min([0.8, *((c.low or c.floors) for c in sound)])
+    highest = max([2.0, *(c.floors for c in sound)])
+    lowest = min([0.8, *(c.floors for c in sound)])
     height = {c.name: 2.0 * highest if c.floors is None else c.floors for c in contenders}
-    with drawing(path, 8.4, 5.2) as figure:
+    with drawing(path, 9.6, 6.4) as figure:
         axes = figure.subplots()
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.xaxis.set_major_formatter("{x:g}")
-        axes.set_yticks([t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200) if lowest / 2 < t < 3 * highest])
+        near = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1e3, 1e4, 1e5)
+        axes.set_yticks([tick for tick in near if lowest / 2 < tick < 3 * highest])
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
-        times = [c.milliseconds for c in contenders]
-        axes.set_xlim(0.5 * min(times), 6.0 * max(times))
+        times = [c.seconds for c in contenders]
+        axes.set_xlim(0.5 * min(times), 4.0 * max(times))
         axes.set_ylim(0.6 * lowest, 2.8 * highest)
-        axes.set_xlabel("run time of a frame, ms")
-        axes.set_ylabel(f"{quantity}, noise floors")
-        axes.axhspan(0.0, 1.0, color="#f0f0f0", zorder=0)
-        axes.text(0.99, 0.015, "within the DEM's own noise", transform=axes.transAxes, ha="right", fontsize=8.5,
+        axes.set_xlabel("wall time of a simulated second, s")
+        axes.set_ylabel(f"{quantity}\nthe worse, noise floors" if " and " in quantity else f"{quantity}, noise floors")
+        axes.axhspan(0.0, accuracy, color="#f0f0f0", zorder=0)
+        axes.text(0.99, 0.015, "the DEM's own accuracy", transform=axes.transAxes, ha="right", fontsize=8.5,
                   color="#666666")  # fmt: skip
-        front = _front(sound)
-        if len(front) > 1:
-            axes.plot([c.milliseconds for c in front], [c.floors for c in front], color=QUIET, linewidth=1.0,
+        ahead = front(sound)
+        if len(ahead) > 1:
+            axes.plot([c.seconds for c in ahead], [c.floors for c in ahead], color=QUIET, linewidth=1.0,
                       drawstyle="steps-post", linestyle=(0, (5, 3)), label="nothing is faster and better")  # fmt: skip
         for kind, (label, colour, mark) in KINDS.items():
             for i, c in enumerate([c for c in contenders if c.kind == kind]):
                 if c.low is not None and c.high is not None:
-                    axes.plot([c.milliseconds] * 2, [c.low, c.high], color=colour, linewidth=1.2)
-                axes.plot(c.milliseconds, height[c.name], mark if c.floors is not None else "x", color=colour,
-                          markersize=7.5, linestyle="none", label=label if i == 0 else None)  # fmt: skip
+                    axes.plot([c.seconds] * 2, [c.low, c.high], color=colour, linewidth=1.0, alpha=0.6)
+                if c.fast is not None and c.slow is not None:
+                    axes.plot([c.fast, c.slow], [height[c.name]] * 2, color=colour, linewidth=1.0, alpha=0.6)
+                axes.plot(c.seconds, height[c.name], mark if c.floors is not None else "x", color=colour,
+                          markersize=6.5, linestyle="none", label=label if i == 0 else None)  # fmt: skip
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=5)
         _name_marks(figure, axes, [(c, height[c.name]) for c in contenders])
     return Path(path)
@@ -96,7 +105,7 @@ def time_against_error(contenders: Sequence[Contender], quantity: str, path: Pat
 def _name_marks(figure: Figure, axes: Axes, marks: Sequence[tuple[Contender, float]]) -> None:
     """Write each name beside its mark, where it covers no other name and no mark."""
     figure.draw_without_rendering()
-    points = axes.transData.transform([(c.milliseconds, y) for c, y in marks])
+    points = axes.transData.transform([(c.seconds, y) for c, y in marks])
     taken = [Bbox.from_extents(x - 6, y - 6, x + 6, y + 6) for x, y in points]
     for contender, y in marks:
         text = contender.name if contender.floors is not None else f"{contender.name} (failed)"
@@ -113,8 +122,9 @@ def _name_marks(figure: Figure, axes: Axes, marks: Sequence[tuple[Contender, flo
             (9, -24),
         ):
             label = axes.annotate(
-                text, (contender.milliseconds, y), xytext=(right, up), textcoords="offset points", fontsize=9,
+                text, (contender.seconds, y), xytext=(right, up), textcoords="offset points", fontsize=9,
                 ha={9: "left", -9: "right", 0: "center"}[right], va="center", color=KINDS[contender.kind][1],
+                bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6},
             )  # fmt: skip
             box = label.get_window_extent()
             if (
@@ -129,10 +139,10 @@ def _name_marks(figure: Figure, axes: Axes, marks: Sequence[tuple[Contender, flo
         taken.append(box)
 
 
-def _front(contenders: Sequence[Contender]) -> list[Contender]:
+def front(contenders: Sequence[Contender]) -> list[Contender]:
     """Those that no other beats in time and error at once, from fast to slow."""
-    front: list[Contender] = []
-    for contender in sorted(contenders, key=lambda c: (c.milliseconds, c.floors)):
-        if not front or contender.floors < front[-1].floors:
-            front.append(contender)
-    return front
+    found: list[Contender] = []
+    for contender in sorted(contenders, key=lambda c: (c.seconds, c.floors)):
+        if not found or contender.floors < found[-1].floors:
+            found.append(contender)
+    return found

@@ -1,0 +1,167 @@
+"""The error of each method in noise floors, and what the DEM's own scatter makes of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student_t
+
+from gran_bench.atomic import write_text
+from gran_bench.baselines import interpolated_statistics
+from gran_bench.comparison.method import Method
+from gran_bench.comparison.turns import Record
+from gran_bench.dataset import Case, read_case
+from gran_bench.metrics.comparisons import COMPARISONS, Comparison
+from gran_bench.metrics.judge import judge
+from gran_bench.metrics.noise_floor import CONFIDENCE, prediction_interval
+from gran_bench.metrics.summary import TrajectorySummary, summarise
+from gran_bench.scene import Scene
+from gran_bench.state import Trajectory
+
+# What a method is ranked by: the worst of those that the DEM itself has in the scene. The height of the bed stands in
+# where there is no angle of repose.
+RANKED = ("surface_angle", "speed_w1")
+RANKED_WITHOUT_ANGLE = ("center_height", "speed_w1")
+ERRORS = "errors"
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One method's error.
+
+    Attributes:
+        floors: the largest of its ranked errors, in noise floors; None where one of them is undefined.
+        low, high: 95 % interval of the mean over the replicas, of that error.
+        by: key of that error.
+        reason: why there is none.
+        outside: spheres that left the container.
+        judgement: everything else that was found (`Judgement.to_dict`).
+    """
+
+    floors: float | None
+    low: float | None
+    high: float | None
+    by: str
+    reason: str
+    outside: int
+    judgement: dict[str, Any]
+
+
+class Reference:
+    """The replicas that all methods are held against.
+
+    Args:
+        scene: with its motion.
+        cases: the replicas.
+    """
+
+    def __init__(self, scene: Scene, cases: Sequence[Case]) -> None:
+        self.scene, self.digest = scene, "-".join(case.digest[:8] for case in cases)
+        self._cases, self._summaries = list(cases), {}
+        truth = self.summaries("instantaneous")
+        rows = {row.key: row for row in COMPARISONS}
+        floors = {key: _pairs(rows[key], truth) for key in {*RANKED, *RANKED_WITHOUT_ANGLE}}
+        keys = RANKED if floors[RANKED[0]] else RANKED_WITHOUT_ANGLE
+        self.ranked: list[Comparison] = [rows[key] for key in keys if floors[key]]
+
+    def summaries(self, kind: str) -> list[TrajectorySummary]:
+        """The replicas, summarised with one definition of velocity."""
+        if kind not in self._summaries:
+            self._summaries[kind] = [summarise(case.trajectory, self.scene, kind) for case in self._cases]
+        return self._summaries[kind]
+
+    @property
+    def noise(self) -> float:
+        """Error up to which a method cannot be told from the DEM itself, in noise floors.
+
+        Each replica is judged by the others as if it were a method; the upper end of the 95 % prediction interval of
+        one more.
+        """
+        truth = self.summaries("instantaneous")
+        own = []
+        for k, replica in enumerate(truth):
+            others = truth[:k] + truth[k + 1 :]
+            floors = [_mean(_distances(row, replica, others)) / self._floor(row, truth) for row in self.ranked]
+            own.append(max(floors))
+        interval = prediction_interval(own)
+        return max(own) if interval is None else interval.high
+
+    def score(self, candidate: TrajectorySummary | Trajectory) -> Scored:
+        """Hold a method's run against the replicas."""
+        mine = candidate if isinstance(candidate, TrajectorySummary) else summarise(candidate, self.scene)
+        truth = self.summaries(mine.velocity_kind)
+        judgement = judge(mine, truth, self.scene)
+        outside = 0 if mine.failures is None else mine.failures.outside_spheres
+        found = {}
+        for row in self.ranked:
+            error = judgement.error(row.key).error
+            if not error.defined:
+                return Scored(None, None, None, row.key, f"{row.label}: {error.note}", outside, judgement.to_dict())
+            floor = self._floor(row, truth)
+            found[row.key] = [distance / floor for distance in _distances(row, mine, truth)]
+        worst = max(found, key=lambda key: _mean(found[key]))
+        middle, reach = _mean(found[worst]), _reach(found[worst])
+        return Scored(middle, middle - reach, middle + reach, worst, "", outside, judgement.to_dict())
+
+    def _floor(self, row: Comparison, truth: list[TrajectorySummary]) -> float:
+        return _mean(_pairs(row, truth))
+
+
+def score_method(method: Method, record: Record, reference: Reference) -> Scored:
+    """The error of a method, computed once and kept in its folder; its frames are dropped then."""
+    path = errors_file(record.folder, reference.digest)
+    if not path.exists():
+        if method.job["does"] == "interpolation":
+            cases = {float(rpm): read_case(case) for rpm, case in method.job["cases"].items()}
+            training = {rpm: summarise(case.trajectory, case.scene) for rpm, case in cases.items()}
+            found = reference.score(interpolated_statistics(method.job["rpm"], training))
+        else:
+            found = reference.score(read_trajectory(record.trajectory))
+        write_text(path, json.dumps(asdict(found)) + "\n")
+    record.trajectory.unlink(missing_ok=True)
+    return Scored(**json.loads(path.read_text("utf-8")))
+
+
+def errors_file(folder: Path, digest: str) -> Path:
+    """Where the error of a method against a reference is kept."""
+    return folder / f"{ERRORS}-{digest}.json"
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """The frames that a worker kept."""
+    with np.load(path) as kept:
+        spin = kept["angular_velocity"] if "angular_velocity" in kept.files else None
+        kind = str(kept["velocity_kind"])
+        return Trajectory(
+            kept["time"], kept["position"], kept["velocity"], spin, kept["radius"], velocity_kind=kind
+        )
+
+
+def _distances(row: Comparison, mine: TrajectorySummary, truth: Sequence[TrajectorySummary]) -> list[float]:
+    return [row.distance(mine, replica).number for replica in truth]
+
+
+def _pairs(row: Comparison, truth: Sequence[TrajectorySummary]) -> list[float]:
+    """Distances of all pairs of replicas; empty where the DEM has no such figure, or no scatter in it."""
+    found = [row.distance(truth[i], truth[j]) for i in range(len(truth)) for j in range(i)]
+    if not all(distance.defined for distance in found) or not any(distance.number for distance in found):
+        return []
+    return [distance.number for distance in found]
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values))
+
+
+def _reach(values: Sequence[float]) -> float:
+    """Half the 95 % interval of a mean, by Student; 0 for a single value."""
+    if len(values) < 2:
+        return 0.0
+    quantile = float(student_t.ppf(0.5 + 0.5 * CONFIDENCE, len(values) - 1))
+    return quantile * float(np.std(values, ddof=1)) / math.sqrt(len(values))

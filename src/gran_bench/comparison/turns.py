@@ -1,0 +1,236 @@
+"""Methods take turns: round by round, in an order that is shuffled anew, one at a time on an otherwise idle machine.
+
+Each method lives in a process of its own that waits between its turns. Each finished run is a JSON file, whole or not
+there, so that an interrupted benchmark goes on from where it was.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+import gran_bench
+from gran_bench.atomic import write_text
+from gran_bench.comparison.method import Method
+
+PREPARED_AT_A_TIME = 2
+TRAJECTORY, FAILURE = "trajectory.npz", "failure.json"
+_ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+_ONE_THREAD |= {"MKL_NUM_THREADS": "1"}
+
+
+@dataclass(frozen=True)
+class Turn:
+    """One timed run.
+
+    Attributes:
+        round: index.
+        wall_seconds, cpu_seconds: of the run; where they differ, the process waited for the processor.
+        peak_bytes: largest resident memory of the method's process during the run, Python and libraries included.
+        own_bytes: of these, what came on top of what was resident before the run.
+    """
+
+    round: int
+    wall_seconds: float
+    cpu_seconds: float
+    peak_bytes: int
+    own_bytes: int
+
+
+@dataclass(frozen=True)
+class Record:
+    """All turns of one method.
+
+    Attributes:
+        folder: of its files.
+        turns: by round; empty for a method that failed in its first run.
+        failure: why it failed; empty where it did not.
+        failed_seconds: wall time of a simulated second before it failed, s; None where it never got to a frame.
+    """
+
+    folder: Path
+    turns: list[Turn]
+    failure: str
+    failed_seconds: float | None = None
+
+    @property
+    def trajectory(self) -> Path:
+        """Where the frames of a judged run are kept until they are judged."""
+        return self.folder / TRAJECTORY
+
+
+def take_turns(
+    methods: Sequence[Method],
+    rounds: int,
+    seed: int,
+    folder: Path,
+    conditions: Sequence[str],
+    frame_interval: float,
+    is_judged: Callable[[Path], bool] = lambda folder: True,
+    label: str = "timing",
+) -> dict[str, Record]:
+    """Run every method once a round, and keep what was measured.
+
+    Args:
+        methods: that fit the scene; others are passed over.
+        rounds: how often.
+        seed: of the order in each round.
+        folder: of all measurements.
+        conditions: what else decides a measurement (`Method.key`).
+        frame_interval: s.
+        is_judged: whether the folder of a method has its error already; its frames are kept where it has not.
+        label: of the bar.
+
+    Returns:
+        Records by the method's name.
+    """
+    fit = [method for method in methods if not method.unfit_because]
+    folders = {method.name: folder / method.key(*conditions) for method in fit}
+
+    def wants(method: Method, index: int) -> tuple[bool, bool]:
+        """Whether a turn is missing, and whether its frames are wanted."""
+        place = folders[method.name]
+        frames_wanted = index == 0 and method.judged and not is_judged(place) and not (place / TRAJECTORY).exists()
+        if (place / FAILURE).exists():
+            return False, False
+        return frames_wanted or not _path(place, index).exists(), frames_wanted
+
+    for place in folders.values():
+        _forget_death(place)
+    missing = [(m, index) for index in range(rounds) for m in _order(fit, seed, index) if wants(m, index)[0]]
+    with _crew() as hire, tqdm(total=len(missing), desc=label, unit="run", disable=None, leave=False) as bar:
+        # All are compiled and warm before the first is timed.
+        workers: dict[str, subprocess.Popen] = {}
+
+        def prepare(method: Method) -> None:
+            bar.set_postfix_str(f"preparing {method.name}", refresh=True)
+            workers[method.name] = hire()
+            frames = round(method.seconds / frame_interval)
+            answer = _ask(workers[method.name], {"job": method.job, "frames": frames})
+            if "died" in answer:
+                _fail(folders[method.name], answer["died"], died=True)
+
+        needed = list({method.name: method for method, _ in missing}.values())
+        for method in needed[:1]:  # it compiles what the others then load
+            prepare(method)
+        lanes = ThreadPoolExecutor(PREPARED_AT_A_TIME)
+        try:
+            list(lanes.map(prepare, needed[1:]))
+        except BaseException:
+            # The lanes end once nothing waits and those that they wait for are gone.
+            lanes.shutdown(wait=False, cancel_futures=True)
+            for worker in list(workers.values()):
+                worker.kill()
+            raise
+        finally:
+            lanes.shutdown()
+        for method, index in missing:
+            wanted, keeps = wants(method, index)
+            bar.set_postfix_str(method.name, refresh=True)
+            bar.update()
+            if not wanted:
+                continue
+            place = folders[method.name]
+            answer = _ask(workers[method.name], {"keep": str((place / TRAJECTORY).resolve()) if keeps else None})
+            if "died" in answer:
+                _fail(place, answer["died"], died=True)
+                continue
+            if "failure" in answer:
+                reached = answer["reached"] * frame_interval
+                seconds = answer["wall_seconds"] / reached if reached else None
+                _fail(place, answer["failure"], died=False, seconds=seconds)
+                continue
+            turn = Turn(index, **answer)
+            write_text(_path(place, index), json.dumps(asdict(turn) | {"method": method.name}, indent=1) + "\n")
+    return {method.name: _read(folders[method.name], rounds) for method in fit}
+
+
+def _order(methods: Sequence[Method], seed: int, index: int) -> list[Method]:
+    return [methods[i] for i in np.random.default_rng([seed, index]).permutation(len(methods))]
+
+
+def _path(folder: Path, index: int) -> Path:
+    return folder / f"round{index}.json"
+
+
+def _fail(folder: Path, message: str, died: bool, seconds: float | None = None) -> None:
+    write_text(folder / FAILURE, json.dumps({"failure": message, "died": died, "seconds": seconds}) + "\n")
+
+
+def _forget_death(folder: Path) -> None:
+    """A run that diverged will diverge again; a process that died (of a lack of memory, say) gets another chance."""
+    path = folder / FAILURE
+    if path.exists() and json.loads(path.read_text("utf-8"))["died"]:
+        path.unlink()
+
+
+def _read(folder: Path, rounds: int) -> Record:
+    found = [json.loads(_path(folder, k).read_text("utf-8")) for k in range(rounds) if _path(folder, k).exists()]
+    turns = [Turn(**{name: value for name, value in turn.items() if name != "method"}) for turn in found]
+    if not (folder / FAILURE).exists():
+        return Record(folder, turns, "")
+    failed = json.loads((folder / FAILURE).read_text("utf-8"))
+    return Record(folder, turns, failed["failure"], failed["seconds"])
+
+
+@contextmanager
+def _crew() -> Iterator[Callable[[], subprocess.Popen]]:
+    """Hires processes, and ends all of them when the block ends in any way."""
+    sources = str(Path(gran_bench.__file__).parent.parent)
+    paths = os.pathsep.join([sources, *filter(None, [os.environ.get("PYTHONPATH")])])
+    hired: list[subprocess.Popen] = []
+
+    def hire() -> subprocess.Popen:
+        complaints = tempfile.TemporaryFile()  # noqa: SIM115 (lives as long as its worker)
+        worker = subprocess.Popen(
+            [sys.executable, "-m", "gran_bench.comparison.worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=complaints,
+            text=True,
+            env=os.environ | _ONE_THREAD | {"PYTHONPATH": paths},
+            start_new_session=True,  # Ctrl-C is for the parent, which then ends its workers
+        )
+        worker.complaints = complaints
+        hired.append(worker)
+        return worker
+
+    try:
+        yield hire
+    finally:
+        for worker in hired:
+            worker.kill()
+            worker.wait()
+            with suppress(BrokenPipeError):
+                worker.stdin.close()
+            worker.stdout.close()
+            worker.complaints.close()
+
+
+def _ask(worker: subprocess.Popen, request: dict[str, Any]) -> dict[str, Any]:
+    """A worker's answer; a process that ended says how it did."""
+    try:
+        worker.stdin.write(json.dumps(request) + "\n")
+        worker.stdin.flush()
+        if line := worker.stdout.readline():
+            return json.loads(line)
+    except BrokenPipeError:
+        pass
+    worker.wait()
+    if worker.returncode < 0:
+        return {"died": f"its process was ended by signal {-worker.returncode}"}
+    worker.complaints.seek(0)
+    words = worker.complaints.read().decode(errors="replace").strip().splitlines()
+    return {"died": words[-1] if words else f"its process ended with status {worker.returncode}"}

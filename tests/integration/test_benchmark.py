@@ -1,0 +1,108 @@
+"""The benchmark in a small drum: killed in the middle, gone on with, judged; a method that fails is a marked row."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from gran_bench.comparison.command import run_benchmark
+from gran_bench.comparison.page import PAGE
+from gran_bench.comparison.results import RESULTS
+from gran_bench.config import BenchmarkConfig
+from gran_bench.entry import checked_config, compose
+
+OVERRIDES = [
+    *("scene=drum_small", "scene.filling.count=120", "scene.container.length=0.25", "scene.end_time=1.8"),
+    *("dataset.replicas=2", "dataset.training_speeds_rpm=[40,50]", "dataset.holdout_speeds_rpm=[45]"),
+    # 10 ms a step: no contact survives that.
+    *("profile.rounds=2", "profile.step_multiples=[1,50]", "profile.single_multiples=[]", "profile.soft_moduli=[1e6]"),
+    *("profile.soft_multiples=[1]", "profile.numpy_frames=1", "profile.stiffness=[1e7,1e8]", "profile.counts=[]"),
+    *("profile.study_frames=2", "profile.study_rounds=1"),
+]
+
+
+def measurements(folder: Path) -> dict[Path, str]:
+    return {path: path.read_text("utf-8") for path in folder.rglob("round*.json")}
+
+
+@pytest.fixture(scope="module")
+def benchmark(tmp_path_factory):
+    """A benchmark that was killed after its first measurements and run again: what was there, and what was found."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    overrides = [*OVERRIDES, f"root={folder}/results", f"dataset.root={folder}/data"]
+    first = subprocess.Popen(
+        [sys.executable, "-m", "gran_bench.benchmark", *overrides], stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    patience = time.monotonic() + 240
+    while len(measurements(folder)) < 2:
+        assert first.poll() is None, first.stdout.read().decode()
+        assert time.monotonic() < patience
+        time.sleep(0.01)
+    workers = psutil.Process(first.pid).children()
+    first.kill()
+    first.communicate()
+    _, alive = psutil.wait_procs(workers, timeout=30)
+    before = measurements(folder)
+    config = checked_config(compose("benchmark", overrides), BenchmarkConfig)
+    return folder / "results", config, alive, before, run_benchmark(config)
+
+
+def rows(found):
+    return {row["name"]: row for row in found["methods"]}
+
+
+def test_a_killed_benchmark_leaves_no_process_and_whole_files_that_the_next_keeps(benchmark):
+    folder, _, alive, before, _ = benchmark
+    assert alive == []
+    after = measurements(folder)
+    assert len(before) >= 2
+    assert {path: after[path] for path in before} == before
+    assert len(after) > len(before)
+    assert all(json.loads(text)["wall_seconds"] > 0 for text in after.values())
+
+
+def test_every_method_has_a_time_an_error_or_a_reason(benchmark):
+    found = rows(benchmark[-1])
+    for row in found.values():
+        assert row["wall"] or row["failure"] or row["unfit_because"], row["name"]
+        assert row["floors"] is not None or row["failed"] or "numpy" in row["name"]
+    automatic = found["DEM 0.2 ms"]
+    assert automatic["relative"]["median"] == pytest.approx(1.0)
+    assert automatic["peak_bytes"] > automatic["own_bytes"] > 0
+    assert automatic["floors"] < found["rigid rotation"]["floors"]
+    surrogate = found["holdout30rpm (shipped)"]
+    assert (surrogate["training_seconds"] > 600, surrogate["data_seconds"] > 10) == (True, True)
+    assert found["interpolation, 40 and 50 rpm"]["data_seconds"] > 0
+    assert found["DEM 0.2 ms, numpy engine"]["relative"]["median"] > 5
+
+
+def test_a_method_that_fails_is_a_marked_row(benchmark):
+    failed = rows(benchmark[-1])["DEM 10 ms"]
+    assert failed["failed"]
+    assert failed["floors"] is None or failed["outside"]
+    assert failed["failure"]
+    assert failed["failure"] in (benchmark[0] / PAGE).read_text("utf-8")
+
+
+def test_stiffness_is_studied_and_figures_are_drawn(benchmark):
+    folder, _, _, _, found = benchmark
+    assert [point["at"] for point in found["stiffness"]["automatic"]] == [1e7, 1e8]
+    assert all(point["wall"]["median"] > 0 for point in found["stiffness"]["automatic"])
+    place = folder / "quick" / "drum_small"
+    for name in ("time_error.png", "stiffness.png", "methods.csv", RESULTS):
+        assert (place / name).stat().st_size > 500
+    assert not list(place.rglob("*.npz"))
+
+
+def test_a_finished_benchmark_measures_nothing_again_and_says_the_same(benchmark):
+    folder, config, _, _, found = benchmark
+    before = measurements(folder)
+    again = run_benchmark(config)
+    assert measurements(folder) == before
+    assert again["methods"] == found["methods"]

@@ -1,0 +1,336 @@
+"""Comparing methods: who is on the frontier, who is the rival, what pays, what a spread promises, what a page says."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gran_bench.comparison.claims import (
+    Entry,
+    best_in_time,
+    break_even,
+    crossing,
+    fastest_rival,
+    frontier,
+    speed_up,
+)
+from gran_bench.comparison.command import model_files
+from gran_bench.comparison.contest import Contest, largest_allowed_step
+from gran_bench.comparison.page import PAGE, page_text, table_of
+from gran_bench.comparison.results import FORMAT, RESULTS, ResultsError, entries, read_all, share_waited
+from gran_bench.comparison.sentences import verdicts, winner
+from gran_bench.comparison.spread import spread
+from gran_bench.comparison.suitability import why_unfit
+from gran_bench.config import BenchmarkConfig
+from gran_bench.config_rules import ConfigError
+from gran_bench.dem.simulate import TimeStepError, choose_time_step
+from gran_bench.entry import checked_config, compose
+from gran_bench.shipped import shipped_model, shipped_scene
+from gran_bench.surrogate.checkpoint import load_card
+
+COMMITTED = Path(__file__).parents[1] / "results" / "benchmark"
+
+
+def entry(name: str, seconds: float, floors: float | None, kind: str = "dem", **spent: float) -> Entry:
+    return Entry(name, kind, seconds, 0.9 * seconds, 1.1 * seconds, floors, **spent)
+
+
+def benchmark_config(*overrides: str) -> BenchmarkConfig:
+    return checked_config(compose("benchmark", overrides), BenchmarkConfig)
+
+
+# ---- claims ----------------------------------------------------------------------------------------------
+
+
+def test_the_frontier_holds_those_that_nothing_beats():
+    fast, exact, beaten = entry("fast", 1.0, 9.0), entry("exact", 5.0, 1.0), entry("beaten", 6.0, 1.0)
+    twin, slower_twin = entry("twin", 1.0, 9.0), entry("slower twin", 1.5, 9.0)
+    failed = entry("failed", 0.1, None)
+    assert frontier([exact, beaten, failed, fast, slower_twin, twin]) == [fast, twin, exact]
+    assert frontier([failed]) == []
+
+
+def test_the_frontier_is_what_its_definition_says_of_any_cloud():
+    rng = np.random.default_rng(3)
+    cloud = [entry(str(k), *map(float, rng.integers(1, 12, 2))) for k in range(60)]
+    front = set(frontier(cloud))
+    for one in cloud:
+        dominated = any(
+            (other.seconds, other.floors) != (one.seconds, one.floors)
+            and other.seconds <= one.seconds
+            and other.floors <= one.floors
+            for other in cloud
+        )
+        assert (one in front) != dominated
+
+
+def test_the_rival_is_the_fastest_dem_that_is_as_exact_and_noise_counts_as_exact():
+    soft, coarse, fine = entry("soft", 0.2, 1.2), entry("coarse", 0.1, 5.0), entry("fine", 1.0, 0.9)
+    everyone = [soft, coarse, fine, entry("surrogate", 0.01, 0.5, "surrogate"), entry("failed", 0.01, None)]
+    assert fastest_rival(everyone, 1.0, accepted=1.3) == soft
+    assert fastest_rival(everyone, 1.0, accepted=1.0) == fine
+    assert fastest_rival(everyone, 6.0, accepted=1.3) == coarse
+    assert fastest_rival(everyone, 0.5, accepted=0.6) is None
+    assert best_in_time(everyone, 0.3) == soft
+    assert best_in_time(everyone, 0.05) is None
+
+
+def test_break_even_divides_what_was_spent_by_what_is_saved():
+    surrogate = entry("surrogate", 0.6, 1.8, "surrogate", data_seconds=40.0, training_seconds=860.0)
+    assert break_even(surrogate, entry("DEM", 0.9, 1.0)) == pytest.approx(900.0 / 0.3)
+    assert break_even(surrogate, entry("DEM", 0.5, 1.0)) == math.inf
+    assert break_even(surrogate, entry("DEM", 0.6, 1.0)) == math.inf
+    assert break_even(entry("free", 0.1, 9.0), entry("DEM", 0.5, 1.0)) == 0.0
+
+
+def test_a_speed_up_decides_where_its_range_leaves_one():
+    assert not speed_up(entry("a", 1.0, 1.0), entry("b", 1.1, 1.0)).decides
+    ratio = speed_up(entry("a", 1.0, 1.0), entry("b", 3.0, 1.0))
+    assert (ratio.middle, ratio.low, ratio.high) == pytest.approx((3.0, 2.7 / 1.1, 3.3 / 0.9))
+    assert ratio.decides
+
+
+def test_a_cost_crosses_a_level_on_a_straight_line_in_logarithms():
+    moduli = [1e7, 1e9, 1e11]
+    costs = [0.1 * (modulus / 1e7) ** 0.4 for modulus in moduli]
+    assert crossing(moduli, costs, 1.0) == pytest.approx(1e7 * 10 ** (1 / 0.4))
+    assert crossing(moduli, costs, 0.05) == 1e7
+    assert crossing(moduli, costs, 100.0) is None
+
+
+# ---- spread ----------------------------------------------------------------------------------------------
+
+
+def test_a_spread_has_the_median_the_range_and_what_to_expect_of_another_benchmark():
+    found = spread([1.0, 1.2, 0.9, 1.1, 1.0])
+    assert (found.median, found.low, found.high) == pytest.approx((1.0, 0.9, 1.2))
+    assert found.expected_low < 0.95
+    assert found.expected_high == pytest.approx(1.0 / found.expected_low)
+    single = spread([2.0])
+    assert (single.median, single.expected_low) == (2.0, None)
+    with pytest.raises(ValueError, match="two or more"):
+        single.overlaps(found)
+    for wrong in ([], [0.0, 1.0]):
+        with pytest.raises(ValueError, match="positive"):
+            spread(wrong)
+
+
+def test_the_median_of_another_benchmark_lies_where_it_is_expected():
+    rng = np.random.default_rng(0)
+    hits = []
+    for _ in range(2000):
+        found, other = (spread(list(np.exp(rng.normal(0.0, 0.1, 5)))) for _ in range(2))
+        hits.append(found.expected_low <= other.median <= found.expected_high)
+    assert 0.93 < np.mean(hits) < 0.98
+
+
+# ---- who is compared -------------------------------------------------------------------------------------
+
+
+def test_the_largest_allowed_step_is_allowed_and_the_next_is_not():
+    scene = shipped_scene("drum").at_speed(30.0)
+    step = largest_allowed_step(scene)
+    assert choose_time_step(scene, step)[0] == step
+    with pytest.raises(TimeStepError):
+        choose_time_step(scene, scene.frame_interval / (round(scene.frame_interval / step) - 1))
+
+
+@pytest.mark.parametrize(
+    ("scene", "reason"),
+    [
+        (shipped_scene("drum").at_speed(30.0), ""),
+        (shipped_scene("drum_long").at_speed(30.0), ""),
+        (shipped_scene("drum_ramp"), ""),
+        (shipped_scene("packing"), ""),
+        (shipped_scene("drum").at_speed(35.0), "it was trained at 35 rpm"),
+        (shipped_scene("drum_mu05").at_speed(30.0), "another material"),
+        (shipped_scene("packing_polydisperse"), "spheres of one size"),
+        (shipped_scene("hopper"), "planes and cylinders alone"),
+    ],
+    ids=lambda value: getattr(value, "name", value),
+)
+def test_a_surrogate_answers_for_scenes_of_its_own_material_that_it_never_saw(scene, reason):
+    card, _ = load_card(shipped_model())
+    found = why_unfit(card, scene, packing_seed=1)
+    assert reason in found
+    assert bool(found) == bool(reason)
+
+
+def test_a_surrogate_does_not_start_from_the_packing_that_it_was_trained_on():
+    card, _ = load_card(shipped_model())
+    assert "packing 0" in why_unfit(card, shipped_scene("drum").at_speed(30.0), packing_seed=0)
+
+
+def test_every_kind_of_method_is_compared_under_a_name_of_its_own():
+    contest = Contest(benchmark_config(), model_files(["shipped"]))
+    names = [method.name for method in contest.methods]
+    assert len(names) == len(set(names))
+    assert contest.automatic == "DEM 0.2 ms"
+    assert {
+        *("DEM 0.1 ms", "DEM 0.2 ms", "DEM 0.4 ms", "DEM 1 ms", "DEM 0.4 ms, float32", "DEM 1.25 ms, E = 1e6 Pa"),
+        *("DEM 0.2 ms, numpy engine", "holdout30rpm (shipped)", "interpolation, 25 and 35 rpm"),
+        *("rigid rotation", "ballistic"),
+    } <= set(names)
+    assert {method.job["bed"] for method in contest.methods if "bed" in method.job} == {
+        str(contest.case.settled_path("data"))
+    }
+    assert [modulus for modulus, _ in contest.stiffness_methods["largest"]] == [1e7, 1e8, 1e9, 7e10]
+    assert [count for count, _ in contest.count_methods["holdout30rpm (shipped)"]] == [300, 1000, 3000, 6000]
+
+
+def test_a_scene_with_a_motion_of_its_own_has_no_interpolation_and_no_studies():
+    contest = Contest(benchmark_config("scene=packing"), model_files(["shipped"]))
+    assert next(m for m in contest.methods if m.name == "interpolation").unfit_because
+    assert (contest.stiffness_methods, contest.count_methods) == ({}, {})
+
+
+def test_a_methods_key_follows_its_job_and_its_conditions_and_not_its_folders(tmp_path):
+    here, there = (
+        next(iter(Contest(benchmark_config(f"dataset.root={root}"), {}).methods)) for root in ("data", tmp_path)
+    )
+    assert here.key("code") == there.key("code")
+    assert here.key("code") != here.key("other code")
+    slower = Contest(benchmark_config("scene.material.friction=0.4"), {}).methods[0]
+    assert slower.key("code") != here.key("code")
+    assert replace(here, seconds=0.1).key("code") != here.key("code")
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("profile.step_multiples=[2]", ["profile.step_multiples=[2.0]", "add 1"]),
+        ("profile.soft_moduli=[1e6,1e6]", ["profile.soft_moduli", "twice"]),
+        ("profile.rounds=0", ["profile.rounds=0", "≥ 1"]),
+        ("dataset.holdout_speeds_rpm=[]", ["dataset.holdout_speeds_rpm=[]", "one held-out speed"]),
+        ("profile.rouns=3", ["profile.rouns", "profile.rounds"]),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(override, words):
+    with pytest.raises(ConfigError) as refused:
+        checked_config(compose("benchmark", [f"++{override}"]), BenchmarkConfig)
+    assert all(word in str(refused.value) for word in words)
+    assert "\n" not in str(refused.value)
+
+
+def test_two_models_of_one_name_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"two files of the folder .*"):
+        model_files([str(tmp_path / "model.pt"), str(tmp_path / "other.pt")])
+
+
+# ---- the page --------------------------------------------------------------------------------------------
+
+
+def row(name: str, kind: str, seconds: float, floors: float | None, failure: str = "", **more) -> dict:
+    ranges = {"median": seconds, "low": 0.9 * seconds, "high": 1.1 * seconds}
+    ranges |= {"expected_low": 0.8 * seconds, "expected_high": 1.2 * seconds}
+    found = {"name": name, "kind": kind, "unfit_because": "", "failure": failure, "failed": bool(failure)}
+    found |= {"simulated_seconds": 4.0, "wall": ranges, "relative": ranges, "cpu_seconds": 0.5 * seconds}
+    found |= {"peak_bytes": 2**28, "own_bytes": 2**20, "data_seconds": 0.0, "training_seconds": 0.0}
+    found |= {"floors": floors, "floors_low": floors, "floors_high": floors, "by": "speed_w1", "outside": 0}
+    found |= {"failed_seconds": None}
+    return found | {"judgement": None} | more
+
+
+@pytest.fixture
+def found() -> dict:
+    return {
+        "format": FORMAT,
+        "scene": "drum",
+        "profile": "quick",
+        "spheres": 3000,
+        "simulated_seconds": 4.0,
+        "motion": "30rpm",
+        "modulus": 1e7,
+        "rounds": 5,
+        "automatic": "DEM 0.2 ms",
+        "reference": {
+            "replicas": 5,
+            "noise": 1.3,
+            "accepted": 1.3,
+            "ranked": [{"key": "speed_w1", "label": "speeds, W1 a frame", "unit": "m/s"}],
+        },
+        "methods": [
+            row("DEM 0.2 ms", "dem", 0.9, 1.0),
+            row("DEM 1 ms", "dem", 0.2, 4.0),
+            row("DEM 5 ms", "dem", 0.05, None, "sphere 3 diverged", wall=None, relative=None, failed_seconds=0.05),
+            row("net", "surrogate", 0.6, 1.8, data_seconds=40.0, training_seconds=860.0),
+        ],
+        "waited": 0.0,
+        "stiffness": {},
+        "counts": {},
+        "provenance": {"command": "bench", "commit": "abc", "hardware": "two cores", "versions": "numpy 2"},
+    }
+
+
+def test_the_page_says_who_wins_and_marks_who_failed(found):
+    text = page_text({"quick/drum": found})
+    assert "the fastest is **DEM 0.2 ms**: 0.9 s" in text
+    assert "✗ failed: sphere 3 diverged" in text
+    (line,) = [line for line in text.splitlines() if line.startswith(("| **net**", "| net"))]
+    assert line.endswith("| 40 | 860 | 3,000 |")
+    assert "the surrogate is 1.5 times as fast (1.2 to 1.8)" in text
+    assert "paid back after 3,000 simulated seconds" in text
+
+
+def test_a_dem_that_is_as_exact_and_faster_wins_and_training_is_never_paid_back(found):
+    found["methods"].append(row("DEM 1.25 ms, E = 1e6 Pa", "dem", 0.3, 1.2))
+    assert "the fastest is **DEM 1.25 ms, E = 1e6 Pa**" in winner(found)
+    (said,) = verdicts(found)
+    assert "**the DEM is 2 times as fast** (1.6 to 2.4)" in said
+    assert "never paid back" in said
+    table = table_of(found).set_index("method")
+    assert table.loc["net", "break_even_seconds"] == math.inf
+    assert not table.loc["net", "on_frontier"]
+    assert table.loc["DEM 5 ms", "failed"]
+
+
+def test_the_page_says_where_a_surrogate_starts_to_cost_less_and_what_softening_makes_of_it(found):
+    def points(**costs):
+        return [{"at": float(at[1:]), "wall": {"median": cost}, "failure": ""} for at, cost in costs.items()]
+
+    found["stiffness"] = {
+        "automatic": points(_1e7=0.3, _1e9=3.0),
+        "largest": points(_1e7=0.1, _1e9=0.4),
+        "net": points(_1e7=0.6),
+    }
+    found["counts"] = {"DEM": points(_300=0.1, _3000=1.0), "net": points(_300=0.2, _3000=0.5)}
+    text = page_text({"quick/drum": found})
+    assert "costs less than the DEM at its largest allowed step at no stiffness that was tried" in text
+    assert "costs less than the DEM at its automatic step from E = 4.0e+07 Pa on" in text
+    assert "it costs 0.9 s, more than **net**" in text
+    assert "2 with 300 spheres, 0.5 with 3000 spheres" in text
+
+
+def test_a_run_that_failed_on_its_way_has_a_place_in_the_figure(found):
+    (failed,) = [one for one in entries(found) if one.floors is None]
+    assert (failed.name, failed.seconds) == ("DEM 5 ms", 0.05)
+
+
+def test_methods_that_waited_for_the_processor_say_that_the_machine_was_busy(found):
+    assert share_waited(found["methods"]) == pytest.approx(0.5)
+    found["waited"] = 0.5
+    assert "Methods waited 50 % of their time for the processor" in page_text({"quick/drum": found})
+
+
+def test_full_results_of_a_scene_stand_for_it(found, tmp_path):
+    for place in ("quick/drum", "full/drum", "quick/packing"):
+        (tmp_path / place).mkdir(parents=True)
+        (tmp_path / place / RESULTS).write_text(json.dumps(copy.deepcopy(found)))
+    assert list(read_all(tmp_path)) == ["full/drum", "quick/packing"]
+    (tmp_path / "quick/packing" / RESULTS).write_text(json.dumps(found | {"format": FORMAT - 1}))
+    with pytest.raises(ResultsError, match="another version"):
+        read_all(tmp_path)
+
+
+@pytest.mark.skipif(not (COMMITTED / PAGE).exists(), reason="no benchmark is committed")
+def test_the_committed_page_is_made_from_the_committed_results():
+    assert page_text(read_all(COMMITTED)) == (COMMITTED / PAGE).read_text("utf-8"), (
+        "results/benchmark/README.md is not what its results say; write it again with "
+        "`python -m gran_bench.comparison.page results/benchmark`"
+    )
