@@ -206,6 +206,7 @@ def test_a_methods_key_follows_its_job_and_its_conditions_and_not_its_folders(tm
     [
         ("profile.step_multiples=[2]", ["profile.step_multiples=[2.0]", "add 1"]),
         ("profile.soft_moduli=[1e6,1e6]", ["profile.soft_moduli", "twice"]),
+        ("profile.judged_rounds=9", ["profile.judged_rounds=9", "profile.rounds=5"]),
         ("profile.rounds=0", ["profile.rounds=0", "≥ 1"]),
         ("dataset.holdout_speeds_rpm=[]", ["dataset.holdout_speeds_rpm=[]", "one held-out speed"]),
         ("profile.rouns=3", ["profile.rouns", "profile.rounds"]),

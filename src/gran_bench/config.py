@@ -337,6 +337,7 @@ class ProfileConfig:
 
     name: str = "quick"  # of the folder of the results
     rounds: int = 5  # timed runs of every method, in turns
+    judged_rounds: int = 5  # of these, from the first on, whose error is measured
     step_multiples: list[float] = field(default_factory=lambda: [0.5, 1.0, 2.0, 3.5, 5.0])  # of the automatic step
     single_multiples: list[float] = field(default_factory=lambda: [2.0])  # the same with float32 contact forces
     soft_moduli: list[float] = field(default_factory=lambda: [1.0e7, 1.0e6, 1.0e5])  # Pa, where softer than the scene

@@ -191,6 +191,11 @@ def _check_benchmark(config: BenchmarkConfig) -> None:
         f"profile.step_multiples={profile.step_multiples} lacks the automatic step, which all times are held against; "
         "add 1",
     )
+    _require(
+        profile.judged_rounds <= profile.rounds,
+        f"profile.judged_rounds={profile.judged_rounds} is more than profile.rounds={profile.rounds}; "
+        "choose at most that",
+    )
     for name in ("step_multiples", "single_multiples", "soft_moduli", "soft_multiples", "stiffness", "counts"):
         values = getattr(profile, name)
         _require(

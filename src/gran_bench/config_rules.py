@@ -305,6 +305,7 @@ RULES: dict[type, dict[str, Rule]] = {
     ProfileConfig: {
         "name": Text(),
         "rounds": at_least(1),
+        "judged_rounds": at_least(1),
         "step_multiples": positive("automatic steps"),
         "single_multiples": positive("automatic steps"),
         "soft_moduli": positive("Pa"),

@@ -8,7 +8,7 @@ from typing import Any
 
 from gran_bench.atomic import locked
 from gran_bench.comparison.contest import Contest
-from gran_bench.comparison.errors import Reference, Scored, errors_file, score_method
+from gran_bench.comparison.errors import Reference, Scored, errors_file, judged_rounds, score_run
 from gran_bench.comparison.method import Method
 from gran_bench.comparison.page import TABLE, write_page, write_table
 from gran_bench.comparison.results import (
@@ -134,7 +134,7 @@ def short_name(name: str) -> str:
 
 def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, Any]:
     config, scene, methods = contest.config, contest.scene, contest.methods
-    profile, conditions = config.profile, [code_digest(), hardware()]
+    profile, conditions = config.profile, [code_digest(), hardware(), f"format {FORMAT}"]
 
     def turns(what: list[Method], rounds: int, label: str, judged: bool) -> dict[str, Record]:
         _tell(f"{label}: {len([m for m in what if not m.unfit_because])} methods in {rounds} rounds")
@@ -145,16 +145,25 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
             folder / "measurements",
             conditions,
             scene.frame_interval,
-            (lambda place: errors_file(place, reference.digest).exists()) if judged else lambda place: True,
-            label,
+            wants_frames if judged else lambda method, place, index: False,
+            judge_round if judged else lambda index, folders: None,
+            label=label,
         )
 
-    records = turns(methods, profile.rounds, "timing", True)
-    _tell("judging")
-    scores: dict[str, Scored] = {}
-    for method in methods:
-        if method.judged and not method.unfit_because and not records[method.name].failure:
-            scores[method.name] = score_method(method, records[method.name], reference)
+    def wants_frames(method: Method, place: Path, index: int) -> bool:
+        kept = errors_file(place, reference.digest, index).exists()
+        return index < judged_rounds(method, profile.judged_rounds) and not kept
+
+    runs: dict[str, list[Scored]] = {}
+
+    def judge_round(index: int, folders: dict[str, Path]) -> None:
+        for method in methods:
+            if method.name in folders and index < judged_rounds(method, profile.judged_rounds):
+                scored = score_run(method, folders[method.name], reference, index)
+                runs.setdefault(method.name, []).extend([scored] if scored else [])
+
+    records = turns(methods, profile.rounds, "timing and judging", True)
+    scores = {name: reference.pooled(found) for name, found in runs.items() if found and not records[name].failure}
     studies = {}
     for label, points in (("stiffness", contest.stiffness_methods), ("counts", contest.count_methods)):
         flat = [method for line in points.values() for _, method in line]

@@ -15,7 +15,7 @@ from scipy.stats import t as student_t
 from gran_bench.atomic import write_text
 from gran_bench.baselines import interpolated_statistics
 from gran_bench.comparison.method import Method
-from gran_bench.comparison.turns import Record
+from gran_bench.comparison.turns import trajectory_file
 from gran_bench.dataset import Case, read_case
 from gran_bench.metrics.comparisons import COMPARISONS, Comparison
 from gran_bench.metrics.judge import judge
@@ -37,7 +37,7 @@ class Scored:
 
     Attributes:
         floors: the largest of its ranked errors, in noise floors; None where one of them is undefined.
-        low, high: 95 % interval of the mean over the replicas, of that error.
+        low, high: 95 % interval: of one run, of the mean over the replicas; of several, of the mean of as many others.
         by: key of that error.
         reason: why there is none.
         outside: spheres that left the container.
@@ -93,7 +93,7 @@ class Reference:
         return max(own) if interval is None else interval.high
 
     def score(self, candidate: TrajectorySummary | Trajectory) -> Scored:
-        """Hold a method's run against the replicas."""
+        """Hold one run of a method against the replicas."""
         mine = candidate if isinstance(candidate, TrajectorySummary) else summarise(candidate, self.scene)
         truth = self.summaries(mine.velocity_kind)
         judgement = judge(mine, truth, self.scene)
@@ -106,31 +106,58 @@ class Reference:
             floor = self._floor(row, truth)
             found[row.key] = [distance / floor for distance in _distances(row, mine, truth)]
         worst = max(found, key=lambda key: _mean(found[key]))
-        middle, reach = _mean(found[worst]), _reach(found[worst])
+        middle, reach = _mean(found[worst]), _reach(found[worst], 1.0)
         return Scored(middle, middle - reach, middle + reach, worst, "", outside, judgement.to_dict())
+
+    def pooled(self, runs: Sequence[Scored]) -> Scored:
+        """The error of a method from several runs of it: means, and where the mean of as many others lies.
+
+        A single run (statistics without particles) keeps its interval over the replicas.
+        """
+        failed = next((run for run in runs if run.floors is None), None)
+        if failed is not None or len(runs) == 1:
+            return failed or runs[0]
+        tables = [run.judgement["errors"] for run in runs]
+        errors = {key: _mean_error([table[key] for table in tables]) for key in tables[0]}
+        worst = max(self.ranked, key=lambda row: errors[row.key]["multiple_of_floor"]).key
+        floors = [table[worst]["multiple_of_floor"] for table in tables]
+        middle, reach = _mean(floors), _reach(floors, math.sqrt(2.0))
+        outside = max(run.outside for run in runs)
+        judgement = runs[0].judgement | {"errors": errors}
+        return Scored(middle, middle - reach, middle + reach, worst, "", outside, judgement)
 
     def _floor(self, row: Comparison, truth: list[TrajectorySummary]) -> float:
         return _mean(_pairs(row, truth))
 
 
-def score_method(method: Method, record: Record, reference: Reference) -> Scored:
-    """The error of a method, computed once and kept in its folder; its frames are dropped then."""
-    path = errors_file(record.folder, reference.digest)
+def score_run(method: Method, folder: Path, reference: Reference, index: int) -> Scored | None:
+    """The error of one round of a method, computed once and kept in its folder; its frames are dropped then.
+
+    None where the round has no frames: the method failed in it, or earlier.
+    """
+    path, frames = errors_file(folder, reference.digest, index), trajectory_file(folder, index)
     if not path.exists():
         if method.job["does"] == "interpolation":
             cases = {float(rpm): read_case(case) for rpm, case in method.job["cases"].items()}
             training = {rpm: summarise(case.trajectory, case.scene) for rpm, case in cases.items()}
             found = reference.score(interpolated_statistics(method.job["rpm"], training))
+        elif frames.exists():
+            found = reference.score(read_trajectory(frames))
         else:
-            found = reference.score(read_trajectory(record.trajectory))
+            return None
         write_text(path, json.dumps(asdict(found)) + "\n")
-    record.trajectory.unlink(missing_ok=True)
+    frames.unlink(missing_ok=True)
     return Scored(**json.loads(path.read_text("utf-8")))
 
 
-def errors_file(folder: Path, digest: str) -> Path:
-    """Where the error of a method against a reference is kept."""
-    return folder / f"{ERRORS}-{digest}.json"
+def judged_rounds(method: Method, rounds: int) -> int:
+    """How many rounds of a method are judged: statistics without particles are the same in all."""
+    return 0 if not method.judged else 1 if method.job.get("does") == "interpolation" else rounds
+
+
+def errors_file(folder: Path, digest: str, index: int) -> Path:
+    """Where the error of a round against a reference is kept."""
+    return folder / f"{ERRORS}{index}-{digest}.json"
 
 
 def read_trajectory(path: Path) -> Trajectory:
@@ -159,9 +186,20 @@ def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values))
 
 
-def _reach(values: Sequence[float]) -> float:
-    """Half the 95 % interval of a mean, by Student; 0 for a single value."""
+def _mean_error(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """One kind of error over several runs: means; undefined as in the first run that lacks it."""
+    missing = next((row for row in rows if row["value"] is None), None)
+    if missing is not None:
+        return missing
+    found = dict(rows[0], value=_mean([row["value"] for row in rows]))
+    if found["multiple_of_floor"] is not None:
+        found["multiple_of_floor"] = _mean([row["multiple_of_floor"] for row in rows])
+    return found
+
+
+def _reach(values: Sequence[float], factor: float) -> float:
+    """Half a 95 % interval by Student, t s/√n × ``factor``: 1 for the mean, √2 for that of as many others."""
     if len(values) < 2:
         return 0.0
     quantile = float(student_t.ppf(0.5 + 0.5 * CONFIDENCE, len(values) - 1))
-    return quantile * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    return factor * quantile * float(np.std(values, ddof=1)) / math.sqrt(len(values))

@@ -11,6 +11,8 @@ import numpy as np
 from gran_bench.baselines import ballistic, interpolated_statistics, rigid_rotation
 from gran_bench.config import DemConfig
 from gran_bench.dataset import from_document, read_case, read_settled
+from gran_bench.dataset.case_spec import NUDGE
+from gran_bench.dataset.generation import nudged
 from gran_bench.dem.simulate import SimulationError, simulate
 from gran_bench.metrics.summary import summarise
 from gran_bench.scene import Scene
@@ -35,7 +37,10 @@ class Outcome:
     reached: int = 0
 
 
-Run = Callable[[int], Outcome]  # called with the number of frames to compute
+# Called with the number of frames to compute, and with the round: each starts from a nudge of its own, because one
+# chaotic run is one sample.
+Run = Callable[[int, int], Outcome]
+FIRST_NUDGE = 1001  # seed of the first round's nudge; the replicas have the lower ones
 
 
 def prepare(job: dict[str, Any]) -> Run:
@@ -72,9 +77,10 @@ def _dem(job: dict[str, Any]) -> Run:
     for modulus in job["stages"]:
         bed = simulate(with_modulus(scene, modulus), bed, bed.time + STAGE, dem=DemConfig(threads=1)).final
 
-    def run(frames: int) -> Outcome:
+    def run(frames: int, index: int) -> Outcome:
+        start, end = _start(bed, index), bed.time + frames * scene.frame_interval
         try:
-            return Outcome(simulate(scene, bed, bed.time + frames * scene.frame_interval, dem=dem).trajectory)
+            return Outcome(simulate(scene, start, end, dem=dem).trajectory)
         except SimulationError as error:
             return Outcome(error.trajectory, str(error), max(0, error.trajectory.frame_count - 2))
 
@@ -92,8 +98,8 @@ def _surrogate(job: dict[str, Any]) -> Run:
     scene, (bed, _) = from_document(job["scene"]), read_settled(job["bed"])
     model, _ = load_model(job["model"])
 
-    def run(frames: int) -> Outcome:
-        result = rollout(model, scene, bed, frames + 1)
+    def run(frames: int, index: int) -> Outcome:
+        result = rollout(model, scene, _start(bed, index), frames + 1)
         if result.failed_frame is None:
             return Outcome(result.trajectory)
         reason = f"not finite from frame {result.failed_frame} on"
@@ -104,18 +110,22 @@ def _surrogate(job: dict[str, Any]) -> Run:
 
 def _baseline(job: dict[str, Any]) -> Run:
     scene, (bed, _) = from_document(job["scene"]), read_settled(job["bed"])
-    return lambda frames: Outcome(BASELINES[job["does"]](_cut(scene, bed, frames), bed))
+    return lambda frames, index: Outcome(BASELINES[job["does"]](_cut(scene, bed, frames), _start(bed, index)))
 
 
 def _interpolation(job: dict[str, Any]) -> Run:
     cases = {float(rpm): read_case(path) for rpm, path in job["cases"].items()}
     training = {rpm: summarise(case.trajectory, case.scene) for rpm, case in cases.items()}
 
-    def run(frames: int) -> Outcome:
+    def run(frames: int, index: int) -> Outcome:
         interpolated_statistics(job["rpm"], training)
         return Outcome(None)
 
     return run
+
+
+def _start(bed: ParticleState, index: int) -> ParticleState:
+    return nudged(bed, NUDGE, FIRST_NUDGE + index)
 
 
 def _cut(scene: Scene, bed: ParticleState, frames: int) -> Scene:

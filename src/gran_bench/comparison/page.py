@@ -32,7 +32,8 @@ thread each, in turns. `python -m gran_bench.benchmark` (`make bench`) made the 
 - *Relative* is the time in units of the DEM's at its automatic step in the same round, which a machine that is slow as
   a whole does not change.
 - *Error* is the distance from nudged replicas of the DEM at half its automatic step, in noise floors (the mean distance
-  of two replicas), with the 95 % interval of the mean over the replicas. Of two kinds of error the worse counts.
+  of two replicas): the mean over runs of the method that start from nudges of their own, with the 95 % interval of the
+  mean of as many others. Of two kinds of error the worse counts.
 - *Noise* is the error up to which nothing can be told from the DEM itself: the upper end of the 95 % prediction
   interval of one more replica, judged by the others. *The DEM's own accuracy* is the noise, or the error of the DEM at
   its automatic step where that is larger: in a bed that comes to rest, nudges hardly grow. It is shaded in the figures.

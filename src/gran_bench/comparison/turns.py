@@ -26,7 +26,7 @@ from gran_bench.atomic import write_text
 from gran_bench.comparison.method import Method
 
 PREPARED_AT_A_TIME = 2
-TRAJECTORY, FAILURE = "trajectory.npz", "failure.json"
+FAILURE = "failure.json"
 _ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 _ONE_THREAD |= {"MKL_NUM_THREADS": "1"}
 
@@ -65,10 +65,10 @@ class Record:
     failure: str
     failed_seconds: float | None = None
 
-    @property
-    def trajectory(self) -> Path:
-        """Where the frames of a judged run are kept until they are judged."""
-        return self.folder / TRAJECTORY
+
+def trajectory_file(folder: Path, index: int) -> Path:
+    """Where the frames of a round are kept until they are judged."""
+    return folder / f"trajectory{index}.npz"
 
 
 def take_turns(
@@ -78,7 +78,8 @@ def take_turns(
     folder: Path,
     conditions: Sequence[str],
     frame_interval: float,
-    is_judged: Callable[[Path], bool] = lambda folder: True,
+    wants_frames: Callable[[Method, Path, int], bool] = lambda method, folder, index: False,
+    after_round: Callable[[int, dict[str, Path]], None] = lambda index, folders: None,
     label: str = "timing",
 ) -> dict[str, Record]:
     """Run every method once a round, and keep what was measured.
@@ -90,7 +91,8 @@ def take_turns(
         folder: of all measurements.
         conditions: what else decides a measurement (`Method.key`).
         frame_interval: s.
-        is_judged: whether the folder of a method has its error already; its frames are kept where it has not.
+        wants_frames: whether the frames of a method's round, in its folder, are still to be judged.
+        after_round: called with the round and the folders of all methods, to judge what was kept.
         label: of the bar.
 
     Returns:
@@ -102,7 +104,7 @@ def take_turns(
     def wants(method: Method, index: int) -> tuple[bool, bool]:
         """Whether a turn is missing, and whether its frames are wanted."""
         place = folders[method.name]
-        frames_wanted = index == 0 and method.judged and not is_judged(place) and not (place / TRAJECTORY).exists()
+        frames_wanted = wants_frames(method, place, index) and not trajectory_file(place, index).exists()
         if (place / FAILURE).exists():
             return False, False
         return frames_wanted or not _path(place, index).exists(), frames_wanted
@@ -136,25 +138,32 @@ def take_turns(
             raise
         finally:
             lanes.shutdown()
-        for method, index in missing:
-            wanted, keeps = wants(method, index)
-            bar.set_postfix_str(method.name, refresh=True)
-            bar.update()
-            if not wanted:
-                continue
-            place = folders[method.name]
-            answer = _ask(workers[method.name], {"keep": str((place / TRAJECTORY).resolve()) if keeps else None})
-            if "died" in answer:
-                _fail(place, answer["died"], died=True)
-                continue
-            if "failure" in answer:
-                reached = answer["reached"] * frame_interval
-                seconds = answer["wall_seconds"] / reached if reached else None
-                _fail(place, answer["failure"], died=False, seconds=seconds)
-                continue
-            turn = Turn(index, **answer)
-            write_text(_path(place, index), json.dumps(asdict(turn) | {"method": method.name}, indent=1) + "\n")
+        for index in range(rounds):
+            for method in [method for method, when in missing if when == index]:
+                wanted, keeps = wants(method, index)
+                bar.set_postfix_str(method.name, refresh=True)
+                bar.update()
+                if wanted:
+                    _take_turn(method, workers[method.name], folders[method.name], index, keeps, frame_interval)
+            after_round(index, folders)
     return {method.name: _read(folders[method.name], rounds) for method in fit}
+
+
+def _take_turn(
+    method: Method, worker: subprocess.Popen, folder: Path, index: int, keeps: bool, frame_interval: float
+) -> None:
+    """Let a worker run once, and write down what came of it."""
+    keep = str(trajectory_file(folder, index).resolve()) if keeps else None
+    answer = _ask(worker, {"round": index, "keep": keep})
+    if "died" in answer:
+        _fail(folder, answer["died"], died=True)
+    elif "failure" in answer:
+        reached = answer["reached"] * frame_interval
+        seconds = answer["wall_seconds"] / reached if reached else None
+        _fail(folder, answer["failure"], died=False, seconds=seconds)
+    else:
+        turn = asdict(Turn(index, **answer)) | {"method": method.name}
+        write_text(_path(folder, index), json.dumps(turn, indent=1) + "\n")
 
 
 def _order(methods: Sequence[Method], seed: int, index: int) -> list[Method]:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from gran_bench.atomic import write_atomically
-from gran_bench.comparison.jobs import Outcome, prepare
+from gran_bench.comparison.jobs import Outcome, Run, prepare
 
 WARM_UP = 2  # frames: they compile, or load what was compiled before
 
@@ -35,10 +35,10 @@ def main() -> None:
                 if run is None:
                     frames = request["frames"]
                     run = prepare(request["job"])
-                    run(min(WARM_UP, frames))
+                    run(min(WARM_UP, frames), 0)
                     answer: dict[str, Any] = {"ready": True}
                 else:
-                    answer = _timed(run, frames, request["keep"])
+                    answer = _timed(run, frames, request["round"], request["keep"])
             except Exception as error:  # whatever a method dies of is its failure, not the benchmark's
                 answer = {"died": f"{type(error).__name__}: {error}"}
             channel.write(json.dumps(answer) + "\n")
@@ -46,11 +46,11 @@ def main() -> None:
         os._exit(1)  # the parent is gone; closing the channel would fail once more
 
 
-def _timed(run: Any, frames: int, keep: str | None) -> dict[str, Any]:
+def _timed(run: Run, frames: int, index: int, keep: str | None) -> dict[str, Any]:
     forget_peak_memory()
     before = resident_memory("VmRSS")
     wall, cpu = time.perf_counter(), time.process_time()
-    outcome: Outcome = run(frames)
+    outcome = run(frames, index)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     peak = resident_memory("VmHWM")
     if keep and outcome.trajectory is not None and not outcome.failure:

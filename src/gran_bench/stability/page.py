@@ -23,7 +23,7 @@ PARTS = {
 FIGURES = {
     "time_to_failure.png": "Time to failure of each model's rollout in the paper's drum, against the speed: the first "
     "state that is not finite, has a centre outside by more than a radius, or has more than twice the energy that "
-    "falling and turning give. Arrows: no failure until the rollout ended.",
+    "falling and turning give. Hollow triangles: no failure until the rollout ended.",
     "dem_step.png": "The DEM's step on the paper's drum at 30 rpm: error of the centre of mass's angle against the "
     "smallest step, over the floor of a run nudged by 1e-9 m, and cost of a frame on one thread.",
     "energy_drift.png": "Largest change of the energy of an elastic gas against the step.",
