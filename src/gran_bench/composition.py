@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import hydra
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
@@ -24,13 +25,26 @@ from gran_bench.scene import build_scene
 
 CONFIG_MODULE = "gran_bench.conf"
 VERSION_BASE = "1.3"
-LAUNCHER = "ProcessLauncher"  # the house's own, in `launcher`
+# The house's launcher (`launcher.ProcessLauncher`) by the name under which Hydra makes it: Hydra takes only launchers
+# whose names begin with this word.
+LAUNCHER = "hydra_plugins.gran_bench.ProcessLauncher"
 
 # Two commands that differ in these alone train the same weights, so they share a folder.
 UNNAMED = UNDECIDING | {"hydra"}
 LONGEST_FOLDER = 150  # characters; file systems end at 255 bytes
 
 Config = TypeVar("Config")
+
+
+@dataclass
+class ProcessLauncherConfig:
+    """Keys of the house's launcher, on which ``conf/hydra/launcher/local.yaml`` builds."""
+
+    _target_: str = LAUNCHER
+    n_jobs: int = 2  # jobs at a time
+
+
+ConfigStore.instance().store("processes", ProcessLauncherConfig, group="hydra/launcher", provider="gran_bench")
 
 
 @dataclass(frozen=True)
@@ -126,7 +140,7 @@ def described_jobs(source: Source, overrides: Sequence[str], multirun: bool) -> 
             if not (multirun and override.is_sweep_override())
         ]
         chosen = source.composed(fixed, hydra_too=True).hydra
-        sweeper, apart = chosen.sweeper, chosen.launcher._target_.endswith(f".{LAUNCHER}")
+        sweeper, apart = chosen.sweeper, chosen.launcher._target_ == LAUNCHER
         axes = OmegaConf.to_container(sweeper.params, resolve=True) if sweeper.get("params") else {}
         if not multirun:
             if axes:

@@ -14,37 +14,26 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from multiprocessing import connection, forkserver
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any
 
-from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
+from gran_bench.composition import LAUNCHER
 from gran_bench.job import Job
 
-GROUP, NAME = "hydra/launcher", "processes"
-TARGET = "hydra_plugins.gran_bench.ProcessLauncher"  # Hydra makes launchers under names of this first word alone
 SAID = 3  # exit code of a job's process that failed and said so; Python itself ends with 1
 GRACE_SECONDS = 60.0  # for jobs that were asked to stop: an update, a checkpoint, a last word to the store
 
 
 class JobError(RuntimeError):
     """A job of a multirun failed; what went wrong was said where it happened."""
-
-
-@dataclass
-class ProcessLauncherConfig:
-    """Keys of the launcher."""
-
-    _target_: str = TARGET
-    n_jobs: int = 2  # jobs at a time
 
 
 class ProcessLauncher(Launcher):
@@ -95,11 +84,10 @@ class ProcessLauncher(Launcher):
 
 
 def register_launcher() -> None:
-    """Make ``hydra/launcher=processes`` known to Hydra, which ``conf/hydra/launcher/local.yaml`` builds on."""
+    """Let Hydra make the launcher that ``hydra/launcher=local`` names."""
     plugins = Plugins.instance()
     plugins.register(ProcessLauncher)
-    plugins.class_name_to_class[TARGET] = ProcessLauncher
-    ConfigStore.instance().store(group=GROUP, name=NAME, node=ProcessLauncherConfig, provider="gran_bench")
+    plugins.class_name_to_class[LAUNCHER] = ProcessLauncher
 
 
 def load_ahead(modules: Sequence[str]) -> None:

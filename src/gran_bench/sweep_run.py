@@ -145,7 +145,7 @@ def open_sweep(planned: Sequence[PlannedJob], name: str) -> Iterator[Sweep]:
             finally:
                 report = _report(sweep, config)
                 log_report(parent, report)
-            parent.finish("FAILED" if report.failed or report.waiting else "FINISHED")
+            parent.finish("FINISHED" if _whole(sweep, report) else "FAILED")
 
 
 # ---- before the jobs -------------------------------------------------------------------------------------
@@ -256,3 +256,9 @@ def _report(sweep: Sweep, config: TrackingConfig) -> SweepReport:
     print(report.text, flush=True)
     tell(f"table and figures of the sweep are in {sweep.folder}; compare runs with `make ui`")
     return report
+
+
+def _whole(sweep: Sweep, report: SweepReport) -> bool:
+    """Whether every job of this sweep is done; its folder may hold failed runs of others."""
+    lost = {run.file_name for run in report.failed} | {job.file_name for job in report.waiting}
+    return not any(job.file_name in lost for job in sweep.jobs)
