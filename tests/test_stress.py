@@ -18,12 +18,12 @@ from gran_bench.config_rules import ConfigError
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_model
-from gran_bench.stability import case_list
+from gran_bench.stability import case_list, kills
 from gran_bench.stability.case_list import read_cases, shipped_cases
 from gran_bench.stability.command import StressFailed, chosen, run_stress
 from gran_bench.stability.crew import Worker, outcome_of
-from gran_bench.stability.expectation import Bound, Expectation, Failure, Observation, verdict
-from gran_bench.stability.experiment import Experiment
+from gran_bench.stability.expectation import Bound, Expectation, Failure, NotThereYet, Observation, verdict
+from gran_bench.stability.experiment import Bench, Experiment
 from gran_bench.stability.page import closing_line, row
 from gran_bench.stability.perform import Task
 from gran_bench.stability.registry import EXPERIMENTS
@@ -203,6 +203,19 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path):
     assert again[0].outcome == seen[0].outcome
     forget(tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_the_sweep_is_asked_for_its_exit_code_where_there_is_one(tmp_path, monkeypatch):
+    bench = Bench(tmp_path, tmp_path)
+    monkeypatch.setattr(kills, "SWEEP", "no_such_sweep")
+    with pytest.raises(NotThereYet, match="no_such_sweep is not part of this version"):
+        kills.killed_sweep(bench)
+    script = "import sys\nprint('runs differ')\nsys.exit(sys.argv[1:] != ['--jobs', '3', '--kills', '2'])\n"
+    (tmp_path / "a_sweep.py").write_text(script, "utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(kills, "SWEEP", "a_sweep")
+    assert kills.killed_sweep(bench, jobs=3, kills=2) == Observation({"exit_code": 0.0})
+    assert kills.killed_sweep(bench, jobs=3, kills=3) == Observation({"exit_code": 1.0}, ("runs differ",))
 
 
 def test_every_model_gets_every_case_that_is_for_it(tmp_path):

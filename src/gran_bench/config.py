@@ -377,5 +377,5 @@ class StressConfig:
     checkpoint: str = "shipped"  # model file; `shipped`: the one in the package
     also: list[str] = field(default_factory=list)  # further model files
     workers: int = 2  # cases at a time
-    patience: float = 600.0  # s that a case may take
+    patience: float = 900.0  # s that a case may take
     output: str = "results/stress"  # folder of the page

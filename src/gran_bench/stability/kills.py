@@ -74,10 +74,12 @@ def killed_training(bench: Bench, kills: int, seed: int = 0) -> Observation:
     )
 
 
-def killed_sweep(bench: Bench, longest: float = 400.0) -> Observation:
-    """A sweep that is killed again and again, by the module that knows sweeps.
+def killed_sweep(bench: Bench, jobs: int = 12, kills: int = 10, longest: float = 850.0) -> Observation:
+    """A sweep that is killed again and again, by the module that knows sweeps; its exit code says how it ended.
 
     Args:
+        jobs: of the sweep.
+        kills: how often.
         longest: s that it may take.
 
     Raises:
@@ -86,10 +88,11 @@ def killed_sweep(bench: Bench, longest: float = 400.0) -> Observation:
     if importlib.util.find_spec(SWEEP) is None:
         raise NotThereYet(f"{SWEEP} is not part of this version")
     done = subprocess.run(
-        [sys.executable, "-m", SWEEP], cwd=bench.folder, capture_output=True, text=True, timeout=longest, check=False
-    )
-    last = [line for line in (done.stdout + done.stderr).splitlines() if line.strip()][-1:]
-    return Observation({"exit_code": float(done.returncode)}, tuple(last) if done.returncode else ())
+        [sys.executable, "-m", SWEEP, "--jobs", str(jobs), "--kills", str(kills)],
+        cwd=bench.folder, capture_output=True, text=True, timeout=longest, check=False,
+    )  # fmt: skip
+    told = [line.strip() for line in (done.stdout + done.stderr).splitlines() if line.strip()]
+    return Observation({"exit_code": float(done.returncode)}, tuple(told[-5:]) if done.returncode else ())
 
 
 def _finish(begin: Callable[[], subprocess.Popen[str]]) -> float:
