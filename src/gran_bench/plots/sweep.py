@@ -13,9 +13,11 @@ from gran_bench.plots.style import BASELINE, DEM, FURTHER, SURROGATE, drawing, s
 
 PANELS = (
     ("angle_error_floors", "angle error, noise floors"),
+    ("com_angle_error_floors", "centre-of-mass angle error, noise floors"),
     ("speed_w1_floors", "speed W1, noise floors"),
     ("position_error_10_frames_mm", "position error after 10 frames, mm"),
     ("ms_per_frame", "time for a frame, ms"),
+    ("updates", "updates in the time given"),
 )
 LOG_FROM = 15.0  # largest over smallest figure from which a panel is logarithmic
 COLOURS = (SURROGATE, BASELINE, *FURTHER, DEM)
@@ -40,9 +42,9 @@ def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path 
     as_numbers = all(number is not None for number in numbers)
     place = dict(zip(values, numbers if as_numbers else range(len(values)), strict=True))
     series = list(runs.groupby(list(others), sort=False)) if others else [((), runs)]
-    with drawing(path, 10.4, 7.2) as figure:
+    with drawing(path, 13.0, 7.2) as figure:
         figure.suptitle(title, x=0.01, ha="left", fontsize=10.5)
-        panels = figure.subplots(2, 2).ravel()
+        panels = figure.subplots(2, 3).ravel()
         for axes, (name, label) in zip(panels, PANELS, strict=True):
             axes.set_ylabel(label)
             axes.set_xlabel(axis)

@@ -27,8 +27,8 @@ from gran_bench.surrogate.checkpoint import file_digest
 KEPT, SHARED, OWN = "kept", "beds", "work"
 # What a case depends on: all of the package but what draws and tells.
 ROOMS = (
-    *("scene", "neighbors", "dem", "verification", "dataset", "surrogate", "metrics", "stability", "tracking"),
-    *("atomic.py", "state.py", "rollout.py", "losses.py", "trainer.py"),
+    *("scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses", "metrics"),
+    *("stability", "tracking", "atomic.py", "state.py", "rollout.py", "trainer.py"),
 )
 
 

@@ -23,12 +23,14 @@ class Column:
         label: for people.
         unit: for people.
         digits: behind the point.
+        ranked: whether the choice with the smallest mean is worth naming.
     """
 
     name: str
     label: str
     unit: str
     digits: int
+    ranked: bool = True
 
     @property
     def heading(self) -> str:
@@ -39,12 +41,15 @@ class Column:
 COLUMNS = (
     Column("angle_error_deg", "angle error", "°", 2),
     Column("angle_error_floors", "angle error", "floors", 2),
+    Column("com_angle_error_deg", "centre-of-mass angle error", "°", 2),
+    Column("com_angle_error_floors", "centre-of-mass angle error", "floors", 2),
     Column("speed_w1_m_s", "speed W1", "m/s", 4),
     Column("speed_w1_floors", "speed W1", "floors", 2),
     Column("position_error_10_frames_mm", "position error, 10 frames", "mm", 2),
     Column("ms_per_frame", "a frame", "ms", 2),
-    Column("training_minutes", "training", "min", 2),
-    Column("requirements_failed", "requirements failed", "", 1),
+    Column("updates", "updates", "", 0, ranked=False),
+    Column("training_minutes", "training, wall clock", "min", 2, ranked=False),
+    Column("requirements_failed", "requirements failed", "", 1, ranked=False),
 )
 
 
@@ -70,12 +75,12 @@ def runs_frame(runs: Sequence[RunFile]) -> pd.DataFrame:
     for run in runs:
         row = {axis: run.choices.get(axis, NOT_CHOSEN) for axis in axes}
         row |= {"seed": run.seed, "status": run.status}
-        row |= {column.name: run.figures.get(column.name) for column in COLUMNS}
+        row |= {column.name: _figure(run, column.name) for column in COLUMNS}
         for packing, judged in run.packings.items():
             for name, error in judged["errors"].items():
                 row[f"{packing}_{name}_{error['unit'] or '1'}"] = error["value"]
                 row[f"{packing}_{name}_floors"] = error["multiple_of_floor"]
-        row |= {"updates": run.training.get("steps"), "parameters": run.training.get("parameters")}
+        row |= {"parameters": run.training.get("parameters")}
         row |= {"reason": run.reason, "run": run.run, "key": run.key, "ended_at": run.ended_at}
         rows.append(row)
     frame = pd.DataFrame(rows)
@@ -129,14 +134,24 @@ def best_choices(runs: Sequence[RunFile]) -> dict[str, tuple[str, float]]:
     """
     axes, frame = axes_of(runs), choices_frame(runs)
     found = {}
-    for column in COLUMNS[:6]:
-        if frame.empty:
+    for column in COLUMNS if not frame.empty else ():
+        if not column.ranked:
             continue
         candidates = frame[(frame["failed"] == 0) & frame[column.name].notna()]
         if len(candidates):
             row = candidates.loc[candidates[column.name].idxmin()]
             found[column.name] = (", ".join(f"{axis}={row[axis]}" for axis in axes) or "the one", row[column.name])
     return found
+
+
+def _figure(run: RunFile, name: str) -> float | None:
+    """A figure of a run: a headline one, its updates, or what its record says of the centre of mass."""
+    if name == "updates":
+        return run.training.get("steps")
+    if name.startswith("com_angle_error_"):
+        error = run.packings.get("shared", {}).get("errors", {}).get("com_angle", {})
+        return error.get("value" if name.endswith("_deg") else "multiple_of_floor")
+    return run.figures.get(name)
 
 
 def _shown(row: pd.Series, column: Column) -> str:

@@ -190,7 +190,7 @@ def test_a_run_that_any_sweep_has_recorded_is_not_done_again_and_the_store_learn
     assert [run.run for run in read_runs(there / "sweeps" / "kills")] == ["R0.06"]
     with sqlite3.connect(there / "mlflow.db") as store:
         keys = {row[0] for row in store.execute("select key from latest_metrics")}
-    assert "speed W1 m per s" in keys
+    assert "headline/speed W1 m per s" in keys
 
 
 @pytest.mark.usefixtures("quick")
