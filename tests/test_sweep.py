@@ -11,6 +11,7 @@ import pytest
 from test_report import SCENE, broken, flowing, summary_of
 
 from gran_bench.report import headline, report_command
+from gran_bench.sweep.overview import reaches, write_overview
 from gran_bench.sweep.run_file import (
     RunFile,
     SweepFileError,
@@ -181,3 +182,34 @@ def test_sweeps_are_reported_at_any_time_from_their_files_alone(tmp_path: Path, 
 def test_a_runs_file_is_plain_json(tmp_path: Path):
     path = run("0.08", 0, 1.0).write(tmp_path)
     assert json.loads(path.read_text("utf-8"))["choices"] == {"model.radius": "0.08", "seed": "0"}
+
+
+# ---- over all sweeps -------------------------------------------------------------------------------------
+
+
+def test_the_reach_of_a_key_is_from_its_best_mean_to_its_worst_beside_the_spread_of_seeds():
+    runs = [run("0.08", 0, 1.0), run("0.08", 1, 2.0), run("0.1", 0, 4.0), run("0.1", 1, 5.0), lost("0.2", 0)]
+    found = {reach.figure: reach for reach in reaches(runs)}
+    angle = found["angle error, floors"]
+    assert (angle.axis, angle.beside) == ("model.radius", "")
+    assert angle.best == ("0.08", 3.0)
+    assert angle.worst == ("0.1", 9.0)
+    assert angle.factor == 3.0
+    # Figures in floors are twice the angle: 2 and 4, 8 and 10; each pair scatters by √2.
+    assert angle.spread == pytest.approx(2**0.5)
+    assert angle.lost == ("0.2",)
+    assert found["speed W1, floors"].factor == 1.0
+    assert "centre-of-mass angle error, floors" not in found  # of which these runs say nothing
+
+
+def test_the_page_over_all_sweeps_begins_with_a_persons_remarks_and_shows_every_sweep(tmp_path: Path, capsys):
+    for name, radii in {"one": ("0.08", "0.1"), "two": ("0.1", "0.2")}.items():
+        for radius in radii:
+            run(radius, 0, 10 * float(radius)).write(tmp_path / "sweeps" / name)
+    (tmp_path / "sweeps" / "remarks.md").write_text("The radius matters.\n")
+    assert report_command(["--root", str(tmp_path)]) == 0
+    page = (tmp_path / "sweeps" / "README.md").read_text()
+    assert page.index("The radius matters.") < page.index("| sweep |") < page.index("## one") < page.index("## two")
+    assert "| [one](one/README.md) |  | angle error, floors | 0.08 (1.6) | 0.1 (2) | 1.25 | one seed |" in page
+    assert "![model.radius](two/model.radius.png)" in page
+    assert write_overview(tmp_path / "nothing") is None

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gran_bench import tracking
+from gran_bench.sweep.overview import write_overview
 from gran_bench.sweep.run_file import SWEEPS, SweepFileError
 from gran_bench.sweep.sweep_file import sweep_folders
 from gran_bench.sweep.sweep_report import report_sweep, report_to_parent
@@ -15,6 +16,8 @@ from gran_bench.sweep.sweep_report import report_sweep, report_to_parent
 
 def report_command(arguments: Sequence[str] | None = None) -> int:
     """Report sweeps: pages, CSVs and figures in their folders, and in their parent runs where the store has them.
+
+    Without a folder every sweep is reported, and a page over all of them is written beside them.
 
     Args:
         arguments: of the command line.
@@ -40,4 +43,6 @@ def report_command(arguments: Sequence[str] | None = None) -> int:
         except (SweepFileError, tracking.TrackingError, OSError) as error:
             print(f"error: {error}", file=sys.stderr)
             code = 1
+    if not chosen.folders and code == 0:
+        print(f"what matters, over all sweeps: {write_overview(chosen.root)}", file=sys.stderr)
     return code
