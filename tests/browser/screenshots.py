@@ -37,13 +37,15 @@ def main(root: Path) -> None:
         print(f"the UI answered after {seconds:.1f} s")
         browser = Browser(address)
         try:
-            browser.run_table(experiment, min(len(runs), 2))
-            shoot(browser, "runs", 520)
-            browser.compare_first_two()
+            ids = [run.info.run_id for run in runs if run.data.metrics]
+            browser.run_table(experiment, ids[:2])
+            shoot(browser, "runs", 560)
+            browser.compare(ids[:3])
+            browser.only_differences()
             shoot(browser, "comparison", 800)
             browser.charts(experiment)
             shoot(browser, "charts", 800)
-            browser.run_page(experiment, runs[0].info.run_id)
+            browser.run_page(experiment, ids[0])
             shoot(browser, "run", 800)
         finally:
             browser.driver.quit()

@@ -1,7 +1,7 @@
 """The tracking store: one SQLite database under the results folder, shared by any number of processes.
 
-This is the only file that imports MLflow, and it does so when a store is opened: a run without tracking never waits
-for it.
+MLflow is imported when a store is opened: a run without tracking never waits for it. Beside this file only
+`user_interface` imports it, to serve what is stored.
 """
 
 from __future__ import annotations
