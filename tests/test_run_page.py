@@ -10,10 +10,10 @@ from beds import flowing
 from PIL import Image
 from test_report import SCENE, broken, summary_of
 
-from gran_bench.config import TrackingConfig
+from gran_bench.config import LossConfig, RolloutConfig, TrackingConfig
 from gran_bench.plots.style import drawing, drawn_for
 from gran_bench.report import flat_metrics, headline, missed_requirements
-from gran_bench.run_page import description, undefined_figures
+from gran_bench.run_page import description, loss_in_words, params_of, rollout_in_words, undefined_figures
 from gran_bench.tracking import HEADLINE, HEADLINE_FIGURES, Store, shown_name
 from gran_bench.tracking.store import legal_name
 from gran_bench.tracking.views import COLUMN_METRICS, VIEW_TAG, experiment_tags, view_state
@@ -60,7 +60,35 @@ def test_the_views_params_exist_in_every_model(model: str):
     params = {column.split("`")[1] for column in view_state()["selectedColumns"] if column.startswith("params.")}
     for chart in view_state()["compareRunCharts"]:
         params |= {*chart.get("selectedParams", ())}
-    assert params <= set(dotted(config))
+    assert params <= set(dotted(params_of(config)))
+
+
+@pytest.mark.parametrize(
+    ("loss", "words"),
+    [
+        (LossConfig(), "position_l2"),
+        (LossConfig(energy=0.1, frame_weights="inverse"), "position_l2 + 0.1 energy, inverse"),
+        (LossConfig(position_l2=0.0, huber=1.0, frame_weights="discounted", discount=0.9), "huber, discounted 0.9"),
+        (LossConfig(spin=0.2, frame_weights="inverse"), "position_l2 + 0.2 spin, inverse, spin uniform"),
+        (LossConfig(spin_frame_weights="rising"), "position_l2"),
+    ],
+)
+def test_a_loss_in_words_names_what_is_minimised(loss: LossConfig, words: str):
+    assert loss_in_words(loss) == words
+
+
+@pytest.mark.parametrize(
+    ("rollout", "words"),
+    [
+        (RolloutConfig(frames=3), "3"),
+        (RolloutConfig(frames=3, final_frames=3), "3"),
+        (RolloutConfig(frames=3, final_frames=5), "3 to 5"),
+        (RolloutConfig(frames=1, final_frames=8, growth="linear"), "1 to 8, linear"),
+        (RolloutConfig(frames=2, gradient_through_time=False), "2, gradient cut"),
+    ],
+)
+def test_a_rollout_in_words_says_how_far_it_looks(rollout: RolloutConfig, words: str):
+    assert rollout_in_words(rollout) == words
 
 
 def test_an_experiment_is_dressed_once_and_a_users_words_stay(tmp_path: Path):

@@ -14,8 +14,18 @@ from mlflow.entities import Run as StoredRun
 from mlflow.exceptions import MlflowException
 
 from gran_bench.config import RolloutConfig, TrackingConfig
-from gran_bench.tracking import Child, Store, TrackingError, end_child, open_run, reopen_ended, schedule_children, ui
-from gran_bench.tracking.store import DATABASE
+from gran_bench.tracking import (
+    Child,
+    Store,
+    TrackingError,
+    end_child,
+    open_run,
+    reopen_ended,
+    schedule_children,
+    ui,
+    user_interface,
+)
+from gran_bench.tracking.store import DATABASE, QUIET
 
 # SQLAlchemy's word to MLflow, which a user never sees either.
 pytestmark = pytest.mark.filterwarnings("ignore:The ``noload`` loader strategy")
@@ -128,7 +138,8 @@ def test_without_tracking_nothing_is_written(tmp_path: Path):
 
 
 def sweep_parent(config: TrackingConfig) -> str:
-    with open_run(config, "sweep_radius", "sweep", {"sweep": {"model.radius": "1,2"}}) as run:
+    axes, tags = {"sweep": {"model.radius": "1,2"}}, {"sweep": "sweep_radius"}
+    with open_run(config, "sweep_radius", "sweep", axes, tags) as run:
         return run.run_id
 
 
@@ -140,6 +151,7 @@ def test_a_sweeps_runs_wait_under_its_parent_before_their_jobs_start(config: Tra
     waiting = {run.info.run_name: run for run in runs(config) if run.info.run_id != parent}
     assert {run.info.status for run in waiting.values()} == {"SCHEDULED"}
     assert {run.data.tags["mlflow.parentRunId"] for run in waiting.values()} == {parent}
+    assert {run.data.tags["sweep"] for run in waiting.values()} == {"sweep_radius"}
     with open_run(config, "R1", "one", {}, parent=parent) as run:
         assert run.run_id == waiting["R1"].info.run_id
         assert client(config).get_run(run.run_id).info.status == "RUNNING"
@@ -156,15 +168,15 @@ def test_a_run_that_another_sweep_made_stays_there_and_an_orphan_is_taken_in(con
         pass
     parent = sweep_parent(config)
     schedule_children(config, parent, [Child("single", "one", finished=True)])
-    with open_run(config, "another sweep", "second", {}) as other:
+    with open_run(config, "another sweep", "second", {}, {"sweep": "another"}) as other:
         pass
     schedule_children(config, other.run_id, [Child("single", "one", finished=True)])
     tags = {run.info.run_name: run.data.tags for run in runs(config)}
-    assert tags["single"]["mlflow.parentRunId"] == parent
+    assert (tags["single"]["mlflow.parentRunId"], tags["single"]["sweep"]) == (parent, "sweep_radius")
     client(config).delete_run(parent)
     schedule_children(config, other.run_id, [Child("single", "one", finished=True)])
     tags = {run.info.run_name: run.data.tags for run in runs(config)}
-    assert tags["single"]["mlflow.parentRunId"] == other.run_id
+    assert (tags["single"]["mlflow.parentRunId"], tags["single"]["sweep"]) == (other.run_id, "another")
 
 
 def test_a_child_that_could_not_close_itself_is_closed_with_the_reason_and_no_other(config: TrackingConfig):
@@ -500,15 +512,29 @@ def test_where_nothing_can_be_kept_either_the_error_is_still_one_of_tracking(own
 # ---- the UI --------------------------------------------------------------------------------------------------
 
 
-def test_the_ui_shows_this_store_with_few_processes(template: Path, monkeypatch: pytest.MonkeyPatch):
-    became = []
-    monkeypatch.setattr(os, "execve", lambda program, command, environment: became.append((command, environment)))
+def test_the_ui_serves_this_store_in_this_process(template: Path, monkeypatch: pytest.MonkeyPatch):
+    for name, value in os.environ.items():
+        monkeypatch.setenv(name, value)  # so that what the UI sets is undone
+    served = []
+    monkeypatch.setattr(user_interface, "_serve", lambda port, ready: served.append((port, ready)))
     ui(template, port=50123)
-    ((command, environment),) = became
-    assert f"sqlite:///{template / DATABASE}" in command
-    assert command[command.index("--workers") + 1] == "1"
-    assert command[command.index("--port") + 1] == "50123"
-    assert environment["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] == "false"
+    ((port, ready),) = served
+    store = Store(TrackingConfig(root=str(template)))
+    assert port == 50123
+    assert f"http://127.0.0.1:50123/#/experiments/{store.experiment_id}/runs?viewStateShareKey=what-matters" in ready
+    told = {name: os.environ[name] for name in user_interface.server_environment(store)}
+    assert told["_MLFLOW_SERVER_FILE_STORE"] == f"sqlite:///{template / DATABASE}"
+    assert told["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] == "false"
+
+
+def test_the_server_is_told_about_the_store_by_the_names_that_mlflow_reads(template: Path):
+    from mlflow.environment_variables import _MLFLOW_SERVER_BOOT_ID, MLFLOW_SERVER_ENABLE_JOB_EXECUTION
+    from mlflow.server import constants
+
+    told = user_interface.server_environment(Store(TrackingConfig(root=str(template))))
+    names = {constants.BACKEND_STORE_URI_ENV_VAR, constants.REGISTRY_STORE_URI_ENV_VAR}
+    names |= {constants.ARTIFACT_ROOT_ENV_VAR, _MLFLOW_SERVER_BOOT_ID.name, MLFLOW_SERVER_ENABLE_JOB_EXECUTION.name}
+    assert set(told) - set(QUIET) == names
 
 
 def test_the_ui_says_when_its_port_is_taken(template: Path):

@@ -2,16 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from gran_bench import tracking
+from gran_bench.config import EvaluateConfig, LossConfig, RolloutConfig, TrainConfig
+from gran_bench.config_choices import loss_terms
 from gran_bench.report import flat_metrics, headline, missed_requirements
 
 FIGURES = "figures"
 FIRST_FIGURES = ("flow_pattern.png", "angle_of_repose.png", "loss.png")  # in the description itself
+
+
+def params_of(config: TrainConfig | EvaluateConfig) -> dict[str, Any]:
+    """A run's parameters in the UI: its config, and in words what training minimised and how far it looked ahead."""
+    # Where a run is kept differs from run to run and decides nothing: as a parameter it would head each comparison.
+    params = {name: value for name, value in asdict(config).items() if name != "tracking"}
+    if isinstance(config, TrainConfig):
+        params |= {"loss terms": loss_in_words(config.loss), "frames ahead": rollout_in_words(config.rollout)}
+    return params
+
+
+def loss_in_words(loss: LossConfig) -> str:
+    """The terms with their weights, 1 left out, and how the frames ahead are weighed: ``position_l2 + 0.2 spin``."""
+    weights = {term: getattr(loss, term) for term in loss_terms()}
+    terms = " + ".join(
+        term if weight == 1.0 else f"{weight:g} {term}" for term, weight in weights.items() if weight > 0
+    )
+    spin_apart = weights["spin"] > 0 and loss.spin_frame_weights != loss.frame_weights
+    return ", ".join([terms, *_frame_weights(loss, spin_apart)])
+
+
+def _frame_weights(loss: LossConfig, spin_apart: bool) -> Iterator[str]:
+    kinds = [("", loss.frame_weights), ("spin ", loss.spin_frame_weights)][: 2 if spin_apart else 1]
+    for whose, kind in kinds:
+        if kind != "uniform" or whose:
+            yield f"{whose}{kind} {loss.discount:g}" if kind == "discounted" else f"{whose}{kind}"
+
+
+def rollout_in_words(rollout: RolloutConfig) -> str:
+    """Frames ahead at first and at the end, and whether the gradient goes through them: ``3 to 5``."""
+    words = f"{rollout.frames}"
+    if rollout.final_frames not in (None, rollout.frames):
+        words += f" to {rollout.final_frames}" + (", linear" if rollout.growth == "linear" else "")
+    return words if rollout.gradient_through_time else f"{words}, gradient cut"
 
 
 def record_judgement(run: tracking.Run, summary: dict[str, Any], folder: Path, figures: Iterable[Path]) -> None:

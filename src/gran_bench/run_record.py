@@ -20,7 +20,7 @@ from gran_bench.config import EvaluateConfig, TrainConfig
 from gran_bench.provenance import provenance
 from gran_bench.report import read_summary, summary_table, write_summary
 from gran_bench.run_identity import RunIdentity
-from gran_bench.run_page import FIGURES, record_judgement
+from gran_bench.run_page import FIGURES, params_of, record_judgement
 
 MODEL = "model.pt"
 TRAINING = "training.json"
@@ -99,9 +99,7 @@ class RunRecord:
         config, digest = self.config, self.identity.data_digest
         identity, parent = self.identity, config.tracking.parent
         tags = {"data_digest": digest, "scene": self.scene_name, "folder": str(identity.folder), **provenance()}
-        # Where a run is kept differs from run to run and decides nothing: as a parameter it would head each comparison.
-        params = {name: value for name, value in asdict(config).items() if name != "tracking"}
-        with tracking.open_run(config.tracking, identity.name, identity.key, params, tags, parent) as run:
+        with tracking.open_run(config.tracking, identity.name, identity.key, params_of(config), tags, parent) as run:
             run.log_dataset(self.scene_name, digest, str(Path(config.dataset.root).resolve()))
             yield run
 

@@ -137,7 +137,7 @@ def open_sweep(planned: Sequence[PlannedJob], name: str) -> Iterator[Sweep]:
         summaries = _finished_here(planned, identities)
         done = _done(root, folder, planned, identities, jobs, summaries)
         sweep = Sweep(folder, jobs, done=done, hashes=taken_hashes())
-        with tracking.open_run(config, folder.name, key, _axes(planned), _tags()) as parent:
+        with tracking.open_run(config, folder.name, key, _axes(planned), _tags(folder)) as parent:
             sweep = replace(sweep, parent=parent.run_id)
             _schedule(sweep, planned, identities, summaries)
             try:
@@ -211,8 +211,8 @@ def _axes(planned: Sequence[PlannedJob]) -> dict[str, Any]:
     return {"sweep": {key.lstrip("+"): ",".join(v) for key, v in values.items() if len(v) > 1}, "jobs": len(planned)}
 
 
-def _tags() -> dict[str, str]:
-    return {"command": command(), "commit": commit()}
+def _tags(folder: Path) -> dict[str, str]:
+    return {"command": command(), "commit": commit(), tracking.SWEEP_TAG: folder.name}
 
 
 def _schedule(

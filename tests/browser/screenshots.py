@@ -17,6 +17,7 @@ from gran_bench.atomic import whole_file
 from gran_bench.tracking.store import DATABASE
 
 FOLDER = Path(__file__).parents[2] / "docs" / "screenshots"
+WINDOW = (1600, 1150)
 LEFT = 200  # pixels of the UI's own menu, which is cut off
 
 
@@ -35,16 +36,18 @@ def main(root: Path) -> None:
     runs = store.search_runs([experiment], order_by=["metrics.`headline/angle error floors` ASC"])
     with user_interface(root) as (address, seconds):
         print(f"the UI answered after {seconds:.1f} s")
-        browser = Browser(address)
+        browser = Browser(address, WINDOW)
         try:
-            browser.run_table(experiment, min(len(runs), 2))
-            shoot(browser, "runs", 520)
-            browser.compare_first_two()
-            shoot(browser, "comparison", 800)
+            ids = [run.info.run_id for run in runs if run.data.metrics]
+            browser.run_table(experiment, ids[:2])
+            shoot(browser, "runs", 690)
+            browser.compare(ids[:3])
+            browser.only_differences()
+            shoot(browser, "comparison", 1000)
             browser.charts(experiment)
-            shoot(browser, "charts", 800)
-            browser.run_page(experiment, runs[0].info.run_id)
-            shoot(browser, "run", 800)
+            shoot(browser, "charts", 860)
+            browser.run_page(experiment, ids[0])
+            shoot(browser, "run", 960)
         finally:
             browser.driver.quit()
 

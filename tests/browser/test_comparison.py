@@ -12,62 +12,88 @@ import pytest
 pytest.importorskip("selenium", reason="no selenium: pip install 'gran-bench[browser]', or make browser-test")
 
 from mlflow import MlflowClient
-from pages import CHROMIUM, DRIVER, Browser, user_interface
+from mlflow.entities import Run
+from pages import CHROMIUM, DRIVER, WIDE, Browser, user_interface
 
-from gran_bench.tracking.store import DATABASE
+from gran_bench.tracking import DATABASE, HEADLINE, SWEEP_TAG
 
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no chromium and chromedriver on the PATH"),
+    pytest.mark.filterwarnings("ignore:The ``noload`` loader strategy"),  # SQLAlchemy's word to MLflow
 ]
-COMMAND = ["-m", "gran_bench.train", "-m", "+experiment=smoke", "scene.end_time=2.2", "trainer.steps=8", "seed=0,1"]
+# Two runs as short as they can be and still have every headline figure.
+SHORT = ["scene.filling.count=120", "scene.container.length=0.25", "scene.end_time=2.2", "judge.speeds_rpm=[40]"]
+COMMAND = ["-m", "gran_bench.train", "-m", "+experiment=smoke", *SHORT, "model.iterations=2", "trainer.steps=3"]
+AXES = ["rollout.final_frames=3,5", "threads=1", "hydra/launcher=local"]
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The root of a store with two short runs that were really made."""
     folder = tmp_path_factory.mktemp("comparison")
-    done = subprocess.run([sys.executable, *COMMAND], cwd=folder, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, *COMMAND, *AXES], cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return folder / "results"
 
 
 @pytest.fixture(scope="module")
-def address(results: Path) -> Iterator[str]:
+def browser(results: Path) -> Iterator[Browser]:
     with user_interface(results) as (address, _):
-        yield address
-
-
-@pytest.fixture
-def browser(address: str) -> Iterator[Browser]:
-    browser = Browser(address)
-    yield browser
-    browser.driver.quit()
+        browser = Browser(address, WIDE)
+        yield browser
+        browser.driver.quit()
 
 
 @pytest.fixture(scope="module")
-def runs(results: Path) -> list:
+def runs(results: Path) -> dict[str, Run]:
+    """The two runs by their id; their parent is not among them."""
     store = MlflowClient(f"sqlite:///{results / DATABASE}")
     experiment = store.get_experiment_by_name("gran-bench")
-    return [run for run in store.search_runs([experiment.experiment_id]) if run.data.metrics]
+    found = store.search_runs([experiment.experiment_id])
+    return {run.info.run_id: run for run in found if "mlflow.parentRunId" in run.data.tags}
 
 
-def test_the_table_shows_headline_figures_and_two_runs_compare(browser: Browser, runs: list):
-    experiment = runs[0].info.experiment_id
-    row = browser.run_table(experiment, len(runs))
-    first = next(run for run in runs if run.info.run_name in row.values())
-    shown = float(row["metrics.`headline/requirements failed`"])
-    assert shown == first.data.metrics["headline/requirements failed"]
-    browser.compare_first_two()
+@pytest.fixture
+def experiment(runs: dict[str, Run]) -> str:
+    assert len(runs) == 2
+    return next(iter(runs.values())).info.experiment_id
 
 
-def test_the_charts_begin_with_choices_against_error(browser: Browser, runs: list):
-    browser.charts(runs[0].info.experiment_id)
+def test_the_table_shows_choices_and_headline_figures_best_first(
+    browser: Browser, runs: dict[str, Run], experiment: str
+):
+    rows = browser.run_table(experiment, set(runs))
+    best = min(runs.values(), key=lambda run: run.data.metrics[f"{HEADLINE}angle error floors"])
+    assert next(iter(rows)) == best.info.run_id
+    for run_id, run in runs.items():
+        row = rows[run_id]
+        assert run.info.run_name in row["attributes.`Run Name`"]
+        for name in ("angle error floors", "speed W1 floors", "rollout ms per frame", "requirements failed"):
+            shown = float(row[f"metrics.`{HEADLINE}{name}`"])
+            assert shown == pytest.approx(run.data.metrics[HEADLINE + name], rel=1e-6)
+        for name in ("model.name", "loss terms", "frames ahead"):
+            assert row[f"params.`{name}`"] == run.data.params[name]
+        assert row[f"tags.`{SWEEP_TAG}`"] == run.data.tags[SWEEP_TAG] != ""
+    assert {row["params.`frames ahead`"] for run_id, row in rows.items() if run_id in runs} == {"3", "3 to 5"}
 
 
-def test_a_runs_page_shows_its_figures_and_their_file_names_it(browser: Browser, runs: list):
-    run = runs[0]
-    browser.run_page(run.info.experiment_id, run.info.run_id)
+def test_two_runs_compare_in_what_they_differ(browser: Browser, runs: dict[str, Run], experiment: str):
+    browser.run_table(experiment, set(runs))
+    browser.compare(sorted(runs))
+    browser.wait_for_text("boundary.kind", "frames ahead", "3 to 5", f"{HEADLINE}angle error floors")
+    browser.only_differences()
+    browser.wait_for_text("frames ahead", "3 to 5", "rollout.final_frames", f"{HEADLINE}angle error floors")
+    assert "boundary.kind" not in browser.text()
+
+
+def test_the_charts_begin_with_choices_against_error(browser: Browser, experiment: str):
+    browser.charts(experiment, ["model.name", "loss terms", "frames ahead", f"{HEADLINE}angle error floors"])
+
+
+def test_a_runs_page_shows_its_figures_and_their_file_names_it(browser: Browser, runs: dict[str, Run], experiment: str):
+    run_id, run = next(iter(runs.items()))
+    browser.run_page(experiment, run_id)
     browser.wait_for_text(Path(run.data.tags["folder"]).name)
-    browser.open(f"/#/experiments/{run.info.experiment_id}/runs/{run.info.run_id}/artifacts/figures/flow_pattern.png")
+    browser.open(f"/#/experiments/{experiment}/runs/{run_id}/artifacts/figures/flow_pattern.png")
     browser.wait_for_pictures("img")

@@ -3,13 +3,14 @@
 from gran_bench.tracking.names import HEADLINE, HEADLINE_FIGURES, shown_name
 from gran_bench.tracking.opening import Child, end_child, open_run, reopen_ended, schedule_children
 from gran_bench.tracking.run import Run
-from gran_bench.tracking.store import DATABASE, Store, TrackingError
+from gran_bench.tracking.store import DATABASE, SWEEP_TAG, Store, TrackingError
 from gran_bench.tracking.user_interface import ui
 
 __all__ = [
     "DATABASE",
     "HEADLINE",
     "HEADLINE_FIGURES",
+    "SWEEP_TAG",
     "Child",
     "Run",
     "Store",

@@ -1,7 +1,7 @@
 """The tracking store: one SQLite database under the results folder, shared by any number of processes.
 
-This is the only file that imports MLflow, and it does so when a store is opened: a run without tracking never waits
-for it.
+MLflow is imported when a store is opened: a run without tracking never waits for it. Beside this file only
+`user_interface` imports it, to serve what is stored.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ DATABASE = "mlflow.db"
 ARTIFACTS = "artifacts"
 KEY_TAG = "gran_bench.key"
 PARENT_TAG = "mlflow.parentRunId"
+SWEEP_TAG = "sweep"  # folder of the sweep; a child has its parent's, so that the UI can group and search by it
 
 # MLflow reads these when it is imported. Nothing leaves the machine, and the terminal belongs to the run.
 QUIET = {"MLFLOW_DISABLE_TELEMETRY": "true", "DO_NOT_TRACK": "true", "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false"}
@@ -118,8 +119,8 @@ class Store:
 
     def create_run(self, name: str, key: str, parent: str | None, status: str = "RUNNING") -> str:
         """Make a run under a key; returns its id."""
-        tags = {KEY_TAG: key} | ({PARENT_TAG: parent} if parent else {})
         with self._answers():
+            tags = {KEY_TAG: key} | (self._tags_of_child(parent) if parent else {})
             run_id = self._client.create_run(self.experiment_id, tags=tags, run_name=shown_name(name)).info.run_id
             if status != "RUNNING":
                 self._client.update_run(run_id, status=status)
@@ -131,7 +132,8 @@ class Store:
             present = self._client.get_run(run_id).data.tags.get(PARENT_TAG)
             if present == parent or (present is not None and self._has_run(present)):
                 return
-            self._client.set_tag(run_id, PARENT_TAG, parent)
+            for name, value in self._tags_of_child(parent).items():
+                self._client.set_tag(run_id, name, value)
 
     def reopen_run(self, run_id: str, name: str, without_tag: str, status: str = "RUNNING") -> None:
         """Mark a run as running again, or as waiting to, and remove the tag that says how it ended."""
@@ -139,6 +141,10 @@ class Store:
             self._client.update_run(run_id, status=status, name=shown_name(name))
             if without_tag in self._client.get_run(run_id).data.tags:
                 self._client.delete_tag(run_id, without_tag)
+
+    def _tags_of_child(self, parent: str) -> dict[str, str]:
+        sweep = self._client.get_run(parent).data.tags.get(SWEEP_TAG) if self._has_run(parent) else None
+        return {PARENT_TAG: parent} | ({SWEEP_TAG: sweep} if sweep else {})
 
     def _has_run(self, run_id: str) -> bool:
         from mlflow.exceptions import MlflowException

@@ -1,10 +1,16 @@
-"""The MLflow UI on the store."""
+"""The MLflow UI on the store, in this process.
+
+``mlflow ui`` would import MLflow twice more, in itself and in the server that it starts: seconds each. So the server's
+application is run here, where the store has loaded most of it already, with what ``mlflow ui`` tells it of the store.
+"""
 
 from __future__ import annotations
 
 import os
 import socket
 import sys
+import uuid
+import warnings
 from pathlib import Path
 
 from gran_bench.config import TrackingConfig
@@ -12,15 +18,38 @@ from gran_bench.tracking.store import QUIET, Store, TrackingError
 from gran_bench.tracking.views import view_path
 
 HOST = "127.0.0.1"
+SHUTDOWN_SECONDS = 5  # that an answer under way may take after Ctrl-C
 
 
 def ui(root: Path | str, port: int = 5000, experiment: str = TrackingConfig.experiment) -> None:
-    """Become the MLflow UI on the store under ``root``; does not return.
+    """Serve the MLflow UI on the store under ``root`` until Ctrl-C.
 
     Raises:
         TrackingError: the store cannot be opened, or the port is taken.
     """
+    _refuse_taken(port)
+    print("opening the UI takes some seconds", file=sys.stderr, flush=True)
     store = Store(TrackingConfig(experiment=experiment, root=str(root)))
+    store.dress_experiment()
+    os.environ.update(server_environment(store))
+    page = f"http://{HOST}:{port}{view_path(store.experiment_id)}"
+    _serve(port, f"the runs, best first, are at {page} (Ctrl-C ends)")
+
+
+def server_environment(store: Store) -> dict[str, str]:
+    """What MLflow's server reads about its store when it is imported, by the names of MLflow 3.17."""
+    return QUIET | {
+        "_MLFLOW_SERVER_FILE_STORE": store.uri,  # also switches on that it answers this machine alone
+        "_MLFLOW_SERVER_REGISTRY_STORE": store.uri,
+        "_MLFLOW_SERVER_ARTIFACT_ROOT": store.artifacts_uri,
+        # Its presence tells MLflow that this process is a server, which must not run code found in a store.
+        "_MLFLOW_SERVER_BOOT_ID": uuid.uuid4().hex,
+        # An executor of jobs would be a dozen processes more.
+        "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",
+    }
+
+
+def _refuse_taken(port: int) -> None:
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -29,10 +58,13 @@ def ui(root: Path | str, port: int = 5000, experiment: str = TrackingConfig.expe
             raise TrackingError(
                 f"port {port} cannot be used ({error}); is the UI open already? Choose another: make ui PORT={port + 1}"
             ) from error
-    store.dress_experiment()
-    page = f"http://{HOST}:{port}{view_path(store.experiment_id)}"
-    print(f"the runs, best first, are in some seconds at {page} (Ctrl-C ends)", file=sys.stderr, flush=True)
-    command = [sys.executable, "-m", "mlflow", "ui", "--backend-store-uri", store.uri]
-    # One worker and no job executor: 2 processes instead of 15.
-    command += ["--default-artifact-root", store.artifacts_uri, "--host", HOST, "--port", str(port), "--workers", "1"]
-    os.execve(sys.executable, command, os.environ | {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"} | QUIET)
+
+
+def _serve(port: int, ready: str) -> None:
+    import uvicorn
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of MLflow's own use of other packages
+        from mlflow.server.fastapi_app import app
+    print(ready, file=sys.stderr, flush=True)
+    uvicorn.run(app, host=HOST, port=port, log_level="warning", timeout_graceful_shutdown=SHUTDOWN_SECONDS)
