@@ -51,8 +51,9 @@ def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path 
             _points(axes, series, axis, name, place)
             turned = {} if as_numbers else {"rotation": 30, "ha": "right"}
             axes.set_xticks([place[value] for value in values], values, **turned)
-            if runs[name].isna().all() and (runs["status"] == "finished").all():
+            if runs.loc[runs["status"] == "finished", name].isna().all():
                 say(axes, "undefined in every run")
+                axes.set_yticks([])
         handles, labels = panels[0].get_legend_handles_labels()
         if handles:
             figure.legend(handles, labels, loc="outside lower center", ncols=4)

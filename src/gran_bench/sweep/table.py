@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -165,8 +166,14 @@ def _shown(row: pd.Series, column: Column) -> str:
 
 
 def _in_order(values: pd.Series) -> pd.Series:
-    """Numbers by size before words by letter."""
-    return values.map(lambda value: (0, float(value), "") if is_number(value) else (1, 0.0, str(value)))
+    """Numbers by size before words by letter; numbers within words by size, too."""
+    return values.map(
+        lambda value: (
+            (0, float(value), "")
+            if is_number(value)
+            else (1, 0.0, re.sub(r"\d+", lambda digits: digits[0].zfill(8), str(value)))
+        )
+    )
 
 
 def is_number(value: object) -> bool:
