@@ -43,6 +43,8 @@ def headline(summary: dict[str, Any]) -> dict[str, float]:
     found = {
         "angle error deg": shared["errors"]["surface_angle"]["value"],
         "angle error floors": shared["errors"]["surface_angle"]["multiple_of_floor"],
+        "com angle error deg": shared["errors"]["com_angle"]["value"],
+        "com angle error floors": shared["errors"]["com_angle"]["multiple_of_floor"],
         "speed W1 m per s": shared["errors"]["speed_w1"]["value"],
         "speed W1 floors": shared["errors"]["speed_w1"]["multiple_of_floor"],
         "position error 10 frames mm": _scaled(summary["position_error"]["10_frames"]["m"], 1e3),

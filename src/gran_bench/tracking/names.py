@@ -9,6 +9,8 @@ HEADLINE = "headline/"  # sorts before every other group, so that its charts com
 HEADLINE_FIGURES = (
     "angle error deg",
     "angle error floors",
+    "com angle error deg",
+    "com angle error floors",
     "speed W1 m per s",
     "speed W1 floors",
     "position error 10 frames mm",

@@ -20,6 +20,7 @@ WIDE_NAME, WIDE_FIGURE = 300, 170  # pixels of a column
 # From left to right in the table.
 COLUMN_METRICS = (
     "angle error floors",
+    "com angle error floors",
     "speed W1 floors",
     "position error 10 frames mm",
     "rollout ms per frame",
@@ -31,7 +32,7 @@ COLUMN_PARAMS = ("model.name", "model.radius", "boundary.kind", "loss terms", "f
 COLUMN_TAGS = ("sweep", "scene", "judged")
 # Axes from left to right: what was chosen, then what came out.
 AXES_PARAMS = ("model.name", "model.radius", "boundary.kind", "loss terms", "frames ahead")
-ERRORS = ("angle error floors", "speed W1 floors")
+ERRORS = ("angle error floors", "com angle error floors", "speed W1 floors")
 CHOICES, TIMES = "choices against error", "error against time"  # sections of the charts
 
 DESCRIPTION = (
@@ -111,7 +112,7 @@ def _section(name: str, columns: int) -> dict[str, Any]:
 
 def _charts() -> list[dict[str, Any]]:
     """Choices against errors, error against time, then a bar for each headline figure, and the loss."""
-    # Two, because a run without one of the figures has no line: a rollout that broke down has no angle.
+    # One for each error, because a run without it has no line: a short drum has no straight surface, so no angle.
     parallels = [
         {
             "type": "PARALLEL",
