@@ -8,7 +8,7 @@ from typing import Any
 from urllib.parse import quote
 
 from gran_bench import tracking
-from gran_bench.report import flat_metrics, headline, missed_requirements
+from gran_bench.run_summary import flat_metrics, headline, missed_requirements
 
 FIGURES = "figures"
 FIRST_FIGURES = ("flow_pattern.png", "angle_of_repose.png", "loss.png")  # in the description itself
