@@ -63,10 +63,11 @@ def _first(words: Sequence[str]) -> str:
 def outright(count: FailureCount) -> str:
     """What a rollout got wrong outright, in a line."""
     missing = max(0, count.expected_states - count.states)
+    farthest = f"{1e3 * count.farthest:.3g} mm" if count.farthest < 1.0 else f"{count.farthest:.3g} m"
     return (
         f"{count.non_finite_states} of {count.expected_states} states not finite, {missing} missing; "
         f"{count.outside_tolerated} sphere states outside by > 5 mm, {count.outside_radius} by > r "
-        f"({count.outside_spheres} spheres); farthest {1e3 * count.farthest:.3g} mm"
+        f"({count.outside_spheres} spheres); farthest {farthest}"
     )
 
 

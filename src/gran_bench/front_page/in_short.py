@@ -11,7 +11,7 @@ from gran_bench.front_page.advice import benchmark_advice, run_advice, worst_flo
 from gran_bench.front_page.failures import broken_cases
 from gran_bench.front_page.records import Records
 from gran_bench.run_summary import missed_requirements
-from gran_bench.stability.expectation import FAILED
+from gran_bench.stability.expectation import ABSENT, FAILED
 from gran_bench.sweep.run_file import FAILED as RUN_FAILED
 
 
@@ -57,7 +57,9 @@ def _failures(records: Records) -> Iterator[str]:
         yield f"{sum(not case['met'] for case in cases)} of the DEM's {len(cases)} verifications"
     if records.stress:
         unmet = sum(row["verdict"].startswith(FAILED) for row in records.stress)
-        yield f"{unmet} of {len(records.stress)} expectations of the stress test"
+        absent = sum(row["verdict"].startswith(ABSENT) for row in records.stress)
+        rest = f" ({absent} {ABSENT})" if absent else ""
+        yield f"{unmet} of {len(records.stress)} expectations of the stress test{rest}"
         yield f"{len(broken_cases(records.stress))} of its rollouts of trained models, before their end"
     if records.sweeps:
         runs = [run for some in records.sweeps.values() for run in some]
