@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
+import pandas as pd
+
 from gran_bench.atomic import write_text
-from gran_bench.provenance import commit, hardware
+from gran_bench.provenance import commit, hardware, provenance, write_origin
 
 FOLDER = Path("results/dem_speed")
 
 
-def keep(name: str, text: str, output: Path | None) -> None:
-    """Prints the text and, where a folder is given, writes it to ``<name>.md`` there."""
+def keep(name: str, text: str, output: Path | None, rows: Sequence[dict[str, object]] = ()) -> None:
+    """Prints the text and, where a folder is given, writes it to ``<name>.md`` there, and rows to ``<name>.csv``."""
     print(text)
     if output is not None:
         command = " ".join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
         made = f"Made by `{command}` at {commit()} on {hardware()}."
         write_text(output / f"{name}.md", f"{made}\n\n```\n{text}\n```\n")
+        if rows:
+            table = output / f"{name}.csv"
+            write_text(table, pd.DataFrame(rows).to_csv(index=False))
+            write_origin(table, provenance() | {"command": command})

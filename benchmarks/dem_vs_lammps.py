@@ -216,7 +216,17 @@ def main(lammps_python: str, rounds: int, steps: int, output: Path | None) -> No
         finally:
             for solver in theirs.values():
                 solver.ask("end")
-    keep("lammps", table(times, cores, ours, angles, rounds, steps), output)
+    keep("lammps", table(times, cores, ours, angles, rounds, steps), output, records(times, cores))
+
+
+def records(times: dict, cores: dict) -> list[dict[str, object]]:
+    """A row a solver: cores, and time of a step in µs, median, lowest, highest."""
+    rows = []
+    for solver, seconds in times.items():
+        low, middle, high = (round(1e6 * float(x)) for x in np.quantile(seconds, (0, 0.5, 1)))
+        rows.append({"solver": solver, "cores": cores.get(solver, 1), "time_step_s": TIME_STEP})
+        rows[-1] |= {"median_us": middle, "lowest_us": low, "highest_us": high}
+    return rows
 
 
 def table(times: dict, cores: dict, ours: dict, angles: list[float], rounds: int, steps: int) -> str:

@@ -39,7 +39,7 @@ from gran_bench.metrics.angle_of_repose import center_of_mass_angles
 from gran_bench.metrics.measured import within
 from gran_bench.metrics.summary import STEADY_FROM
 from gran_bench.plots import draw_drum_flow
-from gran_bench.provenance import commit, hardware
+from gran_bench.provenance import commit, hardware, provenance, write_origin
 from gran_bench.shipped import shipped_scene
 from gran_bench.verification import theory
 
@@ -171,6 +171,7 @@ def main(given: argparse.Namespace) -> None:
         labels = [f"{name}, {unit}" for _, name, unit, _ in QUANTITIES]
         draw_drum_flow(given.output / f"{NAME}.png", figures, bounds, labels)
         write_text(given.output / f"{NAME}.csv", csv(samples))
+        write_origin(given.output / f"{NAME}.csv", provenance() | {"command": command})
         write_text(given.output / f"{NAME}.md", text)
 
 

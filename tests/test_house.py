@@ -35,11 +35,11 @@ ROOMS = [
     *("config", "config_identity", "config_rules", "config_choices", "config_consistency", "config_check"),
     *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses", "rollout", "metrics"),
     *("baselines", "trainer", "training_start", "evaluation_plan", "evaluation", "plots", "export", "tracking"),
-    *("sweep", "report", "run_page", "run_identity", "run_record", "experiment"),
+    *("sweep", "run_summary", "run_page", "run_identity", "run_record", "experiment"),
     *("override_errors", "composition", "sweep_data", "sweep_run", "job", "launcher", "entry"),
-    *("shipped", "result_page", "comparison", "stability"),
+    *("shipped", "result_page", "comparison", "stability", "front_page"),
 ]
-ENTRIES = ["train", "generate", "verify", "evaluate", "benchmark", "stress", "ui"]
+ENTRIES = ["train", "generate", "verify", "evaluate", "benchmark", "stress", "report", "ui"]
 
 
 def room_of(path: Path) -> str:

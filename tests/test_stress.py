@@ -61,7 +61,7 @@ def test_the_short_list_passes_and_leaves_its_page(tmp_path, capsys):
     # What the untrained network did wrong stands at the top of the page, and what was kept to resume from is gone.
     top = text.partition("## The DEM")[0]
     assert re.search(r"- untrained contact network: .*kinetic energy up to", top)
-    assert {path.name for path in page.parent.iterdir()} == {"README.md", "stress.csv"}
+    assert {path.name for path in page.parent.iterdir()} == {"README.md", "stress.csv", "stress.origin.json"}
     told = capsys.readouterr().out
     assert "FAILED" not in told
     assert f"{len(results)} cases in" in told

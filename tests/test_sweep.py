@@ -8,9 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from test_report import SCENE, broken, flowing, summary_of
+from test_run_summary import SCENE, broken, flowing, summary_of
 
-from gran_bench.report import headline, report_command
+from gran_bench.front_page.command import report_command
+from gran_bench.run_summary import headline
 from gran_bench.sweep.overview import reaches, write_overview
 from gran_bench.sweep.run_file import (
     RunFile,

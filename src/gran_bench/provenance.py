@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import functools
+import hashlib
+import json
 import os
 import platform
 import shlex
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import psutil
 
 import gran_bench
+from gran_bench.atomic import write_text
 from gran_bench.source_digest import source_digest
 
 # Whatever decides a figure: the libraries whose numerics a run goes through.
@@ -101,3 +104,28 @@ def provenance() -> dict[str, str]:
         "python": platform.python_version(),
         "versions": ", ".join(f"{name} {number}" for name, number in versions.items()),
     }
+
+
+def write_origin(table: Path, origin: Mapping[str, str]) -> Path:
+    """Write where a table comes from into ``NAME.origin.json`` beside it, with the table's hash.
+
+    Args:
+        table: a file that is there.
+        origin: as `provenance` gives it, or more.
+    """
+    path = table.with_suffix(".origin.json")
+    write_text(path, json.dumps({**origin, "sha256": _digest(table)}, indent=1, ensure_ascii=False) + "\n")
+    return path
+
+
+def read_origin(table: Path) -> dict[str, str] | None:
+    """Where a table comes from; None where nothing says so, or says so of a table with other contents."""
+    path = table.with_suffix(".origin.json")
+    if not path.exists():
+        return None
+    origin = json.loads(path.read_text("utf-8"))
+    return origin if origin.pop("sha256", "") == _digest(table) else None
+
+
+def _digest(table: Path) -> str:
+    return hashlib.sha256(table.read_bytes()).hexdigest()

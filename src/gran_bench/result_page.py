@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gran_bench.atomic import whole_file, write_text
-from gran_bench.report import SUMMARY, read_summary, summary_table
+from gran_bench.run_summary import SUMMARY, read_summary, summary_table
 from gran_bench.surrogate.checkpoint import file_digest
 
 MODEL = "model.pt"

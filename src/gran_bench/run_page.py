@@ -11,7 +11,7 @@ from urllib.parse import quote
 from gran_bench import tracking
 from gran_bench.config import EvaluateConfig, LossConfig, RolloutConfig, TrainConfig
 from gran_bench.config_choices import loss_terms
-from gran_bench.report import flat_metrics, headline, missed_requirements
+from gran_bench.run_summary import flat_metrics, headline, missed_requirements
 
 FIGURES = "figures"
 FIRST_FIGURES = ("flow_pattern.png", "angle_of_repose.png", "loss.png")  # in the description itself

@@ -18,9 +18,9 @@ from gran_bench import tracking
 from gran_bench.atomic import locked, write_atomically, write_text
 from gran_bench.config import EvaluateConfig, TrainConfig
 from gran_bench.provenance import provenance
-from gran_bench.report import read_summary, summary_table, write_summary
 from gran_bench.run_identity import RunIdentity
 from gran_bench.run_page import FIGURES, params_of, record_judgement
+from gran_bench.run_summary import read_summary, summary_table, write_summary
 
 MODEL = "model.pt"
 TRAINING = "training.json"

@@ -20,9 +20,9 @@ from gran_bench.composition import PlannedJob
 from gran_bench.config import TrackingConfig, TrainConfig
 from gran_bench.dataset import DatasetError
 from gran_bench.provenance import command, commit
-from gran_bench.report import headline
 from gran_bench.run_identity import RunIdentity, hash_of, identify, wants_more
 from gran_bench.run_record import Clock, RunRecord, finished_summary, tell
+from gran_bench.run_summary import headline
 from gran_bench.stopping import stop_on_signals
 from gran_bench.sweep.run_file import SWEEPS, RunFile, failed_run, finished_run, now, read_run, recorded_runs
 from gran_bench.sweep.sweep_file import SweepFile, SweepJob

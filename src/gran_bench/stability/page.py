@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from gran_bench.atomic import write_text
+from gran_bench.provenance import write_origin
 from gran_bench.stability.expectation import ABSENT, FAILED, FLAGGED, MET, Observation
 from gran_bench.stability.run import Result
 
@@ -62,7 +63,7 @@ def closing_line(results: Sequence[Result], seconds: float) -> str:
 def write_page(
     results: Sequence[Result], folder: Path, origin: Mapping[str, str], figures: Sequence[str], seconds: float
 ) -> None:
-    """The page and the CSV; each whole or not there.
+    """The page, the CSV and its origin; each whole or not there.
 
     Args:
         results: in order.
@@ -72,6 +73,7 @@ def write_page(
         seconds: of the whole run.
     """
     write_text(folder / TABLE, _csv(results))
+    write_origin(folder / TABLE, origin)
     write_text(folder / PAGE, "\n".join(_page(results, origin, figures, seconds)) + "\n")
 
 

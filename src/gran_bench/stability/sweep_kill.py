@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from gran_bench.report import SUMMARY
 from gran_bench.run_record import MODEL
+from gran_bench.run_summary import SUMMARY
 from gran_bench.surrogate.checkpoint import load_card
 from gran_bench.tracking.store import DATABASE, KEY_TAG, PARENT_TAG
 

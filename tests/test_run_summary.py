@@ -11,7 +11,7 @@ import pytest
 from beds import drum, flowing
 
 from gran_bench.metrics import Judgement, judge
-from gran_bench.report import flat_metrics, headline, read_summary, summary_table, write_summary
+from gran_bench.run_summary import flat_metrics, headline, read_summary, summary_table, write_summary
 from gran_bench.state import Trajectory
 
 SCENE = drum(end_time=1.8)

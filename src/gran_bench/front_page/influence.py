@@ -1,0 +1,49 @@
+"""What matters: the swept keys that move an error or a time the furthest, everything else alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+from gran_bench.front_page.records import Records
+from gran_bench.sweep.overview import Reach, reaches
+
+SHOWN = 2  # rows a sweep
+CERTAIN = 2.0  # spreads between seeds, from which on a difference counts
+
+
+def influence_section(records: Records, mark: Callable[[str], str]) -> Iterator[str]:
+    """Lines of the section.
+
+    Args:
+        records: as read.
+        mark: of a record's name: a sign where code that made it has changed since.
+    """
+    if not records.sweeps:
+        yield "No sweep has been made yet; `python -m gran_bench.train -m +experiment=sweep_radius` is one of four."
+        return
+    yield (
+        f"The largest reaches of each sweep, everything else alike, means over seeds; those of less than {CERTAIN:g} "
+        "times the spread between seeds are left out. [All of them](sweeps/README.md)."
+    )
+    yield ""
+    yield "| sweep | beside | figure | best | worst | worst / best | spread |"
+    yield "|---|---|---|---|---|---:|---:|"
+    for name, runs in records.sweeps.items():
+        for reach in largest(reaches(runs)):
+            best, worst = (f"{choice} ({value:.3g})" for choice, value in (reach.best, reach.worst))
+            lost = f"; no figure: {', '.join(reach.lost)}" if reach.lost else ""
+            spread = "one seed" if math.isnan(reach.spread) else f"{reach.spread:.2g}"
+            cells = [f"[{name}](sweeps/{name}/README.md){mark(name)}", reach.beside, reach.figure, best, worst + lost]
+            yield f"| {' | '.join([*cells, f'{reach.factor:.2f}', spread])} |"
+
+
+def largest(found: Iterator[Reach]) -> list[Reach]:
+    """The reaches with the largest ratio of worst to best that seeds alone do not give."""
+    certain = [reach for reach in found if _counts(reach) and math.isfinite(reach.factor)]
+    return sorted(certain, key=lambda reach: -reach.factor)[:SHOWN]
+
+
+def _counts(reach: Reach) -> bool:
+    """Whether the difference is more than chance; a single seed a choice leaves that open, and the row says so."""
+    return math.isnan(reach.spread) or reach.worst[1] - reach.best[1] > CERTAIN * reach.spread
