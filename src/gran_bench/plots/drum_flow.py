@@ -45,7 +45,7 @@ def draw_drum_flow(
                     axes.plot(place + spread, values[row], "o", color=colour, markersize=3.5, alpha=0.7)
                     mean = mean_of(values[row])
                     axes.errorbar(place + 0.3, mean.middle, mean.half_width, fmt="_", color=colour, capsize=3)
-                axes.set_xticks(range(len(codes)), codes)
+                axes.set_xticks(range(len(codes)), [code.replace(", ", ",\n") for code in codes])
                 axes.set_xlim(-0.5, len(codes) - 0.3)
                 axes.set_ylabel(label)
                 if row == 0:
