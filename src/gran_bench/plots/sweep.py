@@ -13,7 +13,7 @@ from gran_bench.plots.style import BASELINE, DEM, FURTHER, SURROGATE, drawing, s
 
 PANELS = (
     ("angle_error_floors", "angle error, noise floors"),
-    ("com_angle_error_floors", "centre-of-mass angle error, noise floors"),
+    ("com_angle_error_floors", "centre-of-mass angle, floors"),
     ("speed_w1_floors", "speed W1, noise floors"),
     ("position_error_10_frames_mm", "position error after 10 frames, mm"),
     ("ms_per_frame", "time for a frame, ms"),
