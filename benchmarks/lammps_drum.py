@@ -22,9 +22,14 @@ FRAME = 0.01  # s
 
 
 def commands(
-    rpm: float, step: float, tangential: str = "mindlin/force", restitution: float = 0.5, cut_tail: bool = False
+    rpm: float,
+    step: float,
+    tangential: str = "mindlin/force",
+    restitution: float = 0.5,
+    cut_tail: bool = False,
+    youngs_modulus: float = 1.0e7,
 ) -> str:
-    """LAMMPS' input: the scene of `dem_vs_lammps` at another speed, step and force law.
+    """LAMMPS' input: the scene of `dem_vs_lammps` at another speed, step, force law and modulus.
 
     Args:
         rpm: speed of the drum.
@@ -32,9 +37,10 @@ def commands(
         tangential: name of LAMMPS' tangential law.
         restitution: the number that LAMMPS' damping is made of.
         cut_tail: whether a contact that parts may not attract; the restitution that comes out is larger then.
+        youngs_modulus: E, Pa.
     """
     text = LAMMPS_SCENE.replace("tangential mindlin/force", f"tangential {tangential}")
-    text = text.replace("hertz/material 1e7 0.5 0.29", f"hertz/material 1e7 {restitution!r} 0.29")
+    text = text.replace("hertz/material 1e7 0.5 0.29", f"hertz/material {youngs_modulus!r} {restitution!r} 0.29")
     if cut_tail:
         text = text.replace("damping coeff_restitution", "damping coeff_restitution limit_damping")
     return text.format(skin=SKIN, step=step, speed=rpm * 2 * np.pi / 60, processors="* * *")
@@ -57,7 +63,8 @@ def main(bed: Path, output: Path, scene: str, step: float, duration: float) -> N
     solver.numpy.extract_atom("omega")[:own] = state["angular_velocity"][solver.numpy.extract_atom("id")[:own] - 1]
     angle, speed = [], []
     for frame in range(round(duration / FRAME) + 1):
-        solver.command(f"run {round(FRAME / step) if frame else 0} post no")
+        # A run that set itself up anew would take the walls to stand still for one evaluation.
+        solver.command(f"run {round(FRAME / step) if frame else 0} {'pre no ' if frame else ''}post no")
         own = solver.extract_setting("nlocal")
         if own != count:
             raise SystemExit(f"LAMMPS lost {count - own} spheres by frame {frame}")
@@ -77,8 +84,9 @@ if __name__ == "__main__":
     parser.add_argument("--tangential", default="mindlin/force", help="LAMMPS' name of the tangential law")
     parser.add_argument("--restitution", type=float, default=0.5, help="of which LAMMPS makes its damping")
     parser.add_argument("--cut-tail", action="store_true", help="no attraction while a contact parts")
+    parser.add_argument("--youngs-modulus", type=float, default=1.0e7, help="E, Pa")
     parser.add_argument("--step", type=float, default=2.0e-4, help="s")
     parser.add_argument("--duration", type=float, default=4.0, help="s")
     given = parser.parse_args()
-    scene = commands(given.rpm, given.step, given.tangential, given.restitution, given.cut_tail)
+    scene = commands(given.rpm, given.step, given.tangential, given.restitution, given.cut_tail, given.youngs_modulus)
     main(given.bed, given.output, scene, given.step, given.duration)

@@ -79,6 +79,28 @@ def test_a_turning_drum_carries_its_bed_towards_minus_x(laboratory, spheres, run
     assert final.velocity[0, 0] == pytest.approx(-0.3 * GRAVITY * 0.01, rel=0.05)
 
 
+def test_a_bed_that_turns_as_one_body_slips_nowhere(laboratory, spheres, run):
+    # Slip is that of the contact point, R − δ/2 from the centres of a pair and R − δ from a sphere at a wall. Measured
+    # with full radii it is ω δ here: it loads the contacts up to the Coulomb limit, and the spheres spin slower.
+    speed = 4.0 * np.pi
+    drum = Cylinder((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 0.5)
+    scene = laboratory(walls=(drum,), friction=0.3, restitution=0.5, rotation=Rotation((0.0,), (120.0,)))
+    law = ContactLaw.between(scene.material, scene.wall_material)
+    modulus, outer, inner = 4.0 / 3.0 * law.effective_modulus, 0.475, 0.425
+    for _ in range(20):  # where the contacts carry the centrifugal forces
+        carried = MASS * speed**2 * np.array([outer + inner, inner])
+        at_wall, between = (carried / (modulus * np.sqrt([RADIUS, RADIUS / 2]))) ** (2.0 / 3.0)
+        outer = 0.475 + at_wall
+        inner = outer - 0.05 + between
+    state = spheres(
+        [[outer, 0, 0], [inner, 0, 0]], [[0, 0, -speed * outer], [0, 0, -speed * inner]], [[0, speed, 0]] * 2
+    )
+    final = run(scene, state, 1e-4, 500, 500).final  # later the column topples, as it must
+    assert final.angular_velocity[:, 1] == pytest.approx(speed, rel=1e-4)
+    assert np.linalg.norm(final.history.force, axis=1).max() < 1e-2 * scene.material.friction * carried.min()
+    assert at_wall / RADIUS > 0.01  # what full radii would make of the spin
+
+
 def test_a_wall_that_does_not_turn_drags_nothing(laboratory, spheres, run):
     still = Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), turns=False)
     rotation = Rotation((0.0,), (60.0,), (0.0, 0.0, 1.0))
