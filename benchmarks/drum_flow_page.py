@@ -117,6 +117,7 @@ def conclusions(samples: dict[tuple[str, float], Flow]) -> list[str]:
 
 def page(samples: dict[tuple[str, float], Flow], made: str, setting: str, name: str, bounds: Bounds) -> str:
     """The page called ``name``, with the figure and the packings' figures beside it."""
+    caption = f"A dot a packing, the mean with its 95 % interval{', the bound as a band' if bounds else ''}."
     compared = any(code != OURS for code, _ in samples)
     lines = [
         "# Steady flow in the drum, packing by packing",
@@ -145,10 +146,9 @@ def page(samples: dict[tuple[str, float], Flow], made: str, setting: str, name: 
             "",
         ]
     lines += [
-        f"![A dot a packing, the mean with its 95 % interval, the bound as a band.]({name}.png)",
+        f"![{caption}]({name}.png)",
         "",
-        "*A dot a packing, the mean with its 95 % interval, the bound as a band. All figures: "
-        f"[`{name}.csv`]({name}.csv).*",
+        f"*{caption} All figures: [`{name}.csv`]({name}.csv).*",
         "",
         made,
     ]

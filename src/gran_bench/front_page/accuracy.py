@@ -78,13 +78,15 @@ def dem_sentences(records: Records, mark: Callable[[str], str]) -> Iterator[str]
     else:
         where = f"[theory and published experiments](verification/README.md){mark('verification')}"
         yield f"- The DEM against {where}: {found['verdict']}."
-    if records.flow is not None:
-        for line in flow_sentences(records.flow):
-            yield f"- {line}{mark('verification/drum_flow')}"
+    for record, flow in records.flows.items():
+        for line in flow_sentences(record, flow):
+            yield f"- {line}{mark(record)}"
 
 
-def flow_sentences(flow: pd.DataFrame) -> Iterator[str]:
+def flow_sentences(record: str, flow: pd.DataFrame) -> Iterator[str]:
     """For each speed and other code, how far the steady flows are apart, and whether chance gives as much."""
+    modulus = record.partition("drum_flow_")[2]
+    softness = f" with E {modulus} Pa" if modulus else ""
     for (speed, code), theirs in flow[flow["code"] != OURS].groupby(["speed_rpm", "code"], sort=False):
         ours = flow[(flow["code"] == OURS) & (flow["speed_rpm"] == speed)]
         words = []
@@ -96,7 +98,7 @@ def flow_sentences(flow: pd.DataFrame) -> Iterator[str]:
             chance = "more than chance gives" if abs(apart.middle) > apart.half_width else "no more than chance gives"
             words.append(f"{name} {apart.middle:+.{digits}f} ± {apart.half_width:.{digits}f} {unit}, {chance}")
         yield (
-            f"[Steady flow](verification/drum_flow.md) at {speed:g} rpm, {len(ours)} packings against {len(theirs)} of "
+            f"[Steady flow]({record}.md){softness} at {speed:g} rpm, {len(ours)} packings against {len(theirs)} of "
             f"{code}: {'; '.join(words)}."
         )
 

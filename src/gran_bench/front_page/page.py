@@ -46,6 +46,11 @@ PAGES = (
         "`python benchmarks/drum_flow.py`, as the page says",
     ),
     (
+        "verification/drum_flow_1e8.md",
+        "the same with stiffer spheres, where a difference between the codes' laws vanishes",
+        "`python benchmarks/drum_flow.py`, as the page says",
+    ),
+    (
         "stress/README.md",
         "where the DEM, a surrogate, files and processes break; each expectation was written beforehand",
         "`make stress`",

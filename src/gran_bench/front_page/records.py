@@ -22,7 +22,8 @@ from gran_bench.sweep.table import newest
 # What is committed. A reader's own runs and sweeps lie beside these and are not on the page.
 RUNS = ("holdout30rpm", "paper")
 SHIPPED_SWEEPS = ("sweep_loss", "sweep_rollout", "sweep_radius", "sweep_boundary")
-VERIFICATION, FLOW = Path("verification/verification.json"), Path("verification/drum_flow.csv")
+VERIFICATION = Path("verification/verification.json")
+FLOWS = (Path("verification/drum_flow.csv"), Path("verification/drum_flow_1e8.csv"))
 LAMMPS, STRESS, BENCHMARK = Path("dem_speed/lammps.csv"), Path("stress/stress.csv"), Path("benchmark")
 
 # The modules that made a record, as roots whose imports are followed.
@@ -62,7 +63,8 @@ class Records:
     Attributes:
         runs: summaries by folder.
         verification: of the DEM.
-        flow: steady flow by packing and code (``code``, ``speed_rpm``, ``com_angle_deg``, ``mean_speed_m_per_s``).
+        flows: by record: steady flow by packing and code (``code``, ``speed_rpm``, ``com_angle_deg``,
+            ``mean_speed_m_per_s``).
         lammps: time of a step by solver (``solver``, ``cores``, ``time_step_s``, ``median_us``).
         stress: rows of the stress test.
         benchmarks: results by ``profile/scene``.
@@ -73,7 +75,7 @@ class Records:
 
     runs: dict[str, dict[str, Any]]
     verification: dict[str, Any] | None
-    flow: pd.DataFrame | None
+    flows: dict[str, pd.DataFrame]
     lammps: pd.DataFrame | None
     stress: list[dict[str, str]]
     benchmarks: dict[str, dict[str, Any]]
@@ -116,8 +118,9 @@ def read_records(root: Path) -> Records:
         ),
         *(origin for name, counted in sweeps.items() for origin in _sweep_origins(root, name, counted)),
     ]
-    flow, lammps = (pd.read_csv(root / path) if (root / path).exists() else None for path in (FLOW, LAMMPS))
-    return Records(runs, verification, flow, lammps, stress, benchmarks, sweeps, waiting, origins)
+    flows = {path.with_suffix("").as_posix(): pd.read_csv(root / path) for path in FLOWS if (root / path).exists()}
+    lammps = pd.read_csv(root / LAMMPS) if (root / LAMMPS).exists() else None
+    return Records(runs, verification, flows, lammps, stress, benchmarks, sweeps, waiting, origins)
 
 
 def training_of(run: str) -> str:
@@ -151,7 +154,7 @@ def _run_origins(runs: Mapping[str, dict[str, Any]]) -> Iterator[Origin]:
 def _table_origins(root: Path) -> Iterator[Origin]:
     """Of the tables that have their origin beside them."""
     for path, page, roots in (
-        (FLOW, "verification/drum_flow.md", SOLVER),
+        *((path, path.with_suffix(".md").as_posix(), SOLVER) for path in FLOWS),
         (LAMMPS, "dem_speed/README.md", SOLVER),
         (STRESS, "stress/README.md", STRESSED),
     ):
