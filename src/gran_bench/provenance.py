@@ -28,21 +28,30 @@ RESULT_ROOMS = (
     *("metrics", "baselines.py", "trainer.py", "evaluation_plan.py", "evaluation.py"),
 )
 
+# Vector units of x86 processors by their flag, the widest first.
+VECTORS = {"avx512f": "AVX-512", "avx2": "AVX2", "sse4_2": "SSE4.2"}
+
 _remembered: str | None = None
 
 
 def hardware() -> str:
-    """One line: processor, cores, memory, accelerator."""
-    processor = platform.processor() or platform.machine()
+    """One line: processor and the width of its vectors, cores, memory, accelerator.
+
+    Clouds sell processors of several generations under one name, and the jitted kernels go by the width.
+    """
+    processor, flags = platform.processor() or platform.machine(), []
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):
                 processor = line.split(":", 1)[1].strip()
+            if line.startswith("flags"):
+                flags = line.split(":", 1)[1].split()
                 break
     except OSError:
         pass
+    vectors = next((f" ({name})" for flag, name in VECTORS.items() if flag in flags), "")
     memory = psutil.virtual_memory().total / 2**30
-    return f"{processor}, {os.cpu_count()} cores, {memory:.0f} GiB, {_accelerator()}"
+    return f"{processor}{vectors}, {os.cpu_count()} cores, {memory:.0f} GiB, {_accelerator()}"
 
 
 def _accelerator() -> str:
