@@ -16,8 +16,11 @@ from gran_bench.comparison.claims import (
     best_in_time,
     break_even,
     crossing,
+    equal_accuracy,
     fastest_rival,
     frontier,
+    not_told_apart,
+    paid_back,
     speed_up,
 )
 from gran_bench.comparison.command import model_files
@@ -84,9 +87,40 @@ def test_the_rival_is_the_fastest_dem_that_is_as_exact_and_noise_counts_as_exact
 def test_break_even_divides_what_was_spent_by_what_is_saved():
     surrogate = entry("surrogate", 0.6, 1.8, "surrogate", data_seconds=40.0, training_seconds=860.0)
     assert break_even(surrogate, entry("DEM", 0.9, 1.0)) == pytest.approx(900.0 / 0.3)
-    assert break_even(surrogate, entry("DEM", 0.5, 1.0)) == math.inf
-    assert break_even(surrogate, entry("DEM", 0.6, 1.0)) == math.inf
+    assert break_even(surrogate, entry("DEM", 0.4, 1.0)) == math.inf
     assert break_even(entry("free", 0.1, 9.0), entry("DEM", 0.5, 1.0)) == 0.0
+
+
+def test_where_the_times_overlap_nobody_knows_whether_anything_is_paid_back():
+    surrogate = entry("surrogate", 0.6, 1.8, "surrogate", training_seconds=860.0)
+    for seconds in (0.59, 0.6, 0.61):
+        assert math.isnan(break_even(surrogate, entry("DEM", seconds, 1.0)))
+
+
+def uncertain(one: Entry, low: float, high: float) -> Entry:
+    return replace(one, floors_low=low, floors_high=high)
+
+
+def test_a_dem_is_as_exact_unless_the_intervals_of_the_errors_say_that_it_is_worse():
+    net = uncertain(entry("net", 0.5, 1.8, "surrogate", training_seconds=100.0), 1.5, 2.1)
+    fine, coarse = entry("fine", 2.0, 1.0), uncertain(entry("coarse", 0.1, 1.9), 1.6, 2.2)
+    beside = equal_accuracy(net, [net, fine, coarse], accepted=1.3)
+    assert (beside.rival, beside.lenient, beside.faster) == (fine, coarse, "undecided")
+    assert math.isnan(paid_back(beside))
+    worse = uncertain(entry("worse", 0.1, 2.4), 2.2, 2.6)
+    beside = equal_accuracy(net, [net, fine, worse], accepted=1.3)
+    assert (beside.lenient, beside.faster) == (fine, "entry")
+    assert paid_back(beside) == pytest.approx(100.0 / 1.5)
+    assert equal_accuracy(net, [net, fine, worse], accepted=2.3).faster == "undecided"
+    assert equal_accuracy(net, [net, worse], accepted=1.3).faster == "alone"
+    assert equal_accuracy(net, [net, coarse], accepted=1.3).faster == "undecided"
+    assert equal_accuracy(net, [net, replace(coarse, floors=1.7)], accepted=1.3).faster == "rival"
+    assert equal_accuracy(net, [net, entry("near", 0.52, 1.0)], accepted=1.3).faster == "neither"
+
+
+def test_methods_whose_times_overlap_the_first_are_not_told_apart_from_it():
+    first, near, far = entry("first", 1.0, 1.0), entry("near", 1.1, 1.0), entry("far", 1.3, 1.0)
+    assert not_told_apart(first, [far, near, first]) == [first, near]
 
 
 def test_a_speed_up_decides_where_its_range_leaves_one():
@@ -289,6 +323,38 @@ def test_a_dem_that_is_as_exact_and_faster_wins_and_training_is_never_paid_back(
     assert table.loc["net", "break_even_seconds"] == math.inf
     assert not table.loc["net", "on_frontier"]
     assert table.loc["DEM 5 ms", "failed"]
+
+
+def test_intervals_that_allow_both_answers_leave_the_page_undecided(found):
+    found["methods"].append(row("DEM 1.5 ms", "dem", 0.3, 1.9, floors_low=1.7, floors_high=2.1))
+    next(one for one in found["methods"] if one["name"] == "net").update(floors_low=1.5, floors_high=2.1)
+    (said,) = verdicts(found)
+    assert "it is undecided who is faster: the surrogate is 1.5 times as fast (1.2 to 1.8) beside DEM 0.2 ms" in said
+    assert "**the DEM is 2 times as fast** (1.6 to 2.4) beside DEM 1.5 ms" in said
+    assert "are ever paid back is undecided" in said
+    assert math.isnan(table_of(found).set_index("method").loc["net", "break_even_seconds"])
+    assert "| 860 | undecided |" in page_text({"quick/drum": found})
+
+
+def test_the_winner_is_everyone_whose_time_is_not_told_apart(found):
+    found["methods"].append(row("DEM 0.25 ms", "dem", 0.85, 1.2))
+    assert "**DEM 0.25 ms**: 0.85 s a simulated second, 1.20 floors and **DEM 0.2 ms**: 0.9 s" in winner(found)
+    assert winner(found).endswith(", not told apart.")
+
+
+def test_the_winner_names_who_is_faster_and_may_be_as_exact(found):
+    found["methods"].append(row("DEM 0.5 ms", "dem", 0.4, 1.4, floors_low=1.2, floors_high=1.6))
+    assert "Undecided and faster" in winner(found)
+    assert "**DEM 0.5 ms** (0.4 s, 1.40 floors, 1.20 to 1.60)" in winner(found)
+
+
+def test_interpolation_alone_is_said_to_have_no_spheres(found):
+    found["methods"].append(row("interpolation, 25 and 35 rpm", "baseline", 1e-4, 1.1, data_seconds=40.0))
+    said = winner(found)
+    assert "after 40 s of data, and statistics without spheres. The fastest DEM there is **DEM 0.2 ms**" in said
+    found["methods"][-1] |= {"name": "rigid rotation", "data_seconds": 0.0}
+    assert "statistics" not in winner(found)
+    assert "of data" not in winner(found)
 
 
 def test_the_page_says_where_a_surrogate_starts_to_cost_less_and_what_softening_makes_of_it(found):

@@ -165,9 +165,7 @@ def read_trajectory(path: Path) -> Trajectory:
     with np.load(path) as kept:
         spin = kept["angular_velocity"] if "angular_velocity" in kept.files else None
         kind = str(kept["velocity_kind"])
-        return Trajectory(
-            kept["time"], kept["position"], kept["velocity"], spin, kept["radius"], velocity_kind=kind
-        )
+        return Trajectory(kept["time"], kept["position"], kept["velocity"], spin, kept["radius"], velocity_kind=kind)
 
 
 def _distances(row: Comparison, mine: TrajectorySummary, truth: Sequence[TrajectorySummary]) -> list[float]:

@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from gran_bench.atomic import write_atomically, write_text
-from gran_bench.comparison.claims import break_even, fastest_rival, frontier
+from gran_bench.comparison.claims import equal_accuracy, frontier, paid_back
 from gran_bench.comparison.results import entries, read_all
 from gran_bench.comparison.sentences import count_sentences, stiffness_sentences, verdicts, winner
 
@@ -44,6 +44,8 @@ thread each, in turns. `python -m gran_bench.benchmark` (`make bench`) made the 
 
 Comparisons are made at equal accuracy or at equal time only. At equal accuracy the rival of a surrogate is the fastest
 DEM whose error is no larger, or is within the DEM's own accuracy: large steps, float32 and softened spheres included.
+The same is asked of the fastest DEM that is not significantly worse: the low end of its interval is below the high end
+of the surrogate's. Where the two give different answers, it is undecided who is faster.
 """
 
 
@@ -98,13 +100,15 @@ _SPREAD = ("median", "low", "high", "expected_low", "expected_high")
 
 
 def _break_even(name: str, found: dict[str, Any]) -> float | None:
-    """Simulated seconds until a method that needed data or training is paid back; None where nothing was spent."""
+    """Simulated seconds until a method that needed data or training is paid back; None where nothing was spent.
+
+    NaN where it is undecided who is faster.
+    """
     every, accepted = entries(found), found["reference"]["accepted"]
     entry = next((entry for entry in every if entry.name == name and entry.floors is not None), None)
     if entry is None or not entry.data_seconds + entry.training_seconds:
         return None
-    rival = fastest_rival(every, entry.floors, accepted)
-    return None if rival is None else break_even(entry, rival)
+    return paid_back(equal_accuracy(entry, every, accepted))
 
 
 def _section(place: str, found: dict[str, Any]) -> Iterator[str]:
@@ -161,11 +165,16 @@ def _table(found: dict[str, Any]) -> Iterator[str]:
         cells += [_ranked(errors.get(kind["key"])) for kind in ranked]
         cells.append(_memory(row))
         cells += [f"{row[spent]:.0f}" if row[spent] else "–" for spent in ("data_seconds", "training_seconds")]
-        paid = _break_even(row["name"], found)
-        cells.append("–" if paid is None else "never" if math.isinf(paid) else f"{paid:,.0f}")
+        cells.append(_paid(_break_even(row["name"], found)))
         yield "| " + " | ".join(cells) + " |"
     yield ""
     yield "Bold: on the frontier, nothing is faster and as exact."
+
+
+def _paid(seconds: float | None) -> str:
+    if seconds is None:
+        return "–"
+    return "undecided" if math.isnan(seconds) else "never" if math.isinf(seconds) else f"{seconds:,.0f}"
 
 
 def _error(row: dict[str, Any]) -> str:

@@ -114,7 +114,8 @@ def entries(found: dict[str, Any]) -> list[Entry]:
         if times[0] is not None and (row["floors"] is not None or row["failed"]):
             floors = None if row["failed"] else row["floors"]
             spent = row["data_seconds"], row["training_seconds"]
-            timed.append(Entry(row["name"], row["kind"], *times, floors, *spent))
+            interval = (None, None) if row["failed"] else (row["floors_low"], row["floors_high"])
+            timed.append(Entry(row["name"], row["kind"], *times, floors, *spent, *interval))
     return timed
 
 

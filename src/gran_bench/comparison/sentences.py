@@ -8,33 +8,60 @@ from typing import Any
 
 from gran_bench.comparison.claims import (
     Entry,
+    EqualAccuracy,
     best_in_time,
-    break_even,
     crossing,
+    equal_accuracy,
     fastest_rival,
     frontier,
+    not_told_apart,
+    paid_back,
     speed_up,
 )
 from gran_bench.comparison.results import entries
 
 
 def winner(found: dict[str, Any]) -> str:
-    """Who gives an answer of the DEM's own accuracy in the least time."""
+    """Who gives an answer of the DEM's own accuracy in the least time; all whose times are not told apart."""
     every, accepted = entries(found), found["reference"]["accepted"]
+    if accepted is None:
+        return f"Who wins is not known: {why_no_accuracy(found)}."
     exact = [entry for entry in every if entry.floors is not None and entry.floors <= accepted]
     if not exact:
-        return "No method has the DEM's own accuracy."
+        return f"No method has the DEM's own accuracy.{_perhaps(every, None, accepted)}"
     first = min(exact, key=lambda entry: entry.seconds)
-    said = f"Of the DEM's own accuracy ({accepted:.2f} floors) the fastest is **{first.name}**: {_time(first.seconds)}"
-    said += f" a simulated second, {first.floors:.2f} floors"
-    if first.kind == "dem":
-        return said + "."
+    same = not_told_apart(first, exact)
+    said = f"Of the DEM's own accuracy ({accepted:.2f} floors) the fastest is "
+    said += " and ".join(f"**{entry.name}**: {_cost(entry)}" for entry in same)
+    said += ", not told apart" if len(same) > 1 else ""
     rival = fastest_rival(every, accepted, accepted)
-    if first.kind == "baseline":
-        said += f", after {first.data_seconds:.0f} s of data; it gives statistics and no spheres"
-    if rival is None:
-        return said + "."
-    return f"{said}. The fastest DEM there is **{rival.name}**: {_time(rival.seconds)}, {rival.floors:.2f} floors."
+    if rival is None or rival in same:
+        return f"{said}.{_perhaps(every, first, accepted)}"
+    said += f". The fastest DEM there is **{rival.name}**: {_time(rival.seconds)}, {rival.floors:.2f} floors"
+    return f"{said}.{_perhaps(every, first, accepted)}"
+
+
+def why_no_accuracy(found: dict[str, Any]) -> str:
+    """Why the DEM's own accuracy is not known."""
+    return f"{found['reference']['replicas']} replicas do not give the DEM's own accuracy; three or more do"
+
+
+def _cost(entry: Entry) -> str:
+    """Time and error of a method, and what an answer of it lacks or took."""
+    said = f"{_time(entry.seconds)} a simulated second, {entry.floors:.2f} floors"
+    said += f", after {entry.data_seconds:.0f} s of data" if entry.kind == "baseline" and entry.data_seconds else ""
+    return said + (", and statistics without spheres" if entry.name.startswith("interpolation") else "")
+
+
+def _perhaps(every: list[Entry], first: Entry | None, accepted: float) -> str:
+    """Who is faster than the first and may be as exact: its interval reaches the DEM's own accuracy, its error not."""
+    near = [entry for entry in every if entry.floors is not None and entry.least <= accepted < entry.floors]
+    if first is not None:
+        near = [entry for entry in near if speed_up(first, entry).high < 1.0]
+    if not near:
+        return ""
+    words = [f"**{e.name}** ({_time(e.seconds)}, {e.floors:.2f} floors, {e.least:.2f} to {e.most:.2f})" for e in near]
+    return f" Undecided{' and faster' if first else ''}, with intervals that reach that accuracy: {', '.join(words)}."
 
 
 def verdicts(found: dict[str, Any]) -> Iterator[str]:
@@ -53,23 +80,40 @@ def verdicts(found: dict[str, Any]) -> Iterator[str]:
             continue
         place = "is on" if entry.name in front else "is not on"
         said = f"- **{entry.name}**: {entry.floors:.2f} floors in {_time(entry.seconds)} a simulated second; it {place}"
-        parts = (_equal_accuracy(entry, every, accepted), _equal_time(entry, every), _paid(entry, every, accepted))
+        beside = equal_accuracy(entry, every, accepted)
+        parts = (_equal_accuracy(beside), _equal_time(entry, every), _paid(beside))
         yield " ".join([f"{said} the frontier.", *parts])
 
 
-def _equal_accuracy(entry: Entry, every: list[Entry], accepted: float) -> str:
-    rival = fastest_rival(every, entry.floors, accepted)
-    if rival is None:
+def _equal_accuracy(beside: EqualAccuracy) -> str:
+    rival, lenient = beside.rival, beside.lenient
+    if lenient is None:
         return "No DEM of the ladder is as exact."
+    if beside.faster == "undecided":
+        perhaps = f"{_beside(beside.entry, lenient)}, which is as exact within the intervals"
+        if rival is None:
+            return f"At equal accuracy it is undecided who is faster: no DEM errs by as little; {perhaps}."
+        return f"At equal accuracy it is undecided who is faster: {_beside(beside.entry, rival)}; {perhaps}."
+    shown = rival or lenient
+    within = "" if rival else ", as exact within the intervals"
+    return f"At equal accuracy the rival is {shown.name} ({_numbers(shown)}{within}): {_verdict(beside.entry, shown)}."
+
+
+def _beside(entry: Entry, rival: Entry) -> str:
+    return f"{_verdict(entry, rival)} beside {rival.name} ({_numbers(rival)})"
+
+
+def _numbers(entry: Entry) -> str:
+    return f"{_time(entry.seconds)}, {entry.floors:.2f} floors"
+
+
+def _verdict(entry: Entry, rival: Entry) -> str:
     ratio = speed_up(entry, rival)
-    numbers = f"{_time(rival.seconds)}, {rival.floors:.2f} floors"
     if not ratio.decides:
-        verdict = "neither is faster: the ranges overlap"
-    elif ratio.middle > 1.0:
-        verdict = f"the surrogate is {ratio.middle:.2g} times as fast ({ratio.low:.2g} to {ratio.high:.2g})"
-    else:
-        verdict = f"**the DEM is {1 / ratio.middle:.2g} times as fast** ({1 / ratio.high:.2g} to {1 / ratio.low:.2g})"
-    return f"At equal accuracy the rival is {rival.name} ({numbers}): {verdict}."
+        return "neither is faster: the ranges overlap"
+    if ratio.middle > 1.0:
+        return f"the surrogate is {ratio.middle:.2g} times as fast ({ratio.low:.2g} to {ratio.high:.2g})"
+    return f"**the DEM is {1 / ratio.middle:.2g} times as fast** ({1 / ratio.high:.2g} to {1 / ratio.low:.2g})"
 
 
 def _equal_time(entry: Entry, every: list[Entry]) -> str:
@@ -79,12 +123,13 @@ def _equal_time(entry: Entry, every: list[Entry]) -> str:
     return f"In no more time, {rival.name} errs by {rival.floors:.2f} floors."
 
 
-def _paid(entry: Entry, every: list[Entry], accepted: float) -> str:
-    rival = fastest_rival(every, entry.floors, accepted)
+def _paid(beside: EqualAccuracy) -> str:
+    entry, seconds = beside.entry, paid_back(beside)
     spent = f"{entry.data_seconds:.0f} s of data and {entry.training_seconds:.0f} s of training"
-    if rival is None:
+    if seconds is None:
         return f"It took {spent}."
-    seconds = break_even(entry, rival)
+    if math.isnan(seconds):
+        return f"Whether its {spent} are ever paid back is undecided."
     if math.isinf(seconds):
         return f"Its {spent} are never paid back."
     return f"Its {spent} are paid back after {seconds:,.0f} simulated seconds."

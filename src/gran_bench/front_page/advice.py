@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from gran_bench.comparison.claims import Entry, break_even, fastest_rival, speed_up
+from gran_bench.comparison.claims import Entry, EqualAccuracy, equal_accuracy, paid_back, speed_up
 from gran_bench.comparison.results import entries
 from gran_bench.front_page.accuracy import RANKED
 from gran_bench.front_page.failures import broken_cases
@@ -52,8 +52,7 @@ def benchmark_advice(found: Mapping[str, Any]) -> Iterator[str]:
         elif row["failed"]:
             yield f"Not **{name}** in {scene}: it failed, {row['failure']}."
         elif name in timed:
-            rival = fastest_rival(every, timed[name].floors, accepted)
-            yield _beside(timed[name], rival, scene)
+            yield _beside(equal_accuracy(timed[name], every, accepted), scene)
 
 
 def run_advice(name: str, summary: Mapping[str, Any]) -> Iterator[str]:
@@ -88,18 +87,32 @@ def worst_floors(errors: Mapping[str, Any]) -> float | None:
     return None if not multiples or None in multiples else max(multiples)
 
 
-def _beside(entry: Entry, rival: Entry | None, scene: str) -> str:
-    """A surrogate beside the fastest DEM that is as exact."""
+def _beside(beside: EqualAccuracy, scene: str) -> str:
+    """A surrogate beside the fastest DEM that is as exact, where the intervals of errors and times allow a word."""
+    entry, rival = beside.entry, beside.rival or beside.lenient
     if rival is None:
         return f"In {scene} no DEM that was tried is as exact as **{entry.name}**, {entry.floors:.2f} floors."
+    if beside.faster == "undecided":
+        lenient = beside.lenient
+        return (
+            f"In {scene} it is undecided whether **{entry.name}** or a DEM that is as exact is faster: within the "
+            f"intervals of the errors {lenient.name} is as exact ({_floors(lenient)} beside {_floors(entry)})."
+        )
     ratio = speed_up(entry, rival)
     numbers = f"{rival.floors:.2f} floors beside {entry.floors:.2f}"
-    if not ratio.decides:
-        return f"In {scene} **{entry.name}** and the DEM that is as exact ({rival.name}, {numbers}) are equally fast."
-    if ratio.middle < 1.0:
+    if beside.faster == "neither":
+        return (
+            f"In {scene} **{entry.name}** and the DEM that is as exact ({rival.name}, {numbers}) are not told apart in "
+            "time."
+        )
+    if beside.faster == "rival":
         return f"Not **{entry.name}** in {scene}: {rival.name} is {1 / ratio.middle:.2g} times as fast ({numbers})."
-    seconds = break_even(entry, rival)
     return (
-        f"Not **{entry.name}** in {scene} for fewer than {math.ceil(seconds):,} simulated seconds, until when its data "
-        f"and training are not paid back; it is {ratio.middle:.2g} times as fast as {rival.name} ({numbers})."
+        f"Not **{entry.name}** in {scene} for fewer than {math.ceil(paid_back(beside)):,} simulated seconds, until "
+        f"when its data and training are not paid back; it is {ratio.middle:.2g} times as fast as {rival.name} "
+        f"({numbers})."
     )
+
+
+def _floors(entry: Entry) -> str:
+    return f"{entry.floors:.2f} floors, {entry.least:.2f} to {entry.most:.2f}"
