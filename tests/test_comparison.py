@@ -25,8 +25,18 @@ from gran_bench.comparison.claims import (
 )
 from gran_bench.comparison.command import model_files
 from gran_bench.comparison.contest import Contest, largest_allowed_step
+from gran_bench.comparison.errors import noise_bound
 from gran_bench.comparison.page import PAGE, page_text, table_of
-from gran_bench.comparison.results import FORMAT, RESULTS, ResultsError, entries, read_all, share_waited
+from gran_bench.comparison.results import (
+    FORMAT,
+    RESULTS,
+    ResultsError,
+    entries,
+    judged_anew,
+    read_all,
+    read_results,
+    share_waited,
+)
 from gran_bench.comparison.sentences import verdicts, winner
 from gran_bench.comparison.spread import spread
 from gran_bench.comparison.suitability import why_unfit
@@ -162,6 +172,71 @@ def test_the_median_of_another_benchmark_lies_where_it_is_expected():
         found, other = (spread(list(np.exp(rng.normal(0.0, 0.1, 5)))) for _ in range(2))
         hits.append(found.expected_low <= other.median <= found.expected_high)
     assert 0.93 < np.mean(hits) < 0.98
+
+
+# ---- the DEM's own accuracy ------------------------------------------------------------------------------
+
+
+def test_noise_is_the_bound_of_a_mean_over_runs_and_needs_three_replicas():
+    own = [0.8, 1.0, 1.2]
+    # t of Student with 2 degrees of freedom, 95 % two-sided: 4.303; s = 0.2.
+    assert noise_bound(own, 1) == pytest.approx(1.0 + 4.303 * 0.2 * math.sqrt(1 / 3 + 1), rel=1e-3)
+    assert noise_bound(own, 5) == pytest.approx(1.0 + 4.303 * 0.2 * math.sqrt(1 / 3 + 1 / 5), rel=1e-3)
+    assert noise_bound([1.0, 1.0], 5) is None
+
+
+def test_the_mean_of_further_runs_of_the_dem_is_within_the_noise():
+    def distance(one: np.ndarray, others: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(one - others, axis=-1)
+
+    rng, within = np.random.default_rng(0), []
+    for _ in range(1000):
+        replicas, runs = rng.standard_normal((2, 5, 8))
+        own = [distance(replicas[k], np.delete(replicas, k, axis=0)).mean() for k in range(5)]
+        error = np.mean([distance(run, replicas).mean() for run in runs])
+        within.append(error <= noise_bound(own, 5))
+    assert 0.9 < np.mean(within) <= 1.0
+
+
+class Replicas:
+    """What a kept result is told anew with: floors, errors of the replicas, and the noise."""
+
+    ranked = ()
+    own = {"speed_w1": [0.9, 1.0, 1.1]}  # noqa: RUF012
+
+    def __init__(self, floor: float = 0.02) -> None:
+        self._floor = floor
+
+    def floors(self) -> dict[str, float]:
+        return {"speed_w1": self._floor}
+
+    def noise(self, runs: int) -> float:
+        return 1.0 + 1.0 / runs
+
+
+def test_kept_results_are_told_anew_without_measuring(found):
+    errors = {"speed_w1": {"floor": 0.02, "value": 0.02, "unit": "m/s", "multiple_of_floor": 1.0}}
+    found["methods"][0]["judgement"] = {"velocity_kind": "instantaneous", "errors": errors}
+    anew = judged_anew(found, Replicas(), 3, 5)
+    assert anew["reference"]["accepted"] == anew["reference"]["noise"] == 1.2
+    assert anew["methods"] == found["methods"]
+    assert "older rule" in page_text({"quick/drum": found})
+    assert "older rule" not in page_text({"quick/drum": anew})
+    with pytest.raises(ResultsError, match="other replicas"):
+        judged_anew(found, Replicas(floor=0.03), 3, 5)
+
+
+def test_results_that_were_never_measured_cannot_be_told_anew(tmp_path):
+    with pytest.raises(ResultsError, match="measure=true"):
+        read_results(tmp_path / RESULTS)
+
+
+def test_too_few_replicas_leave_the_winner_unknown(found):
+    found["reference"] |= {"replicas": 2, "noise": None, "accepted": None, "judged_runs": 5}
+    text = page_text({"quick/drum": found})
+    assert "Noise: undefined, 2 replicas do not give the DEM's own accuracy; three or more do" in text
+    assert "Who wins is not known" in text
+    assert "At equal accuracy the rival is DEM 0.2 ms" in text
 
 
 # ---- who is compared -------------------------------------------------------------------------------------

@@ -274,6 +274,10 @@ def test_a_failed_method_stays_in_the_picture_of_time_and_error(tmp_path, texts)
     ]
     time_against_error(contenders, "angle of repose", tmp_path / "time.png", accuracy=1.3)
     assert {"DEM", "contact", "ccnn (failed)", "nothing is faster and better"} <= set(texts)
+    assert "the DEM's own accuracy" in texts
+    texts.clear()
+    time_against_error(contenders, "angle of repose", tmp_path / "unknown.png", accuracy=None)
+    assert "the DEM's own accuracy" not in texts
     with pytest.raises(ValueError, match="choose one of dem, surrogate"):
         Contender("x", "magic", 1.0, 1.0)
 

@@ -13,8 +13,11 @@ from gran_bench.comparison.method import Method
 from gran_bench.comparison.page import TABLE, write_page, write_table
 from gran_bench.comparison.results import (
     FORMAT,
+    RESULTS,
     entries,
+    judged_anew,
     method_row,
+    read_results,
     reference_facts,
     share_waited,
     study_rows,
@@ -35,6 +38,8 @@ from gran_bench.stopping import stop_on_signals
 def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
     """Compare every method on the scene of a config, or do what is left of it.
 
+    With ``measure=false`` nothing is measured: kept results are told anew, with the DEM's own accuracy by today's rule.
+
     Args:
         config: checked.
 
@@ -44,6 +49,7 @@ def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
     Raises:
         KeyboardInterrupt: SIGTERM or Ctrl-C; what was measured stays.
         ConfigError, CheckpointError, DatasetError: a model file that is none, or runs of the DEM that failed.
+        ResultsError: nothing measured yet, or with other replicas, and ``measure=false``.
     """
     contest = Contest(config, model_files(config.models))
     scene, profile = contest.scene, config.profile
@@ -51,9 +57,9 @@ def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
     with stop_on_signals(), locked(folder / ".lock", lambda: _tell(f"another process works on {folder}; waiting")):
         _tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
         _tell("DEM runs that the methods start from and are held against")
-        ensure_cases(contest.cases, config.dataset.root, config.dataset.workers)
+        ensure_cases(contest.cases if config.measure else contest.replicas, config.dataset.root, config.dataset.workers)
         reference = _reference(contest)
-        found = _compare(contest, folder, reference)
+        found = _compare(contest, folder, reference) if config.measure else _kept(contest, folder, reference)
         write_results(folder, found)
         draw(found, folder)
         write_table(folder / TABLE, found)
@@ -169,6 +175,7 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
         flat = [method for line in points.values() for _, method in line]
         studies[label] = study_rows(points, turns(flat, profile.study_rounds, label, False)) if flat else {}
     automatic = next(method for method in methods if method.name == contest.automatic)
+    own = scores[automatic.name].floors if automatic.name in scores else None
     beside = {turn.round: turn.wall_seconds / automatic.seconds for turn in records[automatic.name].turns}
     rows = [method_row(m, records.get(m.name), scores.get(m.name), beside) for m in methods]
     return {
@@ -181,12 +188,17 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
         "modulus": scene.material.youngs_modulus,
         "rounds": profile.rounds,
         "automatic": contest.automatic,
-        "reference": reference_facts(reference, config.dataset.replicas, scores.get(automatic.name)),
+        "reference": reference_facts(reference, config.dataset.replicas, profile.judged_rounds, own),
         "methods": rows,
         "waited": share_waited(rows),
         **studies,
         "provenance": provenance(),
     }
+
+
+def _kept(contest: Contest, folder: Path, reference: Reference) -> dict[str, Any]:
+    config, kept = contest.config, read_results(folder / RESULTS)
+    return judged_anew(kept, reference, config.dataset.replicas, min(config.profile.judged_rounds, kept["rounds"]))
 
 
 def _reference(contest: Contest) -> Reference:

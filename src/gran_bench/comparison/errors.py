@@ -19,7 +19,7 @@ from gran_bench.comparison.turns import trajectory_file
 from gran_bench.dataset import Case, read_case
 from gran_bench.metrics.comparisons import COMPARISONS, Comparison
 from gran_bench.metrics.judge import judge
-from gran_bench.metrics.noise_floor import CONFIDENCE, prediction_interval
+from gran_bench.metrics.noise_floor import CONFIDENCE
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.scene import Scene
 from gran_bench.state import Trajectory
@@ -29,6 +29,8 @@ from gran_bench.state import Trajectory
 RANKED = ("surface_angle", "speed_w1")
 RANKED_WITHOUT_ANGLE = ("center_height", "speed_w1")
 ERRORS = "errors"
+VELOCITY = "instantaneous"  # of the replicas: what the DEM has
+LEAST_REPLICAS = 3  # that say how far the DEM's own errors scatter
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class Reference:
     def __init__(self, scene: Scene, cases: Sequence[Case]) -> None:
         self.scene, self.digest = scene, "-".join(case.digest[:8] for case in cases)
         self._cases, self._summaries = list(cases), {}
-        truth = self.summaries("instantaneous")
+        truth = self.summaries(VELOCITY)
         rows = {row.key: row for row in COMPARISONS}
         floors = {key: _pairs(rows[key], truth) for key in {*RANKED, *RANKED_WITHOUT_ANGLE}}
         keys = RANKED if floors[RANKED[0]] else RANKED_WITHOUT_ANGLE
@@ -77,20 +79,31 @@ class Reference:
         return self._summaries[kind]
 
     @property
-    def noise(self) -> float:
-        """Error up to which a method cannot be told from the DEM itself, in noise floors.
+    def own(self) -> dict[str, list[float]]:
+        """The ranked errors of each replica, judged by the others as if it were a method, in noise floors.
 
-        Each replica is judged by the others as if it were a method; the upper end of the 95 % prediction interval of
-        one more.
+        Their mean is 1: both are the mean distance over all pairs.
         """
-        truth = self.summaries("instantaneous")
-        own = []
-        for k, replica in enumerate(truth):
-            others = truth[:k] + truth[k + 1 :]
-            floors = [_mean(_distances(row, replica, others)) / self._floor(row, truth) for row in self.ranked]
-            own.append(max(floors))
-        interval = prediction_interval(own)
-        return max(own) if interval is None else interval.high
+        truth, found = self.summaries(VELOCITY), {}
+        for row in self.ranked:
+            errors = [_mean(_distances(row, one, truth[:k] + truth[k + 1 :])) for k, one in enumerate(truth)]
+            found[row.key] = [error / _mean(errors) for error in errors]  # that mean is the floor
+        return found
+
+    def noise(self, runs: int) -> float | None:
+        """Error up to which the mean of some runs cannot be told from the DEM itself, in noise floors.
+
+        A method is given the largest, over the ranked errors, of its mean over its runs; so this is the largest of
+        their bounds (`noise_bound`).
+
+        Args:
+            runs: whose mean is a method's error.
+
+        Returns:
+            None below three replicas.
+        """
+        bounds = [noise_bound(errors, runs) for errors in self.own.values()]
+        return None if None in bounds else max(bounds, default=None)
 
     def score(self, candidate: TrajectorySummary | Trajectory) -> Scored:
         """Hold one run of a method against the replicas."""
@@ -126,8 +139,31 @@ class Reference:
         judgement = runs[0].judgement | {"errors": errors}
         return Scored(middle, middle - reach, middle + reach, worst, "", outside, judgement)
 
+    def floors(self) -> dict[str, float]:
+        """The noise floor of each ranked error, in its unit."""
+        return {row.key: self._floor(row, self.summaries(VELOCITY)) for row in self.ranked}
+
     def _floor(self, row: Comparison, truth: list[TrajectorySummary]) -> float:
         return _mean(_pairs(row, truth))
+
+
+def noise_bound(own: Sequence[float], runs: int) -> float | None:
+    """Upper end of the 95 % interval in which the mean error of further runs of the DEM lies, in noise floors.
+
+    mean + t s √(1/m + 1/n) for m replicas and n runs, with t the two-sided quantile of Student's distribution with
+    m − 1 degrees of freedom: two means of one distribution (Student 1908), taken as if the replicas' errors were
+    independent, though each distance of two of them is in both.
+
+    Args:
+        own: error of each replica, judged by the others.
+        runs: n.
+
+    Returns:
+        None below three replicas: of two, each has the same distance from the other, and nothing scatters.
+    """
+    if len(own) < LEAST_REPLICAS:
+        return None
+    return _mean(own) + _reach(own, math.sqrt(1.0 + len(own) / runs))
 
 
 def score_run(method: Method, folder: Path, reference: Reference, index: int) -> Scored | None:
@@ -196,7 +232,10 @@ def _mean_error(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _reach(values: Sequence[float], factor: float) -> float:
-    """Half a 95 % interval by Student, t s/√n × ``factor``: 1 for the mean, √2 for that of as many others."""
+    """Half a 95 % interval by Student, t s/√n × ``factor``: 1 for the mean, √2 for that of as many others.
+
+    √(1 + n/k) is the factor for the mean of k others.
+    """
     if len(values) < 2:
         return 0.0
     quantile = float(student_t.ppf(0.5 + 0.5 * CONFIDENCE, len(values) - 1))

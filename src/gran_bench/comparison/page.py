@@ -13,7 +13,7 @@ import pandas as pd
 from gran_bench.atomic import write_atomically, write_text
 from gran_bench.comparison.claims import equal_accuracy, frontier, paid_back
 from gran_bench.comparison.results import entries, read_all
-from gran_bench.comparison.sentences import count_sentences, stiffness_sentences, verdicts, winner
+from gran_bench.comparison.sentences import count_sentences, stiffness_sentences, verdicts, why_no_accuracy, winner
 
 PAGE, TABLE = "README.md", "methods.csv"
 BUSY = 0.05  # share of the time that methods waited for the processor, from which on a page says so
@@ -34,8 +34,9 @@ thread each, in turns. `python -m gran_bench.benchmark` (`make bench`) made the 
 - *Error* is the distance from nudged replicas of the DEM at half its automatic step, in noise floors (the mean distance
   of two replicas): the mean over runs of the method that start from nudges of their own, with the 95 % interval of the
   mean of as many others. Of two kinds of error the worse counts.
-- *Noise* is the error up to which nothing can be told from the DEM itself: the upper end of the 95 % prediction
-  interval of one more replica, judged by the others. *The DEM's own accuracy* is the noise, or the error of the DEM at
+- *Noise* is the error up to which nothing can be told from the DEM itself. Each replica is judged by the others; of
+  three or more, the scatter of their errors says where the mean over as many further runs of the DEM lies with 95 %
+  confidence, and noise is the upper end of that. *The DEM's own accuracy* is the noise, or the error of the DEM at
   its automatic step where that is larger: in a bed that comes to rest, nudges hardly grow. It is shaded in the figures.
 - *Memory* is the peak of the method's process during a run; in brackets, what came on top of Python, libraries and the
   loaded state.
@@ -119,7 +120,7 @@ def _section(place: str, found: dict[str, Any]) -> Iterator[str]:
         f"{found['spheres']} spheres, {found['simulated_seconds']:g} s, {found['motion']}, "
         f"E = {found['modulus']:.0e} Pa; {found['rounds']} rounds; {reference['replicas']} replicas. "
         f"Error: the worse of {' and '.join(row['label'] for row in reference['ranked'])}. "
-        f"Noise: {reference['noise']:.2f} floors; the DEM's own accuracy: {reference['accepted']:.2f} floors."
+        f"{_noise(found)}"
     ).replace("e+0", "e")
     yield ""
     yield f"![Time against error]({place}/time_error.png)"
@@ -142,6 +143,16 @@ def _section(place: str, found: dict[str, Any]) -> Iterator[str]:
         f"Made by `{made['command']}` at commit {made['commit']} on {made['hardware']}; {made['versions']}.{busy} "
         f"Everything: [`{TABLE}`]({place}/{TABLE}), [`benchmark.json`]({place}/benchmark.json)."
     )
+
+
+def _noise(found: dict[str, Any]) -> str:
+    reference = found["reference"]
+    if reference["accepted"] is None:
+        return f"Noise: undefined, {why_no_accuracy(found)}."
+    said = f"Noise: {reference['noise']:.2f} floors; the DEM's own accuracy: {reference['accepted']:.2f} floors."
+    # Results of before runs and replicas were compared by their means.
+    older = " (By an older rule: the bound for a single replica. `measure=false` gives today's.)"
+    return said if "judged_runs" in reference else said + older
 
 
 def _table(found: dict[str, Any]) -> Iterator[str]:

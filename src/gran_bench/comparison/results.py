@@ -12,7 +12,7 @@ import numpy as np
 
 from gran_bench.atomic import write_text
 from gran_bench.comparison.claims import Entry
-from gran_bench.comparison.errors import Reference, Scored
+from gran_bench.comparison.errors import VELOCITY, Reference, Scored
 from gran_bench.comparison.method import Method
 from gran_bench.comparison.spread import spread
 from gran_bench.comparison.turns import Record, Turn
@@ -80,22 +80,53 @@ def study_rows(points: dict[str, list[tuple[float, Method]]], records: dict[str,
     return found
 
 
-def reference_facts(reference: Reference, replicas: int, automatic: Scored | None) -> dict[str, Any]:
+def reference_facts(reference: Reference, replicas: int, runs: int, automatic: float | None) -> dict[str, Any]:
     """The ranked errors and what the DEM's own accuracy in them is.
 
     Args:
         reference: the replicas.
         replicas: how many.
-        automatic: the error of the DEM at its automatic step; None where that failed.
+        runs: of each method, whose mean is its error.
+        automatic: the error of the DEM at its automatic step, in noise floors; None where that failed.
+
+    Returns:
+        Plain data; ``noise`` and ``accepted`` are None where there are too few replicas.
     """
-    own = automatic.floors if automatic is not None and automatic.floors is not None else 0.0
+    noise = reference.noise(runs)
     return {
         "replicas": replicas,
-        "noise": reference.noise,
+        "judged_runs": runs,
+        "own": reference.own,
+        "noise": noise,
         # Where a bed comes to rest, nudges hardly grow, and the step of the DEM counts for more than its noise.
-        "accepted": max(reference.noise, own),
+        "accepted": None if noise is None else max(noise, automatic or 0.0),
         "ranked": [{"key": row.key, "label": row.label, "unit": row.unit} for row in reference.ranked],
     }
+
+
+def judged_anew(found: dict[str, Any], reference: Reference, replicas: int, runs: int) -> dict[str, Any]:
+    """Kept results with the DEM's own accuracy by today's rule: nothing is measured, and no method's error changes.
+
+    Args:
+        found: as it was kept.
+        reference, replicas, runs: as in `reference_facts`.
+
+    Raises:
+        ResultsError: the methods were held against other replicas.
+    """
+    floors = reference.floors()
+    for row in found["methods"]:
+        if row["judgement"] is None or row["judgement"]["velocity_kind"] != VELOCITY:
+            continue
+        for key, floor in floors.items():
+            then = row["judgement"]["errors"][key]["floor"]
+            if not np.isclose(then, floor, rtol=1e-6):
+                raise ResultsError(
+                    f"{row['name']} was held against other replicas ({key}: their floor is {then:.6g}, that of these "
+                    f"{floor:.6g}); give the command that measured it, or measure=true"
+                )
+    automatic = next((row["floors"] for row in found["methods"] if row["name"] == found["automatic"]), None)
+    return found | {"reference": reference_facts(reference, replicas, runs, automatic)}
 
 
 def share_waited(rows: Sequence[dict[str, Any]]) -> float:
@@ -125,6 +156,20 @@ def write_results(folder: Path, found: dict[str, Any]) -> Path:
     return folder / RESULTS
 
 
+def read_results(path: Path) -> dict[str, Any]:
+    """Results as they were kept.
+
+    Raises:
+        ResultsError: none there, or of another format.
+    """
+    if not path.exists():
+        raise ResultsError(f"{path} is missing; measure first, with measure=true")
+    results = json.loads(path.read_text("utf-8"))
+    if results.get("format") != FORMAT:
+        raise ResultsError(f"{path} was written by another version; run its command again, or remove its folder")
+    return results
+
+
 def read_all(root: Path) -> dict[str, dict[str, Any]]:
     """All results below a folder by ``profile/scene``; a scene's full results stand for it where there are some.
 
@@ -133,9 +178,6 @@ def read_all(root: Path) -> dict[str, dict[str, Any]]:
     """
     found = {}
     for path in sorted(root.glob(f"*/*/{RESULTS}")):
-        results = json.loads(path.read_text("utf-8"))
-        if results.get("format") != FORMAT:
-            raise ResultsError(f"{path} was written by another version; run its command again, or remove its folder")
-        found[f"{path.parent.parent.name}/{path.parent.name}"] = results
+        found[f"{path.parent.parent.name}/{path.parent.name}"] = read_results(path)
     thorough = {place.partition("/")[2] for place in found if place.startswith("full/")}
     return {p: r for p, r in found.items() if p.startswith("full/") or p.partition("/")[2] not in thorough}

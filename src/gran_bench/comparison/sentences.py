@@ -167,9 +167,9 @@ def count_sentences(found: dict[str, Any]) -> Iterator[str]:
 
 
 def softened(found: dict[str, Any]) -> Entry | None:
-    """The fastest DEM of the DEM's own accuracy: it stands in for any stiffer material."""
+    """The fastest DEM of the DEM's own accuracy; None where there is none, or that accuracy is not known."""
     accepted = found["reference"]["accepted"]
-    return fastest_rival(entries(found), accepted, accepted)
+    return None if accepted is None else fastest_rival(entries(found), accepted, accepted)
 
 
 def _time(seconds: float) -> str:

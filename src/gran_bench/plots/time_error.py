@@ -49,7 +49,7 @@ class Contender:
 
 
 def time_against_error(
-    contenders: Sequence[Contender], quantity: str, path: Path | str, accuracy: float = 1.0
+    contenders: Sequence[Contender], quantity: str, path: Path | str, accuracy: float | None = 1.0
 ) -> Path:
     """Draw wall time of a simulated second against error in noise floors, with the front that nothing beats in both.
 
@@ -59,7 +59,7 @@ def time_against_error(
         contenders: the methods.
         quantity: what the error is of, for the axis.
         path: of the PNG.
-        accuracy: the DEM's own, in floors; shaded.
+        accuracy: the DEM's own, in floors; shaded. None where it is not known.
 
     Returns:
         The path.
@@ -82,9 +82,10 @@ def time_against_error(
         axes.set_ylim(0.6 * lowest, 2.8 * highest)
         axes.set_xlabel("wall time of a simulated second, s")
         axes.set_ylabel(f"{quantity}\nthe worse, noise floors" if " and " in quantity else f"{quantity}, noise floors")
-        axes.axhspan(0.0, accuracy, color="#f0f0f0", zorder=0)
-        axes.text(0.99, 0.015, "the DEM's own accuracy", transform=axes.transAxes, ha="right", fontsize=8.5,
-                  color="#666666")  # fmt: skip
+        if accuracy is not None:
+            axes.axhspan(0.0, accuracy, color="#f0f0f0", zorder=0)
+            axes.text(0.99, 0.015, "the DEM's own accuracy", transform=axes.transAxes, ha="right", fontsize=8.5,
+                      color="#666666")  # fmt: skip
         ahead = front(sound)
         if len(ahead) > 1:
             axes.plot([c.seconds for c in ahead], [c.floors for c in ahead], color=QUIET, linewidth=1.0,
