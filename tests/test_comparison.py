@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gran_bench.comparison import command
 from gran_bench.comparison.claims import (
     Entry,
     best_in_time,
@@ -36,6 +37,7 @@ from gran_bench.comparison.results import (
     read_all,
     read_results,
     share_waited,
+    untimed,
 )
 from gran_bench.comparison.sentences import verdicts, winner
 from gran_bench.comparison.spread import spread
@@ -452,6 +454,24 @@ def test_the_page_says_where_a_surrogate_starts_to_cost_less_and_what_softening_
 def test_a_run_that_failed_on_its_way_has_a_place_in_the_figure(found):
     (failed,) = [one for one in entries(found) if one.floors is None]
     assert (failed.name, failed.seconds) == ("DEM 5 ms", 0.05)
+
+
+def test_a_run_that_failed_before_its_first_frame_is_named_in_the_figure(found, tmp_path, monkeypatch):
+    seen = {}
+    monkeypatch.setattr(command, "time_against_error", lambda *given: seen.update(timed=given[0], lost=given[-1]))
+    nothing = {"wall": None, "relative": None}
+    found["methods"].append(row("DEM 9 ms", "dem", 0.05, None, "sphere 3 diverged", **nothing))
+    assert untimed(found) == ["DEM 9 ms"]
+    command.draw(found, tmp_path)
+    assert ([one.name for one in seen["timed"]], seen["lost"]) == (["0.2 ms", "1 ms", "5 ms", "net"], ["9 ms"])
+
+
+def test_a_benchmark_of_failures_alone_is_drawn(found, tmp_path):
+    nothing = {"wall": None, "relative": None}
+    found["methods"] = [row("DEM 0.2 ms", "dem", 0.05, None, "sphere 3 diverged", **nothing)]
+    command.draw(found, tmp_path)
+    assert (tmp_path / "time_error.png").exists()
+    assert "No method has the DEM's own accuracy" in page_text({"quick/drum": found})
 
 
 def test_methods_that_waited_for_the_processor_say_that_the_machine_was_busy(found):

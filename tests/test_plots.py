@@ -282,6 +282,14 @@ def test_a_failed_method_stays_in_the_picture_of_time_and_error(tmp_path, texts)
         Contender("x", "magic", 1.0, 1.0)
 
 
+def test_methods_without_a_time_are_named_under_the_picture_of_time_and_error(tmp_path, texts):
+    lost = ["2 ms", "contact"]
+    time_against_error([Contender("DEM", "dem", 0.5, 1.0)], "speeds", tmp_path / "some.png", untimed=lost)
+    assert any("failed before the first frame: 2 ms, contact" in text for text in texts)
+    time_against_error([], "speeds", tmp_path / "none.png", untimed=lost)
+    assert "no method was timed and judged" in texts
+
+
 def test_the_film_has_its_frames_in_real_time_and_shows_failures(tmp_path):
     path = flow_animation({"DEM": flowing(SCENE, 1), "surrogate": broken_run()}, SCENE, tmp_path / "flow.gif")
     with Image.open(path) as film:

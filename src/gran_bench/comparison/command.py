@@ -21,6 +21,7 @@ from gran_bench.comparison.results import (
     reference_facts,
     share_waited,
     study_rows,
+    untimed,
     write_results,
 )
 from gran_bench.comparison.sentences import softened, verdicts, winner
@@ -118,7 +119,8 @@ def draw(found: dict[str, Any], folder: Path) -> None:
         for entry in entries(found)
     ]
     labels = " and ".join(row["label"] for row in found["reference"]["ranked"])
-    time_against_error(contenders, labels, folder / "time_error.png", found["reference"]["accepted"])
+    lost = [short_name(name) for name in untimed(found)]
+    time_against_error(contenders, labels, folder / "time_error.png", found["reference"]["accepted"], lost)
     level = softened(found)
     if found["stiffness"]:
         names = {"automatic": "DEM, automatic step", "largest": "DEM, largest allowed step"}

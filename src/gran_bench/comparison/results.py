@@ -150,6 +150,12 @@ def entries(found: dict[str, Any]) -> list[Entry]:
     return timed
 
 
+def untimed(found: dict[str, Any]) -> list[str]:
+    """Names of the methods that failed before they had a frame: no time says where in the figure they stand."""
+    rows = [row for row in found["methods"] if row["failed"] and row["wall"] is None and row["failed_seconds"] is None]
+    return [row["name"] for row in rows]
+
+
 def write_results(folder: Path, found: dict[str, Any]) -> Path:
     """Write the results whole or not at all."""
     write_text(folder / RESULTS, json.dumps(found, indent=1, allow_nan=False) + "\n")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,17 +50,23 @@ class Contender:
 
 
 def time_against_error(
-    contenders: Sequence[Contender], quantity: str, path: Path | str, accuracy: float | None = 1.0
+    contenders: Sequence[Contender],
+    quantity: str,
+    path: Path | str,
+    accuracy: float | None = 1.0,
+    untimed: Sequence[str] = (),
 ) -> Path:
     """Draw wall time of a simulated second against error in noise floors, with the front that nothing beats in both.
 
-    A failed run stands above all others as a cross; it is never left out.
+    A failed run stands above all others as a cross, or under the axes by its name where it has no time; it is never
+    left out.
 
     Args:
-        contenders: the methods.
+        contenders: the methods; there may be none.
         quantity: what the error is of, for the axis.
         path: of the PNG.
         accuracy: the DEM's own, in floors; shaded. None where it is not known.
+        untimed: names of those that failed before their first frame, and have no place on the axis of time.
 
     Returns:
         The path.
@@ -77,10 +84,11 @@ def time_against_error(
         axes.set_yticks([tick for tick in near if lowest / 2 < tick < 3 * highest])
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
-        times = [c.seconds for c in contenders]
+        times = [c.seconds for c in contenders] or [1.0]
         axes.set_xlim(0.5 * min(times), 4.0 * max(times))
         axes.set_ylim(0.6 * lowest, 2.8 * highest)
-        axes.set_xlabel("wall time of a simulated second, s")
+        lost = f"failed before the first frame: {', '.join(untimed)}" if untimed else ""
+        axes.set_xlabel("\n".join(["wall time of a simulated second, s", *textwrap.wrap(lost, 110)]))
         axes.set_ylabel(f"{quantity}\nthe worse, noise floors" if " and " in quantity else f"{quantity}, noise floors")
         if accuracy is not None:
             axes.axhspan(0.0, accuracy, color="#f0f0f0", zorder=0)
@@ -98,6 +106,8 @@ def time_against_error(
                     axes.plot([c.fast, c.slow], [height[c.name]] * 2, color=colour, linewidth=1.0, alpha=0.6)
                 axes.plot(c.seconds, height[c.name], mark if c.floors is not None else "x", color=colour,
                           markersize=6.5, linestyle="none", label=label if i == 0 else None)  # fmt: skip
+        if not contenders:
+            axes.text(0.5, 0.5, "no method was timed and judged", transform=axes.transAxes, ha="center")
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=5)
         _name_marks(figure, axes, [(c, height[c.name]) for c in contenders])
     return Path(path)
