@@ -5,6 +5,9 @@ from __future__ import annotations
 import copy
 import json
 import math
+import subprocess
+import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +29,7 @@ from gran_bench.comparison.claims import (
 )
 from gran_bench.comparison.command import model_files
 from gran_bench.comparison.contest import Contest, largest_allowed_step
+from gran_bench.comparison.crew import ask
 from gran_bench.comparison.errors import noise_bound
 from gran_bench.comparison.page import PAGE, page_text, table_of
 from gran_bench.comparison.results import (
@@ -174,6 +178,52 @@ def test_the_median_of_another_benchmark_lies_where_it_is_expected():
         found, other = (spread(list(np.exp(rng.normal(0.0, 0.1, 5)))) for _ in range(2))
         hits.append(found.expected_low <= other.median <= found.expected_high)
     assert 0.93 < np.mean(hits) < 0.98
+
+
+# ---- turns -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def worker_that():
+    """Starts processes that do what a line of Python says once they are asked."""
+    started = []
+
+    def start(does: str) -> subprocess.Popen:
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+        complaints = tempfile.TemporaryFile()  # noqa: SIM115 (lives as long as its worker)
+        code = f"import sys, time; sys.stdin.readline(); {does}"
+        started.append(subprocess.Popen([sys.executable, "-S", "-c", code], stderr=complaints, **pipes))
+        started[-1].complaints = complaints
+        return started[-1]
+
+    yield start
+    for worker in started:
+        worker.kill()
+        worker.communicate()
+        worker.complaints.close()
+
+
+def test_a_method_that_never_returns_is_a_failed_run_and_its_process_is_ended(worker_that):
+    worker = worker_that("time.sleep(60)")
+    assert ask(worker, {"round": 0}, patience=0.2) == {"died": "no end within 0.2 s"}
+    assert worker.wait(10) < 0
+
+
+@pytest.mark.parametrize(
+    ("does", "words"),
+    [
+        ("print('{\"wall_sec', end='')", "ended with status 0"),
+        ("print('{\"wall_sec', end='', flush=True); sys.exit('out of memory')", "out of memory"),
+        ("print('{\"wall_sec')", "no line of JSON"),
+        ("sys.stdout.flush(); import os; os.kill(os.getpid(), 9)", "signal 9"),
+    ],
+)
+def test_a_part_of_an_answer_is_a_failed_run(worker_that, does, words):
+    assert words in ask(worker_that(does), {"round": 0})["died"]
+
+
+def test_an_answer_in_time_is_taken(worker_that):
+    assert ask(worker_that("print('{\"ready\": true}')"), {"job": {}}) == {"ready": True}
 
 
 # ---- the DEM's own accuracy ------------------------------------------------------------------------------

@@ -7,28 +7,21 @@ there, so that an interrupted benchmark goes on from where it was.
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import sys
-import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-import gran_bench
 from gran_bench.atomic import write_text
+from gran_bench.comparison.crew import ask, crew
 from gran_bench.comparison.method import Method
 
 PREPARED_AT_A_TIME = 2
 FAILURE = "failure.json"
-_ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-_ONE_THREAD |= {"MKL_NUM_THREADS": "1"}
 
 
 @dataclass(frozen=True)
@@ -112,7 +105,7 @@ def take_turns(
     for place in folders.values():
         _forget_death(place)
     missing = [(m, index) for index in range(rounds) for m in _order(fit, seed, index) if wants(m, index)[0]]
-    with _crew() as hire, tqdm(total=len(missing), desc=label, unit="run", disable=None, leave=False) as bar:
+    with crew() as hire, tqdm(total=len(missing), desc=label, unit="run", disable=None, leave=False) as bar:
         # All are compiled and warm before the first is timed.
         workers: dict[str, subprocess.Popen] = {}
 
@@ -120,7 +113,7 @@ def take_turns(
             bar.set_postfix_str(f"preparing {method.name}", refresh=True)
             workers[method.name] = hire()
             frames = round(method.seconds / frame_interval)
-            answer = _ask(workers[method.name], {"job": method.job, "frames": frames})
+            answer = ask(workers[method.name], {"job": method.job, "frames": frames})
             if "died" in answer:
                 _fail(folders[method.name], answer["died"], died=True)
 
@@ -154,7 +147,7 @@ def _take_turn(
 ) -> None:
     """Let a worker run once, and write down what came of it."""
     keep = str(trajectory_file(folder, index).resolve()) if keeps else None
-    answer = _ask(worker, {"round": index, "keep": keep})
+    answer = ask(worker, {"round": index, "keep": keep})
     if "died" in answer:
         _fail(folder, answer["died"], died=True)
     elif "failure" in answer:
@@ -192,54 +185,3 @@ def _read(folder: Path, rounds: int) -> Record:
         return Record(folder, turns, "")
     failed = json.loads((folder / FAILURE).read_text("utf-8"))
     return Record(folder, turns, failed["failure"], failed["seconds"])
-
-
-@contextmanager
-def _crew() -> Iterator[Callable[[], subprocess.Popen]]:
-    """Hires processes, and ends all of them when the block ends in any way."""
-    sources = str(Path(gran_bench.__file__).parent.parent)
-    paths = os.pathsep.join([sources, *filter(None, [os.environ.get("PYTHONPATH")])])
-    hired: list[subprocess.Popen] = []
-
-    def hire() -> subprocess.Popen:
-        complaints = tempfile.TemporaryFile()  # noqa: SIM115 (lives as long as its worker)
-        worker = subprocess.Popen(
-            [sys.executable, "-m", "gran_bench.comparison.worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=complaints,
-            text=True,
-            env=os.environ | _ONE_THREAD | {"PYTHONPATH": paths},
-            start_new_session=True,  # Ctrl-C is for the parent, which then ends its workers
-        )
-        worker.complaints = complaints
-        hired.append(worker)
-        return worker
-
-    try:
-        yield hire
-    finally:
-        for worker in hired:
-            worker.kill()
-            worker.wait()
-            with suppress(BrokenPipeError):
-                worker.stdin.close()
-            worker.stdout.close()
-            worker.complaints.close()
-
-
-def _ask(worker: subprocess.Popen, request: dict[str, Any]) -> dict[str, Any]:
-    """A worker's answer; a process that ended says how it did."""
-    try:
-        worker.stdin.write(json.dumps(request) + "\n")
-        worker.stdin.flush()
-        if line := worker.stdout.readline():
-            return json.loads(line)
-    except BrokenPipeError:
-        pass
-    worker.wait()
-    if worker.returncode < 0:
-        return {"died": f"its process was ended by signal {-worker.returncode}"}
-    worker.complaints.seek(0)
-    words = worker.complaints.read().decode(errors="replace").strip().splitlines()
-    return {"died": words[-1] if words else f"its process ended with status {worker.returncode}"}
