@@ -9,7 +9,15 @@ import pytest
 
 import gran_bench
 from gran_bench import code_identity
-from gran_bench.code_identity import JUDGING, MODEL_SOURCES, TRAINING, judging_code, modules_behind, training_code
+from gran_bench.code_identity import (
+    COMPARING,
+    JUDGING,
+    MODEL_SOURCES,
+    TRAINING,
+    judging_code,
+    modules_behind,
+    training_code,
+)
 from gran_bench.config import MODEL_SCHEMAS
 
 
@@ -49,6 +57,33 @@ def test_what_computes_the_numbers_is_found_and_what_only_shows_them_is_not():
     judging = modules_behind(*JUDGING)
     assert {"evaluation", "rollout", "metrics.judge", "metrics.angle_of_repose", "baselines"} <= judging
     assert not {"trainer", "surrogate.contact", "report"} & judging
+
+
+def test_what_runs_times_and_judges_a_compared_method_is_found_and_the_page_of_it_is_not():
+    comparing = modules_behind(*COMPARING)
+    assert {
+        "comparison.jobs",
+        "comparison.turns",
+        "comparison.errors",
+        "metrics.judge",
+        "dem.engine_numba",
+    } <= comparing
+    assert {"rollout", "surrogate.checkpoint", "surrogate.contact"} <= comparing  # a worker loads them on demand
+    assert not {"comparison.page", "comparison.sentences", "comparison.claims", "trainer"} & comparing
+
+
+def test_a_changed_judge_or_clock_of_a_comparison_measures_anew(edited):
+    _, edit = edited
+    before = code_identity.comparing_code()
+    for file, differs in (
+        ("comparison/errors.py", True),
+        ("comparison/worker.py", True),
+        ("comparison/page.py", False),
+    ):
+        edit(file, "X = 1")
+        after = code_identity.comparing_code()
+        assert (after != before) == differs, file
+        before = after
 
 
 def test_a_changed_line_changes_what_depends_on_it_and_nothing_else(edited):

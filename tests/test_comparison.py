@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gran_bench.comparison import command
+from gran_bench.comparison import command, turns
 from gran_bench.comparison.claims import (
     Entry,
     best_in_time,
@@ -31,6 +31,7 @@ from gran_bench.comparison.command import model_files
 from gran_bench.comparison.contest import Contest, largest_allowed_step
 from gran_bench.comparison.crew import ask
 from gran_bench.comparison.errors import noise_bound
+from gran_bench.comparison.method import Method
 from gran_bench.comparison.page import PAGE, page_text, table_of
 from gran_bench.comparison.results import (
     FORMAT,
@@ -224,6 +225,39 @@ def test_a_part_of_an_answer_is_a_failed_run(worker_that, does, words):
 
 def test_an_answer_in_time_is_taken(worker_that):
     assert ask(worker_that("print('{\"ready\": true}')"), {"job": {}}) == {"ready": True}
+
+
+class Echo:
+    """A run that gives no frames and notes the nudges that it was started from."""
+
+    def __init__(self) -> None:
+        self.nudges: list[int] = []
+
+    def __call__(self, worker: object, request: dict) -> dict:
+        self.nudges += [request["nudge_seed"]] if "keep" in request else []
+        turn = {"wall_seconds": 1.0, "cpu_seconds": 1.0, "peak_bytes": 1, "own_bytes": 1}
+        return turn if "keep" in request else {"ready": True}
+
+
+def test_two_seeds_give_rounds_that_start_from_nudges_of_their_own(tmp_path, monkeypatch):
+    nudges = {}
+    for seed in (0, 1):
+        monkeypatch.setattr(turns, "ask", echo := Echo())
+        method = Method("net", "surrogate", {}, 1.0)
+        turns.take_turns([method], 3, seed, tmp_path, [f"seed {seed}"], frame_interval=0.1)
+        nudges[seed] = echo.nudges
+    assert nudges[0] == [1001, 1002, 1003]
+    assert not set(nudges[0]) & set(nudges[1])
+
+
+def test_rounds_are_kept_for_the_code_the_libraries_and_the_seed_that_they_were_measured_with(monkeypatch):
+    before = command.measured_under(seed=0)
+    assert command.measured_under(seed=0) == before
+    assert command.measured_under(seed=1) != before
+    for name in ("comparing_code", "library_versions", "hardware"):
+        with monkeypatch.context() as changed:
+            changed.setattr(command, name, lambda: "other")
+            assert command.measured_under(seed=0) != before
 
 
 # ---- the DEM's own accuracy ------------------------------------------------------------------------------

@@ -20,6 +20,12 @@ PACKAGE = "gran_bench"
 MODEL_SOURCES = {"contact": "surrogate.contact", "ccnn": "surrogate.ccnn", "radial": "surrogate.ccnn"}
 TRAINING = ("training_start", "trainer", "surrogate.build")
 JUDGING = ("evaluation",)
+# Time and error of a method that is compared; what its process loads on demand is named.
+COMPARING = (
+    *("dem.simulate", "scene.build", *sorted(set(MODEL_SOURCES.values())), "surrogate.checkpoint"),
+    *(*JUDGING, "baselines"),
+    *("comparison.worker", "comparison.turns", "comparison.errors"),
+)
 # They say which values are legal, where files lie or how a process ends, and change no number. What a config says is in
 # a run's key by its values.
 NEUTRAL = frozenset(
@@ -47,6 +53,11 @@ def training_code(model: str) -> str:
 def judging_code() -> str:
     """Hash (12 digits) of the source that decides what a judge says of given weights."""
     return _hash("judging", JUDGING)
+
+
+def comparing_code() -> str:
+    """Hash (12 digits) of the source that decides what a comparison measures of a given method."""
+    return _hash("comparing", COMPARING)
 
 
 def taken_hashes() -> dict[str, str]:

@@ -355,7 +355,7 @@ class BenchmarkConfig(GenerateConfig):
 
     profile: ProfileConfig = field(default_factory=ProfileConfig)
     models: list[str] = field(default_factory=lambda: ["shipped"])  # model files; `shipped`: the one in the package
-    seed: int = 0  # of the order in which methods take turns
+    seed: int = 0  # of the order in which methods take turns, and of the nudge that each round starts from
     measure: bool = True  # false: tables, figures and page anew from kept results, by today's rules
     root: str = "results/benchmark"  # folder of results and page, from where the command runs
 

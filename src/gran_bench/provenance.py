@@ -97,21 +97,26 @@ def code_digest() -> str:
     return source_digest(RESULT_ROOMS)[:12]
 
 
-def provenance() -> dict[str, str]:
-    """Command, commit, hardware, Python and library versions, code digest."""
+def library_versions() -> str:
+    """One line: the versions of the libraries whose numerics a run goes through."""
     versions = {}
     for library in LIBRARIES:
         try:
             versions[library] = version(library)
         except PackageNotFoundError:
             versions[library] = "missing"
+    return ", ".join(f"{name} {number}" for name, number in versions.items())
+
+
+def provenance() -> dict[str, str]:
+    """Command, commit, hardware, Python and library versions, code digest."""
     return {
         "command": command(),
         "commit": commit(),
         "code_digest": code_digest(),
         "hardware": hardware(),
         "python": platform.python_version(),
-        "versions": ", ".join(f"{name} {number}" for name, number in versions.items()),
+        "versions": library_versions(),
     }
 
 

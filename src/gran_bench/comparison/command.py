@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gran_bench.atomic import locked
+from gran_bench.code_identity import comparing_code
 from gran_bench.comparison.contest import Contest
 from gran_bench.comparison.errors import Reference, Scored, errors_file, judged_rounds, score_run
 from gran_bench.comparison.method import Method
@@ -31,7 +32,7 @@ from gran_bench.config_rules import ConfigError
 from gran_bench.dataset import ensure_cases, read_case, rotation_label
 from gran_bench.plots.study_cost import CostLine, cost_against
 from gran_bench.plots.time_error import Contender, time_against_error
-from gran_bench.provenance import code_digest, hardware, provenance
+from gran_bench.provenance import hardware, library_versions, provenance
 from gran_bench.shipped import DEFAULT_MODEL, SHIPPED, shipped_model
 from gran_bench.stopping import stop_on_signals
 
@@ -140,9 +141,18 @@ def short_name(name: str) -> str:
     return name.removeprefix("DEM ")
 
 
+def measured_under(seed: int) -> list[str]:
+    """Whatever else than its job decides what is measured of a method: a change of any measures anew.
+
+    Args:
+        seed: of the nudges that rounds start from, and of their order.
+    """
+    return [comparing_code(), library_versions(), hardware(), f"format {FORMAT}", f"seed {seed}"]
+
+
 def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, Any]:
     config, scene, methods = contest.config, contest.scene, contest.methods
-    profile, conditions = config.profile, [code_digest(), hardware(), f"format {FORMAT}"]
+    profile, conditions = config.profile, measured_under(config.seed)
 
     def turns(what: list[Method], rounds: int, label: str, judged: bool) -> dict[str, Record]:
         _tell(f"{label}: {len([m for m in what if not m.unfit_because])} methods in {rounds} rounds")

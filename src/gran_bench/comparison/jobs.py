@@ -37,10 +37,9 @@ class Outcome:
     reached: int = 0
 
 
-# Called with the number of frames to compute, and with the round: each starts from a nudge of its own, because one
+# Called with the number of frames to compute, and with the seed of a nudge: each round starts from its own, because one
 # chaotic run is one sample.
 Run = Callable[[int, int], Outcome]
-FIRST_NUDGE = 1001  # seed of the first round's nudge; the replicas have the lower ones
 
 
 def prepare(job: dict[str, Any]) -> Run:
@@ -77,8 +76,8 @@ def _dem(job: dict[str, Any]) -> Run:
     for modulus in job["stages"]:
         bed = simulate(with_modulus(scene, modulus), bed, bed.time + STAGE, dem=DemConfig(threads=1)).final
 
-    def run(frames: int, index: int) -> Outcome:
-        start, end = _start(bed, index), bed.time + frames * scene.frame_interval
+    def run(frames: int, nudge_seed: int) -> Outcome:
+        start, end = _start(bed, nudge_seed), bed.time + frames * scene.frame_interval
         try:
             return Outcome(simulate(scene, start, end, dem=dem).trajectory)
         except SimulationError as error:
@@ -98,8 +97,8 @@ def _surrogate(job: dict[str, Any]) -> Run:
     scene, (bed, _) = from_document(job["scene"]), read_settled(job["bed"])
     model, _ = load_model(job["model"])
 
-    def run(frames: int, index: int) -> Outcome:
-        result = rollout(model, scene, _start(bed, index), frames + 1)
+    def run(frames: int, nudge_seed: int) -> Outcome:
+        result = rollout(model, scene, _start(bed, nudge_seed), frames + 1)
         if result.failed_frame is None:
             return Outcome(result.trajectory)
         reason = f"not finite from frame {result.failed_frame} on"
@@ -110,22 +109,22 @@ def _surrogate(job: dict[str, Any]) -> Run:
 
 def _baseline(job: dict[str, Any]) -> Run:
     scene, (bed, _) = from_document(job["scene"]), read_settled(job["bed"])
-    return lambda frames, index: Outcome(BASELINES[job["does"]](_cut(scene, bed, frames), _start(bed, index)))
+    return lambda frames, nudge_seed: Outcome(BASELINES[job["does"]](_cut(scene, bed, frames), _start(bed, nudge_seed)))
 
 
 def _interpolation(job: dict[str, Any]) -> Run:
     cases = {float(rpm): read_case(path) for rpm, path in job["cases"].items()}
     training = {rpm: summarise(case.trajectory, case.scene) for rpm, case in cases.items()}
 
-    def run(frames: int, index: int) -> Outcome:
+    def run(frames: int, nudge_seed: int) -> Outcome:
         interpolated_statistics(job["rpm"], training)
         return Outcome(None)
 
     return run
 
 
-def _start(bed: ParticleState, index: int) -> ParticleState:
-    return nudged(bed, NUDGE, FIRST_NUDGE + index)
+def _start(bed: ParticleState, nudge_seed: int) -> ParticleState:
+    return nudged(bed, NUDGE, nudge_seed)
 
 
 def _cut(scene: Scene, bed: ParticleState, frames: int) -> Scene:

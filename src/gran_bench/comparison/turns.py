@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -22,6 +23,8 @@ from gran_bench.comparison.method import Method
 
 PREPARED_AT_A_TIME = 2
 FAILURE = "failure.json"
+FIRST_NUDGE = 1001  # seed of the nudge of the first round of seed 0; the replicas have the lower ones
+ROUNDS_OF_A_SEED = 1000
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,16 @@ def trajectory_file(folder: Path, index: int) -> Path:
     return folder / f"trajectory{index}.npz"
 
 
+def nudge_seed(seed: int, index: int) -> int:
+    """Seed of the nudge that a round starts from: no two rounds of two benchmarks have the same.
+
+    Args:
+        seed: of the benchmark.
+        index: of the round.
+    """
+    return FIRST_NUDGE + ROUNDS_OF_A_SEED * seed + index
+
+
 def take_turns(
     methods: Sequence[Method],
     rounds: int,
@@ -80,7 +93,7 @@ def take_turns(
     Args:
         methods: that fit the scene; others are passed over.
         rounds: how often.
-        seed: of the order in each round.
+        seed: of the order in each round, and of the nudges that the rounds start from.
         folder: of all measurements.
         conditions: what else decides a measurement (`Method.key`).
         frame_interval: s.
@@ -113,7 +126,7 @@ def take_turns(
             bar.set_postfix_str(f"preparing {method.name}", refresh=True)
             workers[method.name] = hire()
             frames = round(method.seconds / frame_interval)
-            answer = ask(workers[method.name], {"job": method.job, "frames": frames})
+            answer = ask(workers[method.name], {"job": method.job, "frames": frames, "nudge_seed": nudge_seed(seed, 0)})
             if "died" in answer:
                 _fail(folders[method.name], answer["died"], died=True)
 
@@ -137,17 +150,19 @@ def take_turns(
                 bar.set_postfix_str(method.name, refresh=True)
                 bar.update()
                 if wanted:
-                    _take_turn(method, workers[method.name], folders[method.name], index, keeps, frame_interval)
+                    place = folders[method.name]
+                    keep = str(trajectory_file(place, index).resolve()) if keeps else None
+                    request = {"nudge_seed": nudge_seed(seed, index), "keep": keep}
+                    _take_turn(method, workers[method.name], place, index, request, frame_interval)
             after_round(index, folders)
     return {method.name: _read(folders[method.name], rounds) for method in fit}
 
 
 def _take_turn(
-    method: Method, worker: subprocess.Popen, folder: Path, index: int, keeps: bool, frame_interval: float
+    method: Method, worker: subprocess.Popen, folder: Path, index: int, request: dict[str, Any], frame_interval: float
 ) -> None:
     """Let a worker run once, and write down what came of it."""
-    keep = str(trajectory_file(folder, index).resolve()) if keeps else None
-    answer = ask(worker, {"round": index, "keep": keep})
+    answer = ask(worker, request)
     if "died" in answer:
         _fail(folder, answer["died"], died=True)
     elif "failure" in answer:

@@ -35,10 +35,10 @@ def main() -> None:
                 if run is None:
                     frames = request["frames"]
                     run = prepare(request["job"])
-                    run(min(WARM_UP, frames), 0)
+                    run(min(WARM_UP, frames), request["nudge_seed"])
                     answer: dict[str, Any] = {"ready": True}
                 else:
-                    answer = _timed(run, frames, request["round"], request["keep"])
+                    answer = _timed(run, frames, request["nudge_seed"], request["keep"])
             except Exception as error:  # whatever a method dies of is its failure, not the benchmark's
                 answer = {"died": f"{type(error).__name__}: {error}"}
             channel.write(json.dumps(answer) + "\n")
@@ -46,11 +46,11 @@ def main() -> None:
         os._exit(1)  # the parent is gone; closing the channel would fail once more
 
 
-def _timed(run: Run, frames: int, index: int, keep: str | None) -> dict[str, Any]:
+def _timed(run: Run, frames: int, nudge_seed: int, keep: str | None) -> dict[str, Any]:
     forget_peak_memory()
     before = resident_memory("VmRSS")
     wall, cpu = time.perf_counter(), time.process_time()
-    outcome = run(frames, index)
+    outcome = run(frames, nudge_seed)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     peak = resident_memory("VmHWM")
     if keep and outcome.trajectory is not None and not outcome.failure:

@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from gran_bench.code_identity import JUDGING, MODEL_SOURCES, TRAINING
+from gran_bench.code_identity import COMPARING, JUDGING, MODEL_SOURCES, TRAINING
 from gran_bench.comparison.results import read_all
 from gran_bench.provenance import read_origin
 from gran_bench.run_summary import read_summary
@@ -31,7 +31,6 @@ SOLVER = ("dem.simulate", "scene.build")
 VERIFIED = (*SOLVER, "verification.suite")
 NETWORKS = tuple(sorted(set(MODEL_SOURCES.values())))
 JUDGED = (*JUDGING, "baselines")
-COMPARED = (*SOLVER, *NETWORKS, *JUDGED, "comparison.worker", "comparison.turns", "comparison.errors")
 STRESSED = (*SOLVER, *NETWORKS, *TRAINING, "rollout", "stability.experiment", "stability.expectation")
 
 
@@ -113,7 +112,7 @@ def read_records(root: Path) -> Records:
         *_verification_origin(verification),
         *_table_origins(root),
         *(
-            _origin(benchmark_of(place), "benchmark/README.md", found["provenance"], COMPARED)
+            _origin(benchmark_of(place), "benchmark/README.md", found["provenance"], COMPARING)
             for place, found in benchmarks.items()
         ),
         *(origin for name, counted in sweeps.items() for origin in _sweep_origins(root, name, counted)),
