@@ -529,10 +529,35 @@ def test_the_page_says_where_a_surrogate_starts_to_cost_less_and_what_softening_
     }
     found["counts"] = {"DEM": points(_300=0.1, _3000=1.0), "net": points(_300=0.2, _3000=0.5)}
     text = page_text({"quick/drum": found})
-    assert "costs less than the DEM at its largest allowed step at no stiffness that was tried" in text
-    assert "costs less than the DEM at its automatic step from E = 4.0e+07 Pa on" in text
-    assert "it costs 0.9 s, more than **net**" in text
+    assert "takes less time than the DEM at its largest allowed step at no stiffness that was timed" in text
+    assert "takes less time than the DEM at its automatic step from E = 4.0e+07 Pa on" in text
+    assert "errors were measured at E = 1.0e+07 Pa" in text
+    assert "takes 0.9 s, more than **net**; whether it can stand in for stiffer spheres was not measured" in text
     assert "2 with 300 spheres, 0.5 with 3000 spheres" in text
+    assert "✗" not in text.partition("Against stiffness")[2]
+
+
+def test_points_of_a_study_that_failed_are_said_and_drawn(found, tmp_path, monkeypatch):
+    def point(at: float, cost: float | None, failure: str = "") -> dict:
+        return {"at": at, "wall": None if cost is None else {"median": cost}, "failure": failure}
+
+    found["stiffness"] = {
+        "automatic": [point(1e7, 0.3), point(1e9, None, "sphere 3 diverged")],
+        "largest": [point(1e7, 0.1), point(1e9, 0.4, "sphere 4 diverged")],
+        "net": [point(1e7, None, "not finite")],
+    }
+    found["counts"] = {"DEM": [point(300, 0.1)], "net": [point(300, None, "not finite")]}
+    text = page_text({"quick/drum": found})
+    assert "✗ The DEM at its automatic step failed at E = 1.0e+09 Pa: sphere 3 diverged." in text
+    assert "✗ The DEM at its largest allowed step failed at E = 1.0e+09 Pa: sphere 4 diverged." in text
+    assert "✗ **net** failed at E = 1.0e+07 Pa: not finite." in text
+    assert "✗ **net** failed at 300 spheres: not finite." in text
+    drawn = []
+    monkeypatch.setattr(command, "cost_against", lambda lines, *_: drawn.extend(lines))
+    command.draw(found, tmp_path)
+    assert [list(line.failed_at) for line in drawn] == [[1e9], [1e9], [1e7], [], [300]]
+    monkeypatch.undo()
+    command.draw(found, tmp_path)
 
 
 def test_a_run_that_failed_on_its_way_has_a_place_in_the_figure(found):

@@ -22,6 +22,7 @@ from gran_bench.comparison.results import (
     reference_facts,
     share_waited,
     study_rows,
+    succeeded,
     untimed,
     write_results,
 )
@@ -128,8 +129,7 @@ def draw(found: dict[str, Any], folder: Path) -> None:
         lines = _cost_lines(found["stiffness"], names)
         soft = None
         if level is not None:
-            softness = "" if "E = " in level.name else f", E = {found['modulus']:.0e} Pa".replace("e+0", "e")
-            soft = (f"in its stead: {level.name}{softness}", level.seconds)
+            soft = (f"as exact at {found['modulus']:.0e} Pa: {level.name}".replace("e+0", "e"), level.seconds)
         cost_against(lines, "Young's modulus, Pa", folder / "stiffness.png", soft)
     if found["counts"]:
         lines = _cost_lines(found["counts"], {"DEM": "DEM, automatic step"})
@@ -210,7 +210,8 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
 
 def _kept(contest: Contest, folder: Path, reference: Reference) -> dict[str, Any]:
     config, kept = contest.config, read_results(folder / RESULTS)
-    return judged_anew(kept, reference, config.dataset.replicas, min(config.profile.judged_rounds, kept["rounds"]))
+    runs = kept["reference"].get("judged_runs", min(config.profile.judged_rounds, kept["rounds"]))
+    return judged_anew(kept, reference, config.dataset.replicas, runs)
 
 
 def _reference(contest: Contest) -> Reference:
@@ -222,14 +223,14 @@ def _reference(contest: Contest) -> Reference:
 def _cost_lines(study: dict[str, list[dict[str, Any]]], names: dict[str, str]) -> list[CostLine]:
     lines = []
     for label, points in study.items():
-        done = [point for point in points if point["wall"]]
+        done = [point for point in points if succeeded(point)]
         lines.append(
             CostLine(
                 names.get(label, label),
                 "dem" if label in names else "surrogate",
                 [point["at"] for point in done],
                 [point["wall"]["median"] for point in done],
-                [point["at"] for point in points if not point["wall"]],
+                [point["at"] for point in points if not succeeded(point)],
             )
         )
     return lines

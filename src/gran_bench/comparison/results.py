@@ -80,6 +80,11 @@ def study_rows(points: dict[str, list[tuple[float, Method]]], records: dict[str,
     return found
 
 
+def succeeded(point: dict[str, Any]) -> bool:
+    """Whether a point of a study has a time of runs that all reached their end."""
+    return point["wall"] is not None and not point["failure"]
+
+
 def reference_facts(reference: Reference, replicas: int, runs: int, automatic: float | None) -> dict[str, Any]:
     """The ranked errors and what the DEM's own accuracy in them is.
 

@@ -20,7 +20,7 @@ class CostLine:
     Attributes:
         name: in the legend.
         kind: ``dem`` or ``surrogate``.
-        at: where it was measured; a single place: the method costs the same everywhere.
+        at: where it was measured; a single place, and no failure: the method costs the same everywhere.
         seconds: wall time of a simulated second there, s.
         failed_at: where the method failed.
     """
@@ -50,7 +50,7 @@ def cost_against(
         styles = {"dem": iter(((DEM, "o", "-"), (DEM, "s", "--"))), "surrogate": iter(_surrogate_styles())}
         for line in lines:
             colour, mark, dash = next(styles[line.kind], (QUIET, "v", "-"))
-            if len(line.at) == 1:
+            if len(line.at) == 1 and not line.failed_at:
                 axes.axhline(line.seconds[0], color=colour, linestyle=dash, linewidth=1.2, label=line.name)
             else:
                 axes.plot(line.at, line.seconds, color=colour, marker=mark, linestyle=dash, label=line.name)
