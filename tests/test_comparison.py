@@ -33,6 +33,7 @@ from gran_bench.comparison.crew import ask
 from gran_bench.comparison.errors import noise_bound
 from gran_bench.comparison.method import Method
 from gran_bench.comparison.page import PAGE, page_text, table_of
+from gran_bench.comparison.pooling import pooled_judgement
 from gran_bench.comparison.results import (
     FORMAT,
     RESULTS,
@@ -323,6 +324,42 @@ def test_too_few_replicas_leave_the_winner_unknown(found):
     assert "Noise: undefined, 2 replicas do not give the DEM's own accuracy; three or more do" in text
     assert "Who wins is not known" in text
     assert "At equal accuracy the rival is DEM 0.2 ms" in text
+
+
+# ---- several rounds --------------------------------------------------------------------------------------
+
+
+def judgement(angle: float | None, outside: int, states: int = 401, first: float | None = None) -> dict:
+    """What a judge says of one round."""
+    error = {"value": angle, "multiple_of_floor": angle, "note": "" if angle else "no straight surface"}
+    passes = angle is not None and angle <= 3.0
+    return {
+        "velocity_kind": "instantaneous",
+        "replicas": 5,
+        "accepted": passes,
+        "errors": {"surface_angle": error},
+        "figures": {"energy": {"value": angle, "inside_interval": passes}},
+        "requirements": {"steady": {"value": angle, "bound": 3.0, "verdict": "pass" if passes else "fail"}},
+        "failures": {"states": states, "outside_spheres": outside, "first_non_finite": first},
+    }
+
+
+def test_rounds_are_pooled_as_means_and_what_fails_in_any_of_them_stays():
+    found = pooled_judgement([judgement(1.0, 0), judgement(5.0, 7, states=30, first=0.3), judgement(3.0, 2)])
+    assert found["errors"]["surface_angle"]["multiple_of_floor"] == pytest.approx(3.0)
+    assert found["requirements"]["steady"]["verdict"] == "fail"
+    assert not found["accepted"]
+    assert found["failures"] == {"states": 30, "outside_spheres": 7, "first_non_finite": 0.3}
+    energy = found["figures"]["energy"]
+    assert (energy["value"], energy["inside_interval"], energy["rounds_inside"]) == (pytest.approx(3.0), False, 2)
+    assert (found["rounds"], found["pooled"]["failures"]) == (3, "worst round, each count")
+
+
+def test_a_figure_that_one_round_lacks_is_undefined_in_all():
+    found = pooled_judgement([judgement(1.0, 0), judgement(None, 0)])
+    assert found["errors"]["surface_angle"]["note"] == "no straight surface"
+    for table in ("errors", "figures", "requirements"):
+        assert [row["value"] for row in found[table].values()] == [None]
 
 
 # ---- who is compared -------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from scipy.stats import t as student_t
 from gran_bench.atomic import write_text
 from gran_bench.baselines import interpolated_statistics
 from gran_bench.comparison.method import Method
+from gran_bench.comparison.pooling import pooled_judgement
 from gran_bench.comparison.turns import trajectory_file
 from gran_bench.dataset import Case, read_case
 from gran_bench.metrics.comparisons import COMPARISONS, Comparison
@@ -125,18 +126,19 @@ class Reference:
     def pooled(self, runs: Sequence[Scored]) -> Scored:
         """The error of a method from several runs of it: means, and where the mean of as many others lies.
 
+        What else was found of them is pooled by `pooling.RULES`.
+
         A single run (statistics without particles) keeps its interval over the replicas.
         """
         failed = next((run for run in runs if run.floors is None), None)
         if failed is not None or len(runs) == 1:
             return failed or runs[0]
-        tables = [run.judgement["errors"] for run in runs]
-        errors = {key: _mean_error([table[key] for table in tables]) for key in tables[0]}
+        judgement = pooled_judgement([run.judgement for run in runs])
+        errors = judgement["errors"]
         worst = max(self.ranked, key=lambda row: errors[row.key]["multiple_of_floor"]).key
-        floors = [table[worst]["multiple_of_floor"] for table in tables]
+        floors = [run.judgement["errors"][worst]["multiple_of_floor"] for run in runs]
         middle, reach = _mean(floors), _reach(floors, math.sqrt(2.0))
         outside = max(run.outside for run in runs)
-        judgement = runs[0].judgement | {"errors": errors}
         return Scored(middle, middle - reach, middle + reach, worst, "", outside, judgement)
 
     def floors(self) -> dict[str, float]:
@@ -218,17 +220,6 @@ def _pairs(row: Comparison, truth: Sequence[TrajectorySummary]) -> list[float]:
 
 def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values))
-
-
-def _mean_error(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """One kind of error over several runs: means; undefined as in the first run that lacks it."""
-    missing = next((row for row in rows if row["value"] is None), None)
-    if missing is not None:
-        return missing
-    found = dict(rows[0], value=_mean([row["value"] for row in rows]))
-    if found["multiple_of_floor"] is not None:
-        found["multiple_of_floor"] = _mean([row["multiple_of_floor"] for row in rows])
-    return found
 
 
 def _reach(values: Sequence[float], factor: float) -> float:
