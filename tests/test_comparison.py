@@ -405,7 +405,7 @@ def test_every_kind_of_method_is_compared_under_a_name_of_its_own():
     assert len(names) == len(set(names))
     assert contest.automatic == "DEM 0.2 ms"
     assert {
-        *("DEM 0.1 ms", "DEM 0.2 ms", "DEM 0.4 ms", "DEM 1 ms", "DEM 0.4 ms, float32", "DEM 1.25 ms, E = 1e6 Pa"),
+        *("DEM 0.2 ms", "DEM 0.4 ms", "DEM 1 ms", "DEM 0.4 ms, float32", "DEM 1.25 ms, E = 1e6 Pa"),
         *("DEM 0.2 ms, numpy engine", "holdout30rpm (shipped)", "interpolation, 25 and 35 rpm"),
         *("rigid rotation", "ballistic"),
     } <= set(names)
@@ -438,7 +438,7 @@ def test_a_methods_key_follows_its_job_and_its_conditions_and_not_its_folders(tm
     [
         ("profile.step_multiples=[2]", ["profile.step_multiples=[2.0]", "add 1"]),
         ("profile.soft_moduli=[1e6,1e6]", ["profile.soft_moduli", "twice"]),
-        ("profile.judged_rounds=9", ["profile.judged_rounds=9", "profile.rounds=5"]),
+        ("profile.judged_rounds=9", ["profile.judged_rounds=9", "profile.rounds=4"]),
         ("profile.rounds=0", ["profile.rounds=0", "≥ 1"]),
         ("dataset.holdout_speeds_rpm=[]", ["dataset.holdout_speeds_rpm=[]", "one held-out speed"]),
         ("profile.rouns=3", ["profile.rouns", "profile.rounds"]),

@@ -316,7 +316,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "study_frames": at_least(1),
         "study_rounds": at_least(1),
     },
-    BenchmarkConfig: {"models": Text(), "seed": at_least(0), "root": Text()},
+    BenchmarkConfig: {"models": Text(), "seed": at_least(0), "measure": Switch(), "root": Text()},
     UiConfig: {"port": Range(1, 65535)},
     StressConfig: {
         "profile": OneOf(("full", "short")),
