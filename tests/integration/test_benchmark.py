@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
@@ -107,3 +108,12 @@ def test_a_finished_benchmark_measures_nothing_again_and_says_the_same(benchmark
     again = run_benchmark(config)
     assert measurements(folder) == before
     assert again["methods"] == found["methods"]
+
+
+def test_kept_results_are_told_anew_and_nothing_is_measured(benchmark):
+    folder, config, _, _, found = benchmark
+    before = measurements(folder)
+    again = run_benchmark(replace(config, measure=False))
+    assert measurements(folder) == before
+    assert (again["methods"], again["reference"]) == (found["methods"], found["reference"])
+    assert again["reference"]["accepted"] is None  # two replicas do not say how their errors scatter
