@@ -285,7 +285,7 @@ def test_a_failed_method_stays_in_the_picture_of_time_and_error(tmp_path, texts)
 def test_methods_without_a_time_are_named_under_the_picture_of_time_and_error(tmp_path, texts):
     lost = ["2 ms", "contact"]
     time_against_error([Contender("DEM", "dem", 0.5, 1.0)], "speeds", tmp_path / "some.png", untimed=lost)
-    assert any("failed before the first frame: 2 ms, contact" in text for text in texts)
+    assert any("failed before the first frame: 2 ms; contact" in text for text in texts)
     time_against_error([], "speeds", tmp_path / "none.png", untimed=lost)
     assert "no method was timed and judged" in texts
 

@@ -87,7 +87,7 @@ def time_against_error(
         times = [c.seconds for c in contenders] or [1.0]
         axes.set_xlim(0.5 * min(times), 4.0 * max(times))
         axes.set_ylim(0.6 * lowest, 2.8 * highest)
-        lost = f"failed before the first frame: {', '.join(untimed)}" if untimed else ""
+        lost = f"failed before the first frame: {'; '.join(untimed)}" if untimed else ""
         axes.set_xlabel("\n".join(["wall time of a simulated second, s", *textwrap.wrap(lost, 110)]))
         axes.set_ylabel(f"{quantity}\nthe worse, noise floors" if " and " in quantity else f"{quantity}, noise floors")
         if accuracy is not None:
