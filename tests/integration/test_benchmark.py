@@ -23,7 +23,7 @@ OVERRIDES = [
     *("dataset.replicas=2", "dataset.training_speeds_rpm=[40,50]", "dataset.holdout_speeds_rpm=[45]"),
     # 10 ms a step: no contact survives that.
     *("profile.rounds=2", "profile.judged_rounds=2"),
-    *( "profile.step_multiples=[1,50]", "profile.single_multiples=[]", "profile.soft_moduli=[1e6]"),
+    *("profile.step_multiples=[1,50]", "profile.single_multiples=[]", "profile.soft_moduli=[1e6]"),
     *("profile.soft_multiples=[1]", "profile.numpy_frames=1", "profile.stiffness=[1e7,1e8]", "profile.counts=[]"),
     *("profile.study_frames=2", "profile.study_rounds=1"),
 ]
