@@ -10,9 +10,10 @@ from pathlib import Path
 import pandas as pd
 
 from gran_bench.atomic import write_text
-from gran_bench.sweep.run_file import FAILED, FINISHED, SWEEPS, RunFile, read_runs
-from gran_bench.sweep.sweep_file import read_sweep, sweep_folders
-from gran_bench.sweep.table import COLUMNS, axes_of, newest, runs_frame
+from gran_bench.sweep.run_file import FAILED, FINISHED, SWEEPS, RunFile
+from gran_bench.sweep.standing import read_standing
+from gran_bench.sweep.sweep_file import sweep_folders
+from gran_bench.sweep.table import COLUMNS, axes_of, runs_frame
 
 OVERVIEW = "README.md"
 REMARKS = "remarks.md"  # a person's words beside the page, put before its table
@@ -115,8 +116,7 @@ def write_overview(root: Path) -> Path | None:
         "|---|---|---|---|---|---:|---:|",
     ]
     for folder in folders:
-        runs, _ = newest(read_runs(folder))
-        lines += [_row(folder.name, reach) for reach in reaches(runs)]
+        lines += [_row(folder.name, reach) for reach in reaches(read_standing(folder).counted)]
     for folder in folders:
         lines += ["", *_section(folder)]
     path = root / SWEEPS / OVERVIEW
@@ -134,10 +134,14 @@ def _row(name: str, reach: Reach) -> str:
 
 def _section(folder: Path) -> list[str]:
     """A sweep's numbers of runs, its command, its figures."""
-    sweep, (runs, _) = read_sweep(folder), newest(read_runs(folder))
+    stands = read_standing(folder)
+    sweep, runs = stands.sweep, stands.counted
     failed = sum(run.status == FAILED for run in runs)
-    waiting = max(len(sweep.jobs) - len(runs), 0) if sweep else 0
-    lines = [f"## {folder.name}", "", f"{len(runs) - failed} runs finished, {failed} failed, {waiting} wait."]
+    lines = [
+        f"## {folder.name}",
+        "",
+        f"{len(runs) - failed} runs finished, {failed} failed, {len(stands.waiting)} wait.",
+    ]
     lines[-1] += f" All figures: [table]({folder.name}/README.md), [CSV]({folder.name}/runs.csv)."
     if sweep:
         lines += ["", "```", sweep.command, "```"]
