@@ -18,9 +18,11 @@ from gran_bench.atomic import locked
 from gran_bench.code_identity import MODEL_SOURCES, judging_code, taken_hashes, training_code
 from gran_bench.composition import PlannedJob
 from gran_bench.config import TrackingConfig, TrainConfig
+from gran_bench.config_identity import deciding_keys
+from gran_bench.config_rules import ConfigError
 from gran_bench.dataset import DatasetError
 from gran_bench.provenance import command, commit
-from gran_bench.run_identity import RunIdentity, hash_of, identify, wants_more
+from gran_bench.run_identity import RunIdentity, hash_of, identify, judged_by, judging_plan, wants_more
 from gran_bench.run_record import Clock, RunRecord, finished_summary, tell
 from gran_bench.run_summary import headline
 from gran_bench.stopping import stop_on_signals
@@ -123,9 +125,11 @@ def open_sweep(planned: Sequence[PlannedJob], name: str) -> Iterator[Sweep]:
         name: of its folder, unless the config names one.
 
     Raises:
+        ConfigError: two jobs are the same run.
         TrackingError: the store cannot be opened; or, at the end, something could not be recorded.
         SweepFileError: a file of an earlier sweep is damaged.
     """
+    _refuse_twins(planned)
     config: TrackingConfig = planned[0].config.tracking
     root = Path(config.root).resolve()
     folder = root / SWEEPS / (config.sweep or name)
@@ -154,6 +158,23 @@ def open_sweep(planned: Sequence[PlannedJob], name: str) -> Iterator[Sweep]:
 # ---- before the jobs -------------------------------------------------------------------------------------
 
 
+def _refuse_twins(planned: Sequence[PlannedJob]) -> None:
+    """Refuse two jobs that would be the same run, before any data is made: they would do one run's work twice."""
+    first: dict[tuple[str, str], PlannedJob] = {}
+    for job in planned:
+        # Which data a run is trained on follows from its config too.
+        identity = hash_of(deciding_keys(job.config)), judged_by(judging_plan(job.config))
+        twin = first.setdefault(identity, job)
+        if twin is not job:
+            keys = [key for key in sorted(job.choices) if job.choices[key] != twin.choices.get(key)]
+            one, other = (" ".join(f"{key}={it.choices.get(key)}" for key in keys) or it.run for it in (twin, job))
+            why = f"{' and '.join(keys)} decides nothing there" if keys else "a value is given twice"
+            raise ConfigError(
+                f"{one} and {other}: two jobs of the sweep ({job.run}) would be the same run, because {why}; leave it "
+                "out of this sweep, or sweep it where it decides, by a command of its own with tracking.sweep=NAME"
+            )
+
+
 def _identity(config: TrainConfig) -> RunIdentity | None:
     """Who a run is; None where its data are not there, which its job will say."""
     try:
@@ -163,8 +184,8 @@ def _identity(config: TrainConfig) -> RunIdentity | None:
 
 
 def _sweep_job(planned: PlannedJob, identity: RunIdentity | None) -> SweepJob:
-    key, judged_by = (identity.key, identity.judged_by) if identity else ("", "")
-    return SweepJob(planned.run, key, judged_by, planned.choices, planned.config.seed)
+    key, judge = (identity.key, identity.judged_by) if identity else ("", "")
+    return SweepJob(planned.run, key, judge, planned.choices, planned.config.seed)
 
 
 def _finished_here(
