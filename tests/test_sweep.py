@@ -23,7 +23,7 @@ from gran_bench.sweep.run_file import (
     read_runs,
     recorded_runs,
 )
-from gran_bench.sweep.standing import read_standing, standing
+from gran_bench.sweep.standing import read_standing, standing, unequal_updates
 from gran_bench.sweep.sweep_file import SweepFile, SweepJob, read_sweep
 from gran_bench.sweep.sweep_report import report_sweep
 from gran_bench.sweep.table import axes_of, best_choices, choices_frame, newest, runs_frame, shown_table
@@ -224,6 +224,25 @@ def test_every_page_counts_waiting_jobs_alike(tmp_path: Path):
     assert "2 runs finished, 0 failed, 1 wait" in report_sweep(folder).text
     assert "2 runs finished, 0 failed, 1 wait" in write_overview(tmp_path).read_text("utf-8")
     assert read_records(tmp_path).waiting == {"sweep_radius": 1}
+
+
+def test_the_page_says_where_equal_time_bought_unequal_updates_of_one_model(tmp_path: Path):
+    def trained(model: str, seed: int, steps: int, stopped_by: str = "time") -> RunFile:
+        one = run("0.1", seed, 1.0, name=f"{model}-{seed}", training={"steps": steps, "stopped_by": stopped_by})
+        return replace(one, key=one.run, choices={"model": model, "seed": str(seed)})
+
+    runs = [
+        trained("contact", 0, 1000),
+        trained("contact", 1, 1501),
+        trained("radial", 0, 200),
+        trained("radial", 1, 300),
+    ]
+    sweep_in(tmp_path, *runs)
+    text = report_sweep(tmp_path).text
+    assert "Equal processor time bought `contact` 1000 to 1501 updates: compare with care." in text
+    assert "`radial` 200" not in text
+    assert "| updates" in text
+    assert unequal_updates([trained("contact", 0, 10, "steps"), trained("contact", 1, 90, "steps")]) == []
 
 
 def test_the_page_lists_what_does_not_count(tmp_path: Path):

@@ -21,6 +21,8 @@ DATA_CHOICES = ("experiment", "scene", "dem", "dataset")
 JUDGE_CHOICES = (*DATA_CHOICES, "judge")
 BUDGET_CHOICES = ("experiment", "trainer")
 
+UNEQUAL = 1.5  # times the updates, from which on a sweep's page speaks of it
+
 
 @dataclass(frozen=True)
 class Standing:
@@ -128,6 +130,25 @@ def _of_superseded_code(run: RunFile, named: Sequence[RunFile], superseded: Sequ
 
 def _package_code(run: RunFile) -> str | None:
     return run.facts.get("provenance", {}).get("code_digest")
+
+
+def unequal_updates(runs: Sequence[RunFile]) -> list[str]:
+    """A sentence for each model whose runs made very different numbers of updates in the same processor time.
+
+    Args:
+        runs: that stand beside each other.
+    """
+    updates: dict[tuple[str, str], list[int]] = {}
+    for run in runs:
+        if run.training.get("stopped_by") == "time":
+            alike = model_of(run), str(_chosen(run, BUDGET_CHOICES))
+            updates.setdefault(alike, []).append(run.training["steps"])
+    return [
+        f"Equal processor time bought {f'`{model}` ' if model else ''}{min(found)} to {max(found)} updates: "
+        "compare with care."
+        for (model, _), found in updates.items()
+        if max(found) > UNEQUAL * min(found)
+    ]
 
 
 def model_of(run: RunFile) -> str:
