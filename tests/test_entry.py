@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -10,15 +11,17 @@ from pathlib import Path
 import pytest
 
 import gran_bench.conf
-from gran_bench.composition import Source, changed_in, described_jobs, run_folder
+from gran_bench.composition import Source, changed_in, described_jobs, run_folder, swept_keys
 from gran_bench.config import TrainConfig
 from gran_bench.config_rules import ConfigError
 from gran_bench.entry import run
 from gran_bench.job import FAILED, REFUSED, complain
 from gran_bench.scene import SceneError
 from gran_bench.state import StateError
+from gran_bench.sweep_run import open_sweep
 
 CONF = Path(gran_bench.conf.__path__[0])
+RESULTS = Path(__file__).parents[1] / "results" / "sweeps"
 PROBE = """
 import gran_bench.conf
 from gran_bench.config import TrainConfig
@@ -256,6 +259,48 @@ def test_what_a_command_changes_is_its_choices_without_places_and_the_recipes_na
 )
 def test_a_run_folder_is_named_after_what_was_changed(overrides, folder):
     assert run_folder("smoke", overrides) == folder
+
+
+def test_every_key_that_is_swept_is_a_choice_and_in_the_name_and_what_is_fixed_is_named_as_ever():
+    jobs = jobs_of("+experiment=smoke", "trainer.budget=time", "trainer.minutes=1,4", "dataset.root=x", "seed=0")
+    swept = swept_keys(jobs)
+    assert swept == {"trainer.minutes"}
+    names = [run_folder("smoke", job, swept) for job in jobs]
+    assert names == [f"smoke+seed-0+trainer.budget-time+trainer.minutes-{minutes}" for minutes in (1, 4)]
+    assert changed_in(jobs[1], swept) == ["seed=0", "trainer.budget=time", "trainer.minutes=4"]
+    recipes = swept_keys(jobs_of("+experiment=smoke,holdout30rpm"))
+    assert changed_in(["+experiment=smoke"], recipes) == ["experiment=smoke"]
+    assert run_folder("smoke", ["+experiment=smoke"], recipes) == "smoke"
+
+
+@pytest.mark.parametrize("name", ["sweep_loss", "sweep_radius", "sweep_rollout"])
+def test_runs_of_the_shipped_sweeps_keep_their_names(name):
+    jobs = jobs_of(f"+experiment={name}")
+    names = {run_folder(name, job, swept_keys(jobs)) for job in jobs}
+    committed = [job["run"] for job in json.loads((RESULTS / name / "sweep.json").read_text("utf-8"))["jobs"]]
+    assert set(committed) <= names
+    assert len(names) == len(jobs)
+
+
+@pytest.mark.parametrize(
+    ("swept", "told"),
+    [
+        ("trainer.minutes=1,4", "trainer.minutes=1 and trainer.minutes=4"),
+        ("judge.speeds_rpm=[20],[20.0]", "decides nothing there"),
+        ("seed=3,3", "a value is given twice"),
+    ],
+)
+def test_two_jobs_that_would_be_the_same_run_are_refused_before_any_work(monkeypatch, capsys, tmp_path, swept, told):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(os.environ, "HYDRA_FULL_ERROR", "1")
+    monkeypatch.setattr(sys, "argv", ["probe", "-m", "+experiment=smoke", swept])
+    with pytest.raises(SystemExit) as ending:
+        run(lambda config: pytest.fail("the task ran"), "train", TrainConfig, sweep=open_sweep)
+    assert ending.value.code == REFUSED
+    said = capsys.readouterr().err
+    assert told in said
+    assert "tracking.sweep=NAME" in said
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_long_commands_keep_a_folder_of_their_own():

@@ -214,6 +214,28 @@ def test_a_difference_that_seeds_alone_give_is_no_reach():
     assert "angle error, floors" not in {reach.figure for reach in largest(reaches(blurred))}
 
 
+def test_a_single_seed_a_choice_ranks_nothing_and_the_page_says_how_many_rows_have_one(tmp_path: Path):
+    single = [run("0.08", 0, 1.0), run("0.1", 0, 4.0)]
+    assert largest(reaches(single)) == []
+    for one in single:
+        one.write(tmp_path / "sweeps/sweep_radius")
+    section = pure(tmp_path).partition("## What matters")[2].partition("##")[0]
+    assert "4 of 4 have one seed a choice and are not ranked here" in section
+    assert "(sweeps/README.md)" in section
+    assert "worst / best" not in section
+
+
+def test_the_time_of_a_frame_counts_only_where_the_network_has_other_work():
+    def figures(axis: str) -> set[str]:
+        runs = [replace(one, choices={axis: one.run}) for one in (run("0.08", 0, 1.0), run("0.1", 0, 4.0))]
+        return {reach.figure for reach in reaches(runs)}
+
+    for axis in ("model", "model.radius", "boundary", "+model.radius"):
+        assert "a frame, ms" in figures(axis)
+    for axis in ("loss", "rollout", "optim.learning_rate", "trainer.minutes"):
+        assert figures(axis) == {"angle error, floors", "speed W1, floors", "position error, 10 frames, mm"}
+
+
 def test_lammps_is_held_against_as_many_cores():
     columns = ("solver", "cores", "median_us")
     rows = [("gran-bench numba", 1, 100), ("LAMMPS, skin 3", 1, 600), ("LAMMPS, skin 5", 1, 500)]
@@ -235,12 +257,13 @@ def test_every_section_speaks_where_every_record_is_there(tmp_path: Path, found:
     made = {"command": "train", "commit": "abc", "hardware": "two cores"}
     write("holdout30rpm/summary.json", summary | {"provenance": made, "training": summary["training"] | made})
     write("benchmark/quick/drum/benchmark.json", found)
-    for one in (run("0.08", 0, 1.0), run("0.1", 0, 4.0), lost("0.2", 0)):
+    finished = [run(radius, seed, 50 * float(radius) + 0.1 * seed) for radius in ("0.08", "0.1") for seed in (0, 1)]
+    for one in (*finished, lost("0.2", 0)):
         one.write(tmp_path / "sweeps/sweep_radius")
     text = pure(tmp_path)
     assert "| net | 0.6 | 0.6 | 1.80 |" in text
     assert "the fastest is **DEM 0.2 ms**" in text
     assert "| [sweep_radius](sweeps/sweep_radius/README.md) |" in text
     assert "1 of 4 methods failed: DEM 5 ms (sphere 3 diverged)" in text
-    assert "1 of 3 runs failed" in text
+    assert "1 of 5 runs failed" in text
     assert ("rollout 30rpm broke down at frame 20" in text) == fails

@@ -11,9 +11,11 @@ import pytest
 from test_run_summary import SCENE, broken, flowing, summary_of
 
 from gran_bench.front_page.command import report_command
+from gran_bench.front_page.records import read_records
 from gran_bench.run_summary import headline
 from gran_bench.sweep.overview import reaches, write_overview
 from gran_bench.sweep.run_file import (
+    MADE,
     RunFile,
     SweepFileError,
     failed_run,
@@ -21,9 +23,12 @@ from gran_bench.sweep.run_file import (
     read_runs,
     recorded_runs,
 )
+from gran_bench.sweep.standing import read_standing, standing, unequal_updates
 from gran_bench.sweep.sweep_file import SweepFile, SweepJob, read_sweep
 from gran_bench.sweep.sweep_report import report_sweep
 from gran_bench.sweep.table import axes_of, best_choices, choices_frame, newest, runs_frame, shown_table
+
+RESULTS = Path(__file__).parents[1] / "results"
 
 
 def run(radius: str, seed: int, angle: float, w1: float = 0.1, name: str = "", **changes) -> RunFile:
@@ -125,6 +130,128 @@ def test_a_newer_run_of_the_same_choices_takes_the_place_of_an_older_one():
     old = run("0.08", 0, 9.0)
     new = replace(run("0.08", 0, 1.0), key="f" * 12, ended_at="2026-01-01T00:00:00+00:00")
     assert newest([new, old]) == ([new], [old])
+
+
+# ---- which runs count --------------------------------------------------------------------------------------
+
+
+def job_of(one: RunFile) -> SweepJob:
+    return SweepJob(one.run, one.key, one.judged_by, one.choices, one.seed)
+
+
+def sweep_of(*runs: RunFile) -> SweepFile:
+    return SweepFile("mine", "k", "python -m gran_bench.train -m ...", "gran-bench", [job_of(one) for one in runs])
+
+
+def made(one: RunFile, code: str = "c1", budget: str = "2 min", **facts) -> RunFile:
+    """A run that says what it was made with."""
+    with_what = {"model": "contact", "training_code": {"contact": code, "radial": "r"}, "budget": budget}
+    return replace(one, facts=one.facts | {MADE: with_what | {"judging_code": "j"}} | facts)
+
+
+def test_a_run_with_another_key_than_its_job_does_not_count_and_the_job_waits():
+    old, other = run("0.08", 0, 9.0), run("0.1", 0, 1.0)
+    job = replace(old, key="f" * 12)
+    stands = standing(sweep_of(job, other), [old, other])
+    assert (stands.counted, stands.others) == ([other], [old])
+    assert stands.waiting == [job_of(job)]
+    assert standing(sweep_of(replace(old, judged_by="k")), [old]).counted == []
+
+
+def test_runs_of_an_earlier_command_of_the_same_code_count_though_the_last_one_does_not_list_them():
+    contact, radial = (
+        replace(made(run("0.08", 0, 1.0)), run=model, key=model, choices={"model": model})
+        for model in ("contact", "radial")
+    )
+    stands = standing(sweep_of(radial), [contact, radial])
+    assert (stands.counted, stands.others, stands.waiting) == ([contact, radial], [], [])
+
+
+@pytest.mark.parametrize(
+    "earlier",
+    [
+        made(run("0.1", 1, 1.0), code="c0"),
+        made(run("0.1", 1, 1.0), budget="4 min"),
+        made(run("0.1", 1, 1.0), data_digest="other data"),
+        replace(made(run("0.1", 1, 1.0)), judged_by="another judge"),
+        run("0.1", 1, 1.0, training={"stopped_by": "time"}, facts={"provenance": {"command": "t trainer.minutes=4"}}),
+        replace(made(lost("0.1", 1)), facts=made(lost("0.1", 1), code="c0").facts),
+    ],
+    ids=["code", "budget", "data", "judge", "minutes typed", "failed"],
+)
+def test_a_run_of_an_earlier_command_does_not_count_where_it_says_that_it_was_made_otherwise(earlier: RunFile):
+    command = {"provenance": {"command": "t trainer.minutes=2"}}
+    now = made(run("0.1", 0, 1.0, training={"stopped_by": "time"}), data_digest="data", **command)
+    stands = standing(sweep_of(now), [earlier, now])
+    assert (stands.counted, stands.others) == ([now], [earlier])
+
+
+def test_choices_of_data_and_budget_may_change_data_and_budget():
+    now = made(run("0.1", 0, 1.0), data_digest="of the drum")
+    chosen = {"scene": "drum_small", "trainer": "quick", "seed": "0"}
+    other = made(run("0.1", 0, 1.0), budget="1 min", data_digest="of a small drum")
+    other = replace(other, choices=chosen, judged_by="there")
+    assert standing(sweep_of(now), [now, other]).others == []
+
+
+def test_where_code_is_not_said_runs_share_the_fate_of_others_of_that_code():
+    old = {"provenance": {"code_digest": "old"}}
+    replaced, orphan = run("0.08", 0, 9.0, facts=old), run("0.08", 1, 9.0, facts=old)
+    now = replace(run("0.08", 0, 1.0, facts={"provenance": {"code_digest": "new"}}), key="f" * 12)
+    assert standing(sweep_of(now), [replaced, orphan, now]).counted == [now]
+    same_code = replace(now, facts=old)
+    assert standing(sweep_of(same_code), [replaced, orphan, same_code]).counted == [same_code, orphan]
+
+
+def test_every_committed_run_counts():
+    counts = {}
+    for folder in sorted((RESULTS / "sweeps").glob("sweep_*")):
+        stands = read_standing(folder)
+        assert stands.others == []
+        counts[folder.name] = len(stands.counted)
+    assert counts["sweep_loss"] >= 9
+    assert counts["sweep_radius"] >= 6
+    assert counts["sweep_rollout"] >= 14
+
+
+def test_every_page_counts_waiting_jobs_alike(tmp_path: Path):
+    folder = tmp_path / "sweeps" / "sweep_radius"
+    # A job waits although as many runs have ended as there are jobs: one is of another command.
+    waits, now, earlier = run("0.2", 0, 1.0), run("0.1", 0, 1.0), run("0.08", 0, 1.0)
+    sweep_in(folder, now, waits)
+    (folder / "runs" / waits.file_name).unlink()
+    earlier.write(folder)
+    assert "2 runs finished, 0 failed, 1 wait" in report_sweep(folder).text
+    assert "2 runs finished, 0 failed, 1 wait" in write_overview(tmp_path).read_text("utf-8")
+    assert read_records(tmp_path).waiting == {"sweep_radius": 1}
+
+
+def test_the_page_says_where_equal_time_bought_unequal_updates_of_one_model(tmp_path: Path):
+    def trained(model: str, seed: int, steps: int, stopped_by: str = "time") -> RunFile:
+        one = run("0.1", seed, 1.0, name=f"{model}-{seed}", training={"steps": steps, "stopped_by": stopped_by})
+        return replace(one, key=one.run, choices={"model": model, "seed": str(seed)})
+
+    runs = [
+        trained("contact", 0, 1000),
+        trained("contact", 1, 1501),
+        trained("radial", 0, 200),
+        trained("radial", 1, 300),
+    ]
+    sweep_in(tmp_path, *runs)
+    text = report_sweep(tmp_path).text
+    assert "Equal processor time bought `contact` 1000 to 1501 updates: compare with care." in text
+    assert "`radial` 200" not in text
+    assert "| updates" in text
+    assert unequal_updates([trained("contact", 0, 10, "steps"), trained("contact", 1, 90, "steps")]) == []
+
+
+def test_the_page_lists_what_does_not_count(tmp_path: Path):
+    old, now = run("0.08", 0, 9.0), replace(run("0.08", 0, 1.0), key="f" * 12)
+    sweep_in(tmp_path, now)
+    old.write(tmp_path)
+    text = report_sweep(tmp_path).text
+    assert "1 runs finished" in text
+    assert re.search(rf"## Not counted, of other code or data\n\n.+\n\n- `{re.escape(old.file_name)}`", text)
 
 
 # ---- the page --------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -176,19 +176,46 @@ def checked_config(composed: DictConfig, schema: type[Config]) -> Config:
     return config
 
 
-def changed_in(overrides: Sequence[str]) -> list[str]:
-    """The overrides, sorted and without ``+``, that change what is trained; the recipe's name is not among them."""
+def swept_keys(jobs: Sequence[Sequence[str]]) -> frozenset[str]:
+    """The keys that the jobs of a sweep have more than one value of.
+
+    Args:
+        jobs: overrides of each.
+    """
+    values: dict[str, set[str]] = {}
+    for overrides in jobs:
+        for line in overrides:
+            key, _, value = line.lstrip("+~").partition("=")
+            values.setdefault(key, set()).add(value)
+    return frozenset(key for key, found in values.items() if len(found) > 1)
+
+
+def changed_in(overrides: Sequence[str], swept: Collection[str] = ()) -> list[str]:
+    """The overrides, sorted and without ``+``, that change what is trained; the recipe's name is not among them.
+
+    Args:
+        overrides: of one job.
+        swept: keys that tell jobs of a sweep apart, so that they are named whatever they decide.
+    """
     return sorted(
         line.lstrip("+~")
         for line in overrides
-        if not any(re.match(rf"{re.escape(key)}(?=[=./@]|$)", line.lstrip("+~")) for key in UNNAMED)
+        if line.lstrip("+~").partition("=")[0] in swept
+        or not any(re.match(rf"{re.escape(key)}(?=[=./@]|$)", line.lstrip("+~")) for key in UNNAMED)
     )
 
 
-def run_folder(experiment: str, overrides: Sequence[str]) -> str:
-    """The folder of a run: the recipe's name, then what was changed in it, so that no two different runs share one."""
+def run_folder(experiment: str, overrides: Sequence[str], swept: Collection[str] = ()) -> str:
+    """The folder of a run: the recipe's name, then what was changed in it, so that no two different runs share one.
+
+    Args:
+        experiment: the recipe's name.
+        overrides: of the run.
+        swept: keys that are named whatever they decide, as in `changed_in`; the recipe is named already.
+    """
+    changed = changed_in(overrides, set(swept) - {"experiment"})
     # Only letters that a path in a Hydra override may have without quotes.
-    name = re.sub(r"[^\w.+-]", "_", "+".join([experiment, *changed_in(overrides)]).replace("=", "-"))
+    name = re.sub(r"[^\w.+-]", "_", "+".join([experiment, *changed]).replace("=", "-"))
     if len(name) > LONGEST_FOLDER:
         digest = hashlib.sha256(name.encode()).hexdigest()[:8]
         name = f"{name[: LONGEST_FOLDER - 9]}-{digest}"

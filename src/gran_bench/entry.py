@@ -27,6 +27,7 @@ from gran_bench.composition import (
     compose,
     described_jobs,
     run_folder,
+    swept_keys,
 )
 from gran_bench.config_rules import ConfigError
 from gran_bench.job import FAILED, REFUSED, Job, complain
@@ -87,7 +88,8 @@ def run(
             if described.apart:
                 load_ahead(loads)
             if sweep is not None and described.complete:
-                name = run_folder(configs[0].experiment, arguments.overrides)
+                swept = swept_keys([overrides for overrides, _ in described.jobs])
+                name = run_folder(configs[0].experiment, arguments.overrides, swept)
                 around = sweep(_planned(described, configs), name)
         with around as job.sweep:
             _run_in_hydra(job, config_name)
@@ -118,12 +120,12 @@ def _run_in_hydra(job: Job, config_name: str) -> None:
 
 
 def _planned(described: Described, configs: Sequence[Any]) -> list[PlannedJob]:
-    """The jobs of a sweep, each with the name of its run."""
-    planned = []
+    """The jobs of a sweep, each with the name of its run, which has every swept key in it."""
+    swept, planned = swept_keys([overrides for overrides, _ in described.jobs]), []
     for (overrides, _), config in zip(described.jobs, configs, strict=True):
-        run_name = config.tracking.folder or run_folder(config.experiment, overrides)
+        run_name = config.tracking.folder or run_folder(config.experiment, overrides, swept)
         config.tracking.folder = run_name
-        choices = dict(line.partition("=")[::2] for line in changed_in(overrides))
+        choices = dict(line.partition("=")[::2] for line in changed_in(overrides, swept))
         planned.append(PlannedJob(run_name, choices, config))
     return planned
 

@@ -90,7 +90,7 @@ class Job:
             return
         remember_command([*self.typed, *overrides])
         if self.sweep is None:
-            self.task(self._config(composed, overrides))
+            self.task(self._config(composed, overrides, number))
             return
         sweep, title = self.sweep, self.sweep.title(number)
         take_over(sweep.hashes)
@@ -98,7 +98,7 @@ class Job:
         try:
             with sweep.logged(number, apart):
                 try:
-                    summary = self.task(self._config(composed, overrides))
+                    summary = self.task(self._config(composed, overrides, number))
                 except Exception as error:
                     complain(error, self.schema)  # into the log; the terminal hears it from whoever called
                     raise
@@ -109,12 +109,13 @@ class Job:
         found = ", ".join(f"{name} {value:.3g}" for name, value in left.figures.items() if value is not None)
         print(f"{title} finished: {found}", file=sys.stderr, flush=True)
 
-    def _config(self, composed: DictConfig, overrides: Sequence[str]) -> Any:
+    def _config(self, composed: DictConfig, overrides: Sequence[str], number: int) -> Any:
         config = checked_config(composed, self.schema)
         if isinstance(config, TrainConfig):
-            config.tracking.folder = config.tracking.folder or run_folder(config.experiment, overrides)
             if self.sweep is not None:
+                config.tracking.folder = self.sweep.jobs[number].run
                 config.tracking.parent = self.sweep.parent
+            config.tracking.folder = config.tracking.folder or run_folder(config.experiment, overrides)
         return config
 
     def _complain(self, error: Exception, number: int, words: str) -> None:

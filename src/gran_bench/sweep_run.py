@@ -15,16 +15,18 @@ from typing import Any, TextIO
 
 from gran_bench import tracking
 from gran_bench.atomic import locked
-from gran_bench.code_identity import taken_hashes
+from gran_bench.code_identity import MODEL_SOURCES, judging_code, taken_hashes, training_code
 from gran_bench.composition import PlannedJob
 from gran_bench.config import TrackingConfig, TrainConfig
+from gran_bench.config_identity import deciding_keys
+from gran_bench.config_rules import ConfigError
 from gran_bench.dataset import DatasetError
 from gran_bench.provenance import command, commit
-from gran_bench.run_identity import RunIdentity, hash_of, identify, wants_more
+from gran_bench.run_identity import RunIdentity, hash_of, identify, judged_by, judging_plan, wants_more
 from gran_bench.run_record import Clock, RunRecord, finished_summary, tell
 from gran_bench.run_summary import headline
 from gran_bench.stopping import stop_on_signals
-from gran_bench.sweep.run_file import SWEEPS, RunFile, failed_run, finished_run, now, read_run, recorded_runs
+from gran_bench.sweep.run_file import MADE, SWEEPS, RunFile, failed_run, finished_run, now, read_run, recorded_runs
 from gran_bench.sweep.sweep_file import SweepFile, SweepJob
 from gran_bench.sweep.sweep_report import SweepReport, log_report, report_sweep
 from gran_bench.sweep_data import make_data
@@ -40,6 +42,7 @@ class Sweep:
         parent: id of the parent run; None without tracking.
         done: why a job has nothing to do, by number.
         hashes: of the source that the sweep began with.
+        made_with: model, code and budget, by number: what tells runs that may stand in one table.
     """
 
     folder: Path
@@ -47,6 +50,7 @@ class Sweep:
     parent: str | None = None
     done: dict[int, str] = field(default_factory=dict)
     hashes: dict[str, str] = field(default_factory=dict)
+    made_with: tuple[dict[str, Any], ...] = ()
 
     def title(self, number: int) -> str:
         """A job for people."""
@@ -82,14 +86,14 @@ class Sweep:
 
     def finished(self, number: int, summary: dict[str, Any]) -> RunFile:
         """Keep what a job found."""
-        left = _finished(self.jobs[number], summary)
+        left = _finished(self.jobs[number], summary, self.made_with[number])
         left.write(self.folder)
         return left
 
     def failed(self, number: int, reason: str) -> None:
         """Keep why a job failed."""
         job = self.jobs[number]
-        facts = {"log": job.log_name}
+        facts = {"log": job.log_name, MADE: self.made_with[number]}
         left = failed_run(job.run, job.key, job.judged_by, job.choices, job.seed, reason, facts)
         try:
             left.write(self.folder)
@@ -121,9 +125,11 @@ def open_sweep(planned: Sequence[PlannedJob], name: str) -> Iterator[Sweep]:
         name: of its folder, unless the config names one.
 
     Raises:
+        ConfigError: two jobs are the same run.
         TrackingError: the store cannot be opened; or, at the end, something could not be recorded.
         SweepFileError: a file of an earlier sweep is damaged.
     """
+    _refuse_twins(planned)
     config: TrackingConfig = planned[0].config.tracking
     root = Path(config.root).resolve()
     folder = root / SWEEPS / (config.sweep or name)
@@ -136,7 +142,8 @@ def open_sweep(planned: Sequence[PlannedJob], name: str) -> Iterator[Sweep]:
         SweepFile(folder.name, key, command(), config.experiment, list(jobs)).write(folder)
         summaries = _finished_here(planned, identities)
         done = _done(root, folder, planned, identities, jobs, summaries)
-        sweep = Sweep(folder, jobs, done=done, hashes=taken_hashes())
+        made_with = tuple(_made_with(job.config) for job in planned)
+        sweep = Sweep(folder, jobs, done=done, hashes=taken_hashes(), made_with=made_with)
         with tracking.open_run(config, folder.name, key, _axes(planned), _tags(folder)) as parent:
             sweep = replace(sweep, parent=parent.run_id)
             _schedule(sweep, planned, identities, summaries)
@@ -151,6 +158,23 @@ def open_sweep(planned: Sequence[PlannedJob], name: str) -> Iterator[Sweep]:
 # ---- before the jobs -------------------------------------------------------------------------------------
 
 
+def _refuse_twins(planned: Sequence[PlannedJob]) -> None:
+    """Refuse two jobs that would be the same run, before any data is made: they would do one run's work twice."""
+    first: dict[tuple[str, str], PlannedJob] = {}
+    for job in planned:
+        # Which data a run is trained on follows from its config too.
+        identity = hash_of(deciding_keys(job.config)), judged_by(judging_plan(job.config))
+        twin = first.setdefault(identity, job)
+        if twin is not job:
+            keys = [key for key in sorted(job.choices) if job.choices[key] != twin.choices.get(key)]
+            one, other = (" ".join(f"{key}={it.choices.get(key)}" for key in keys) or it.run for it in (twin, job))
+            why = f"{' and '.join(keys)} decides nothing there" if keys else "a value is given twice"
+            raise ConfigError(
+                f"{one} and {other}: two jobs of the sweep ({job.run}) would be the same run, because {why}; leave it "
+                "out of this sweep, or sweep it where it decides, by a command of its own with tracking.sweep=NAME"
+            )
+
+
 def _identity(config: TrainConfig) -> RunIdentity | None:
     """Who a run is; None where its data are not there, which its job will say."""
     try:
@@ -160,8 +184,8 @@ def _identity(config: TrainConfig) -> RunIdentity | None:
 
 
 def _sweep_job(planned: PlannedJob, identity: RunIdentity | None) -> SweepJob:
-    key, judged_by = (identity.key, identity.judged_by) if identity else ("", "")
-    return SweepJob(planned.run, key, judged_by, planned.choices, planned.config.seed)
+    key, judge = (identity.key, identity.judged_by) if identity else ("", "")
+    return SweepJob(planned.run, key, judge, planned.choices, planned.config.seed)
 
 
 def _finished_here(
@@ -191,17 +215,28 @@ def _done(
         if number in summaries:
             done[number] = f"finished before; its figures and summary are in {identity.folder}"
             if path != folder / "runs" / job.file_name:
-                _finished(job, summaries[number]).write(folder)
+                _finished(job, summaries[number], _made_with(planned[number].config)).write(folder)
         elif path is not None and not wants_more(planned[number].config, read_run(path).training):
             done[number] = f"finished before; its record is {path}"
             replace(read_run(path), run=job.run, choices=job.choices).write(folder)
     return done
 
 
-def _finished(job: SweepJob, summary: dict[str, Any]) -> RunFile:
+def _made_with(config: TrainConfig) -> dict[str, Any]:
+    """What has to be the same for runs to stand in one table; the code of every model, for runs of other commands."""
+    training, time = config.trainer, config.trainer.budget == "time"
+    return {
+        "model": config.model.name,
+        "training_code": {model: training_code(model) for model in MODEL_SOURCES},
+        "judging_code": judging_code(),
+        "budget": f"{training.minutes:g} min" if time else f"{training.steps} updates",
+    }
+
+
+def _finished(job: SweepJob, summary: dict[str, Any], made_with: dict[str, Any]) -> RunFile:
     figures = headline(summary)
     left = finished_run(job.run, job.key, job.choices, job.seed, summary, figures["requirements failed"])
-    return replace(left, facts=left.facts | {"headline": figures, "log": job.log_name})
+    return replace(left, facts=left.facts | {"headline": figures, "log": job.log_name, MADE: made_with})
 
 
 def _axes(planned: Sequence[PlannedJob]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from gran_bench.front_page.records import Records
 from gran_bench.sweep.overview import Reach, reaches
@@ -22,28 +22,37 @@ def influence_section(records: Records, mark: Callable[[str], str]) -> Iterator[
     if not records.sweeps:
         yield "No sweep has been made yet; `python -m gran_bench.train -m +experiment=sweep_radius` is one of four."
         return
+    found = [(name, reach) for name, runs in records.sweeps.items() for reach in reaches(runs)]
+    single = sum(reach.one_seed for _, reach in found)
     yield (
         f"The largest reaches of each sweep, everything else alike, means over seeds; those of less than {CERTAIN:g} "
         "times the spread between seeds are left out. [All of them](sweeps/README.md)."
     )
+    if single:
+        yield (
+            f"{single} of {len(found)} have one seed a choice and are not ranked here: nothing says what chance alone "
+            "would give."
+        )
+    shown = [(name, reach) for name in records.sweeps for reach in largest(r for sweep, r in found if sweep == name)]
     yield ""
+    if not shown:
+        yield "None is left."
+        return
     yield "| sweep | beside | figure | best | worst | worst / best | spread |"
     yield "|---|---|---|---|---|---:|---:|"
-    for name, runs in records.sweeps.items():
-        for reach in largest(reaches(runs)):
-            best, worst = (f"{choice} ({value:.3g})" for choice, value in (reach.best, reach.worst))
-            lost = f"; no figure: {', '.join(reach.lost)}" if reach.lost else ""
-            spread = "one seed" if math.isnan(reach.spread) else f"{reach.spread:.2g}"
-            cells = [f"[{name}](sweeps/{name}/README.md){mark(name)}", reach.beside, reach.figure, best, worst + lost]
-            yield f"| {' | '.join([*cells, f'{reach.factor:.2f}', spread])} |"
+    for name, reach in shown:
+        best, worst = (f"{choice} ({value:.3g})" for choice, value in (reach.best, reach.worst))
+        lost = f"; no figure: {', '.join(reach.lost)}" if reach.lost else ""
+        cells = [f"[{name}](sweeps/{name}/README.md){mark(name)}", reach.beside, reach.figure, best, worst + lost]
+        yield f"| {' | '.join([*cells, f'{reach.factor:.2f}', f'{reach.spread:.2g}'])} |"
 
 
-def largest(found: Iterator[Reach]) -> list[Reach]:
+def largest(found: Iterable[Reach]) -> list[Reach]:
     """The reaches with the largest ratio of worst to best that seeds alone do not give."""
     certain = [reach for reach in found if _counts(reach) and math.isfinite(reach.factor)]
     return sorted(certain, key=lambda reach: -reach.factor)[:SHOWN]
 
 
 def _counts(reach: Reach) -> bool:
-    """Whether the difference is more than chance; a single seed a choice leaves that open, and the row says so."""
-    return math.isnan(reach.spread) or reach.worst[1] - reach.best[1] > CERTAIN * reach.spread
+    """Whether the difference is more than chance, which a single seed a choice cannot say."""
+    return not reach.one_seed and reach.worst[1] - reach.best[1] > CERTAIN * reach.spread

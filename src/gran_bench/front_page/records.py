@@ -15,9 +15,9 @@ from gran_bench.code_identity import COMPARING, JUDGING, MODEL_SOURCES, TRAINING
 from gran_bench.comparison.results import read_all
 from gran_bench.provenance import read_origin
 from gran_bench.run_summary import read_summary
-from gran_bench.sweep.run_file import SWEEPS, RunFile, read_runs
+from gran_bench.sweep.run_file import SWEEPS, RunFile
+from gran_bench.sweep.standing import read_standing
 from gran_bench.sweep.sweep_file import read_sweep
-from gran_bench.sweep.table import newest
 
 # What is committed. A reader's own runs and sweeps lie beside these and are not on the page.
 RUNS = ("holdout30rpm", "paper")
@@ -102,11 +102,9 @@ def read_records(root: Path) -> Records:
             stress = list(csv.DictReader(file))
     benchmarks, sweeps, waiting = read_all(root / BENCHMARK), {}, {}
     for name in SHIPPED_SWEEPS:
-        counted, _ = newest(read_runs(root / SWEEPS / name))
-        sweep = read_sweep(root / SWEEPS / name)
-        if counted:
-            sweeps[name] = counted
-            waiting[name] = max(len(sweep.jobs) - len(counted), 0) if sweep else 0
+        stands = read_standing(root / SWEEPS / name)
+        if stands.counted:
+            sweeps[name], waiting[name] = stands.counted, len(stands.waiting)
     origins = [
         *_run_origins(runs),
         *_verification_origin(verification),

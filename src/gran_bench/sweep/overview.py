@@ -10,9 +10,10 @@ from pathlib import Path
 import pandas as pd
 
 from gran_bench.atomic import write_text
-from gran_bench.sweep.run_file import FAILED, FINISHED, SWEEPS, RunFile, read_runs
-from gran_bench.sweep.sweep_file import read_sweep, sweep_folders
-from gran_bench.sweep.table import COLUMNS, axes_of, newest, runs_frame
+from gran_bench.sweep.run_file import FAILED, FINISHED, SWEEPS, RunFile
+from gran_bench.sweep.standing import read_standing
+from gran_bench.sweep.sweep_file import sweep_folders
+from gran_bench.sweep.table import COLUMNS, axes_of, runs_frame
 
 OVERVIEW = "README.md"
 REMARKS = "remarks.md"  # a person's words beside the page, put before its table
@@ -23,6 +24,9 @@ ERRORS = (
     "position_error_10_frames_mm",
     "ms_per_frame",
 )
+TIME = "ms_per_frame"
+# Sections of the config that change the work of a frame. Under other keys networks are the same, and times scatter.
+WORK = ("experiment", "model", "boundary", "scene", "threads", "device")
 
 
 @dataclass(frozen=True)
@@ -48,13 +52,25 @@ class Reach:
     lost: tuple[str, ...]
 
     @property
+    def one_seed(self) -> bool:
+        """Whether every choice has one seed, so that nothing says what chance alone would give."""
+        return math.isnan(self.spread)
+
+    @property
     def factor(self) -> float:
         """Worst over best."""
         return self.worst[1] / self.best[1] if self.best[1] > 0 else math.nan
 
 
+def changes_work(axis: str) -> bool:
+    """Whether a swept key changes what a frame costs: the network, or what it is given to step."""
+    return any(axis.lstrip("+") == key or axis.lstrip("+").startswith((f"{key}.", f"{key}/")) for key in WORK)
+
+
 def reaches(runs: Sequence[RunFile]) -> Iterator[Reach]:
     """For each swept key, each choice of the others and each error: how far that key moves it.
+
+    The time of a frame is a figure only of keys that change its work.
 
     Args:
         runs: of one sweep, each choice and seed once.
@@ -68,6 +84,8 @@ def reaches(runs: Sequence[RunFile]) -> Iterator[Reach]:
             values = values if isinstance(values, tuple) else (values,)
             beside = ", ".join(f"{other}={value}" for other, value in zip(others, values, strict=True))
             for name in ERRORS:
+                if name == TIME and not changes_work(axis):
+                    continue
                 found = _reach(group, axis, name)
                 if found is not None:
                     yield Reach(axis, beside, headings[name], *found)
@@ -106,17 +124,18 @@ def write_overview(root: Path) -> Path | None:
     remarks = root / SWEEPS / REMARKS
     if remarks.exists():
         lines += [remarks.read_text("utf-8").strip(), ""]
+    found = [(folder.name, reach) for folder in folders for reach in reaches(read_standing(folder).counted)]
+    single = sum(reach.one_seed for _, reach in found)
     lines += [
         "Each row: one swept key, everything else alike. Means over seeds; *spread* is the standard deviation between "
         "seeds of one choice, and a difference of less than twice that means nothing. A floor is the DEM against "
-        "itself. Where a choice has one seed, take the spread of another row of the same model as a guide.",
+        f"itself. {single} of {len(found)} rows have one seed a choice: nothing says what chance alone would give, so "
+        "they are no finding. The time of a frame stands only beside keys that change its work.",
         "",
         "| sweep | beside | figure | best | worst | worst / best | spread |",
         "|---|---|---|---|---|---:|---:|",
     ]
-    for folder in folders:
-        runs, _ = newest(read_runs(folder))
-        lines += [_row(folder.name, reach) for reach in reaches(runs)]
+    lines += [_row(name, reach) for name, reach in found]
     for folder in folders:
         lines += ["", *_section(folder)]
     path = root / SWEEPS / OVERVIEW
@@ -126,7 +145,7 @@ def write_overview(root: Path) -> Path | None:
 
 def _row(name: str, reach: Reach) -> str:
     best, worst = (f"{choice} ({value:.3g})" for choice, value in (reach.best, reach.worst))
-    spread = "one seed" if math.isnan(reach.spread) else f"{reach.spread:.2g}"
+    spread = "one seed" if reach.one_seed else f"{reach.spread:.2g}"
     lost = f"; no figure: {', '.join(reach.lost)}" if reach.lost else ""
     sweep, factor = f"[{name}]({name}/README.md)", f"{reach.factor:.2f}"
     return f"| {' | '.join([sweep, reach.beside, reach.figure, best, worst + lost, factor, spread])} |"
@@ -134,10 +153,14 @@ def _row(name: str, reach: Reach) -> str:
 
 def _section(folder: Path) -> list[str]:
     """A sweep's numbers of runs, its command, its figures."""
-    sweep, (runs, _) = read_sweep(folder), newest(read_runs(folder))
+    stands = read_standing(folder)
+    sweep, runs = stands.sweep, stands.counted
     failed = sum(run.status == FAILED for run in runs)
-    waiting = max(len(sweep.jobs) - len(runs), 0) if sweep else 0
-    lines = [f"## {folder.name}", "", f"{len(runs) - failed} runs finished, {failed} failed, {waiting} wait."]
+    lines = [
+        f"## {folder.name}",
+        "",
+        f"{len(runs) - failed} runs finished, {failed} failed, {len(stands.waiting)} wait.",
+    ]
     lines[-1] += f" All figures: [table]({folder.name}/README.md), [CSV]({folder.name}/runs.csv)."
     if sweep:
         lines += ["", "```", sweep.command, "```"]

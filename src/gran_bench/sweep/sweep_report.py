@@ -9,9 +9,10 @@ from gran_bench import tracking
 from gran_bench.atomic import write_text
 from gran_bench.config import TrackingConfig
 from gran_bench.plots import sweep_axis
-from gran_bench.sweep.run_file import FAILED, FINISHED, RunFile, SweepFileError, read_runs
-from gran_bench.sweep.sweep_file import SweepFile, SweepJob, read_sweep
-from gran_bench.sweep.table import COLUMNS, SEED, axes_of, best_choices, newest, runs_frame, shown_table
+from gran_bench.sweep.run_file import FAILED, FINISHED, RunFile, SweepFileError
+from gran_bench.sweep.standing import Standing, read_standing, unequal_updates
+from gran_bench.sweep.sweep_file import SweepJob, read_sweep
+from gran_bench.sweep.table import COLUMNS, SEED, axes_of, best_choices, runs_frame, shown_table
 
 PAGE = "README.md"
 TABLE = "runs.csv"
@@ -47,13 +48,12 @@ def report_sweep(folder: Path) -> SweepReport:
     Raises:
         SweepFileError: the folder holds no sweep, or a damaged one.
     """
-    sweep, (runs, replaced) = read_sweep(folder), newest(read_runs(folder))
+    stands = read_standing(folder)
+    sweep, runs = stands.sweep, stands.counted
     if sweep is None and not runs:
         raise SweepFileError(f"{folder} holds no sweep; name a folder in results/sweeps")
     frame, axes = runs_frame(runs), axes_of(runs)
     failed = [run for run in runs if run.status == FAILED]
-    ended = {(tuple(sorted(run.choices.items())), run.seed) for run in runs}
-    waiting = [job for job in sweep.jobs if _who(job) not in ended] if sweep else []
     name, judged = sweep.name if sweep else folder.name, _judged(runs)
     figures = []
     if len(runs):
@@ -62,18 +62,18 @@ def report_sweep(folder: Path) -> SweepReport:
             path = folder / f"{axis.replace('/', '_').lstrip('+')}.png"
             figures.append(sweep_axis(frame.astype({axis: str}), axis, others, path, f"{name}: {judged}"))
         write_text(folder / TABLE, frame.to_csv(index=False))
-    text = _page(name, judged, sweep, runs, replaced, waiting, figures)
+    text = _page(name, judged, stands, figures)
     write_text(folder / PAGE, text)
     best = best_choices(runs)
     metrics = {f"best/{column}": value for column, (_, value) in best.items()}
     metrics |= {
         "sweep/runs finished": sum(run.status == FINISHED for run in runs),
         "sweep/runs failed": len(failed),
-        "sweep/jobs waiting": len(waiting),
+        "sweep/jobs waiting": len(stands.waiting),
     }
     tags = {f"best.{column}": choice for column, (choice, _) in best.items()}
     paths = [folder / PAGE, *([folder / TABLE] if len(runs) else []), *figures]
-    return SweepReport(text, paths, {key: float(value) for key, value in metrics.items()}, tags, failed, waiting)
+    return SweepReport(text, paths, {key: float(value) for key, value in metrics.items()}, tags, failed, stands.waiting)
 
 
 def log_report(run: tracking.Run, report: SweepReport) -> None:
@@ -101,10 +101,6 @@ def report_to_parent(folder: Path, report: SweepReport) -> bool:
         return run is not None
 
 
-def _who(job: SweepJob) -> tuple:
-    return tuple(sorted(job.choices.items())), job.seed
-
-
 def _judged(runs: list[RunFile]) -> str:
     """On what the runs were judged, in words: whoever chooses by a validation speed must say so."""
     judged = sorted({(run.judged["rpm"], run.judged["as"]) for run in runs if run.judged})
@@ -115,15 +111,8 @@ def _judged(runs: list[RunFile]) -> str:
     return f"judged at {' and '.join(words)}" if words else "nothing judged yet"
 
 
-def _page(
-    name: str,
-    judged: str,
-    sweep: SweepFile | None,
-    runs: list[RunFile],
-    replaced: list[RunFile],
-    waiting: list[SweepJob],
-    figures: list[Path],
-) -> str:
+def _page(name: str, judged: str, stands: Standing, figures: list[Path]) -> str:
+    sweep, runs, waiting = stands.sweep, stands.counted, stands.waiting
     failed = [run for run in runs if run.status == FAILED]
     lines = [f"# {name}", ""]
     lines.append(f"{len(runs) - len(failed)} runs finished, {len(failed)} failed, {len(waiting)} wait; {judged}.")
@@ -132,6 +121,8 @@ def _page(
     if runs:
         lines += ["", "Mean ± standard deviation over seeds, shared packing; a floor is the DEM against itself.", ""]
         lines.append(shown_table(runs))
+        if said := unequal_updates(runs):
+            lines += ["", " ".join(said)]
     headings = {column.name: column.heading for column in COLUMNS}
     best = best_choices(runs)
     if len(best) and len(axes_of(runs)):
@@ -148,8 +139,9 @@ def _page(
             lines.append(f"- `{run.run}`: {frames}")
     if waiting:
         lines += ["", "## Not done yet", "", *(f"- `{job.run}`" for job in waiting)]
-    if replaced:
-        lines += ["", "## Not counted: newer runs of the same choices, with other code or data, took their place", ""]
-        lines += [f"- `{run.file_name}`" for run in replaced]
+    if stands.others:
+        lines += ["", "## Not counted, of other code or data", ""]
+        lines.append("Made with other code, data or budget than the runs above, or replaced by a newer run.")
+        lines += ["", *(f"- `{run.file_name}`" for run in stands.others)]
     lines += ["", *(f"![{path.stem}]({path.name})" for path in figures)]
     return "\n".join(lines).rstrip() + "\n"
