@@ -8,17 +8,19 @@ import re
 import subprocess
 import sys
 import textwrap
+import threading
 from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
+from gran_bench.atomic import locked
 from gran_bench.config import BoundaryConfig, CconvModelConfig, SceneConfig, StressConfig
 from gran_bench.config_rules import ConfigError
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_model
-from gran_bench.stability import case_list, kills
+from gran_bench.stability import case_list, command, kills
 from gran_bench.stability.case_list import read_cases, shipped_cases
 from gran_bench.stability.command import StressFailed, chosen, run_stress
 from gran_bench.stability.crew import Worker, outcome_of
@@ -61,7 +63,7 @@ def test_the_short_list_passes_and_leaves_its_page(tmp_path, capsys):
     # What the untrained network did wrong stands at the top of the page, and what was kept to resume from is gone.
     top = text.partition("## The DEM")[0]
     assert re.search(r"- untrained contact network: .*kinetic energy up to", top)
-    assert {path.name for path in page.parent.iterdir()} == {"README.md", "stress.csv", "stress.origin.json"}
+    assert {path.name for path in page.parent.iterdir()} == {".lock", "README.md", "stress.csv", "stress.origin.json"}
     told = capsys.readouterr().out
     assert "FAILED" not in told
     assert f"{len(results)} cases in" in told
@@ -203,6 +205,22 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path):
     assert again[0].outcome == seen[0].outcome
     forget(tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_second_run_in_the_same_folder_waits_for_the_first_and_says_so(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "cases.yaml"
+    path.write_text(CASE.replace("LIMIT", "1.0"), "utf-8")
+    config = StressConfig(case_list=str(path), workers=1, output=str(tmp_path))
+    folder, waits, say = tmp_path / "part", threading.Event(), command._tell_of_another
+    monkeypatch.setattr(command, "_tell_of_another", lambda place: (say(place), waits.set()))
+    second = threading.Thread(target=run_stress, args=(config,))
+    with locked(folder / ".lock"):
+        second.start()
+        assert waits.wait(60.0)
+        assert f"another stress test runs in {folder}; waiting for it to end" in capsys.readouterr().err
+        assert {path.name for path in folder.iterdir()} == {".lock"}
+    second.join(60.0)
+    assert (folder / "README.md").exists()
 
 
 def test_the_sweep_is_asked_for_its_exit_code_where_there_is_one(tmp_path, monkeypatch):
