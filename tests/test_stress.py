@@ -14,13 +14,14 @@ from pathlib import Path
 
 import pytest
 
+import gran_bench
 from gran_bench.atomic import locked
 from gran_bench.config import BoundaryConfig, CconvModelConfig, SceneConfig, StressConfig
 from gran_bench.config_rules import ConfigError
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_model
-from gran_bench.stability import case_list, command, kills
+from gran_bench.stability import case_list, command, kills, run
 from gran_bench.stability.case_list import read_cases, shipped_cases
 from gran_bench.stability.command import StressFailed, chosen, run_stress
 from gran_bench.stability.crew import Worker, outcome_of
@@ -205,6 +206,23 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path):
     assert again[0].outcome == seen[0].outcome
     forget(tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("file", ["sweep_run.py", "conf/trainer/quick.yaml", "stability/lists/dem.yaml"])
+def test_what_was_kept_counts_no_more_once_any_code_config_or_list_has_changed(tmp_path, monkeypatch, file):
+    for name in ("__init__.py", "sweep_run.py", "conf/trainer/quick.yaml", "stability/lists/dem.yaml"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("a = 1\n", "utf-8")
+    monkeypatch.setattr(gran_bench, "__file__", str(tmp_path / "__init__.py"))
+    monkeypatch.setattr(run, "files", lambda package: tmp_path / package.removeprefix("gran_bench."))
+    monkeypatch.setattr(run, "package_digest", run.package_digest.__wrapped__)
+    cases, results = cases_of(CASE.replace("LIMIT", "1.0")), tmp_path / "results"
+    (before,), (same,) = errands(cases, [], results), errands(cases, [], results)
+    (tmp_path / file).write_text("a = 2\n", "utf-8")
+    (after,) = errands(cases, [], results)
+    assert before.file == same.file
+    assert before.file != after.file
 
 
 def test_a_second_run_in_the_same_folder_waits_for_the_first_and_says_so(tmp_path, monkeypatch, capsys):
