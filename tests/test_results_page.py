@@ -111,13 +111,7 @@ def origin(commit: str, *roots: str) -> Origin:
 
 def test_the_stress_test_goes_through_every_experiment_and_through_sweeps():
     behind = modules_behind(*STRESSED)
-    experiments = {
-        "stability.impacts",
-        "stability.rollouts",
-        "stability.kills",
-        "stability.sharing",
-        "stability.damage",
-    }
+    experiments = {f"stability.{name}" for name in ("impacts", "rollouts", "kills", "sharing", "damage")}
     sweeps = {"stability.sweep_kill", "stability.victim", "sweep_run", "launcher", "job", "experiment", "evaluation"}
     assert {*experiments, *sweeps, "stability.case_list", "tracking.store", "dataset.worker"} <= behind
 

@@ -21,7 +21,7 @@ from gran_bench.config_rules import ConfigError
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_model
-from gran_bench.stability import case_list, command, kills, run
+from gran_bench.stability import case_list, command, kills, run, steps
 from gran_bench.stability.case_list import read_cases, shipped_cases
 from gran_bench.stability.command import StressFailed, chosen, run_stress
 from gran_bench.stability.crew import Worker, outcome_of
@@ -31,6 +31,7 @@ from gran_bench.stability.page import closing_line, row
 from gran_bench.stability.perform import Task
 from gran_bench.stability.registry import EXPERIMENTS
 from gran_bench.stability.run import Result, carry_out, errands, forget
+from gran_bench.stability.tiny import tiny_specs
 from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, save_model
 
@@ -206,6 +207,28 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path):
     assert again[0].outcome == seen[0].outcome
     forget(tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_what_takes_longest_begins_first_and_is_told_in_its_place(tmp_path, monkeypatch):
+    monkeypatch.setitem(EXPERIMENTS, "quick", Experiment(lambda bench: Observation({"n": 0.0}), {"n": "-"}))
+    monkeypatch.setitem(EXPERIMENTS, "long", Experiment(lambda bench: Observation({"n": 0.0}), {"n": "-"}, first=True))
+    row = "- {name: A, kind: quick, expect: {met: [{quantity: n, at_most: 0, unit: '-'}]}}\n"
+    cases = cases_of(row + row.replace("A", "B").replace("quick", "long"))
+    began: list[str] = []
+    results = carry_out(errands(cases, [], tmp_path), tmp_path, 1, 60.0, lambda result: began.append(result.name))
+    assert began == ["B", "A"]
+    assert [result.name for result in results] == ["A", "B"]
+    assert EXPERIMENTS["killed_sweep"].first
+    assert not EXPERIMENTS["killed_sweep"].alone
+
+
+def test_the_step_of_the_data_is_held_against_the_floor_that_is_measured_beside_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(steps, "shipped_scene", lambda name: tiny_specs()[1].scene)
+    seen = steps.step_ladder(Bench(tmp_path, tmp_path), [1e-4, 2e-4], production=2e-4, seconds=0.1).quantities
+    assert seen["beyond_floor"] == seen["error"] - seen["floor"]
+    assert seen["error"] > 0.0
+    (case,) = (case for case in shipped_cases(EXPERIMENTS) if case.kind == "step_ladder")
+    assert case.expectation.bounds == (Bound("beyond_floor", "°", at_most=0.5),)
 
 
 @pytest.mark.parametrize("file", ["sweep_run.py", "conf/trainer/quick.yaml", "stability/lists/dem.yaml"])

@@ -32,7 +32,7 @@ VERIFIED = (*SOLVER, "verification.suite")
 NETWORKS = tuple(sorted(set(MODEL_SOURCES.values())))
 JUDGED = (*JUDGING, "baselines")
 COMPARED = (*SOLVER, *NETWORKS, *JUDGED, "comparison.worker", "comparison.turns", "comparison.errors")
-# A stress test goes by its lists through every kind of experiment, and one of these through sweeps as a user starts them.
+# A stress test goes by its lists through every kind of experiment, and one kind through sweeps as a user starts them.
 SWEPT = ("train", "entry", "experiment", "job", "launcher", "sweep_run", "tracking.opening", "tracking.run")
 STRESSED = (
     *(*SOLVER, *NETWORKS, *TRAINING, *JUDGED, *SWEPT, "rollout", "dataset.worker", "verification.suite"),

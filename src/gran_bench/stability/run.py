@@ -142,8 +142,9 @@ def carry_out(
                 bar.set_postfix_str(todo[number].case.name[:40], refresh=False)
                 tell(result)
 
-        alone = [n for n, errand in enumerate(todo) if EXPERIMENTS[errand.case.kind].alone]
-        beside = [n for n in range(len(todo)) if n not in set(alone)]
+        kinds = [EXPERIMENTS[errand.case.kind] for errand in todo]
+        alone = [n for n, kind in enumerate(kinds) if kind.alone]
+        beside = sorted((n for n, kind in enumerate(kinds) if not kind.alone), key=lambda n: not kinds[n].first)
         if workers == 1:
             for number in (*beside, *alone):
                 one(number, perform)
