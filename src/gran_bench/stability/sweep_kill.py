@@ -124,7 +124,7 @@ def sweep_command(data: Path, jobs: int) -> list[str]:
     seeds = ",".join(str(seed) for seed in range(jobs // len(radii)))
     return [
         *(sys.executable, "-m", "gran_bench.train", "-m", "+experiment=smoke", "hydra/launcher=local"),
-        *("scene.end_time=1.7", "trainer.steps=24", "trainer.checkpoint_steps=3", "threads=1"),
+        *("scene.end_time=1.7", "trainer.steps=12", "trainer.checkpoint_steps=2", "threads=1"),
         *("judge.speeds_rpm=[]", "judge.short_horizon_starts=2", f"dataset.root={data.resolve()}"),
         *(f"model.radius={','.join(map(str, radii))}", f"seed={seeds}", f"tracking.sweep={SWEEP}"),
     ]
