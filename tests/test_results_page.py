@@ -16,13 +16,14 @@ from test_comparison import found, row  # noqa: F401  a fixture
 from test_run_summary import SCENE, broken, flowing, summary_of
 from test_sweep import lost, run
 
+from gran_bench.code_identity import modules_behind
 from gran_bench.front_page.advice import benchmark_advice, run_advice
 from gran_bench.front_page.age import Age, age_of, today, unknown_age, without_today
 from gran_bench.front_page.command import report_command
 from gran_bench.front_page.failures import broken_cases, sweep_failures
 from gran_bench.front_page.influence import largest
 from gran_bench.front_page.page import PAGE, PAGES, page_text
-from gran_bench.front_page.records import Origin, read_records
+from gran_bench.front_page.records import STRESSED, Origin, read_records
 from gran_bench.front_page.speed import lammps_sentence
 from gran_bench.provenance import read_origin, write_origin
 from gran_bench.sweep.overview import reaches
@@ -106,6 +107,13 @@ def test_the_page_is_written_with_all_sweeps_and_only_where_records_are(copied: 
 
 def origin(commit: str, *roots: str) -> Origin:
     return Origin("a record", "README.md", "make", commit, "two cores", roots)
+
+
+def test_the_stress_test_goes_through_every_experiment_and_through_sweeps():
+    behind = modules_behind(*STRESSED)
+    experiments = {f"stability.{name}" for name in ("impacts", "rollouts", "kills", "sharing", "damage")}
+    sweeps = {"stability.sweep_kill", "stability.victim", "sweep_run", "launcher", "job", "experiment", "evaluation"}
+    assert {*experiments, *sweeps, "stability.case_list", "tracking.store", "dataset.worker"} <= behind
 
 
 def test_a_record_is_stale_where_code_that_made_it_differs_from_its_commit():

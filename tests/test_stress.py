@@ -8,17 +8,20 @@ import re
 import subprocess
 import sys
 import textwrap
+import threading
 from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
+import gran_bench
+from gran_bench.atomic import locked
 from gran_bench.config import BoundaryConfig, CconvModelConfig, SceneConfig, StressConfig
 from gran_bench.config_rules import ConfigError
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_model
-from gran_bench.stability import case_list, kills
+from gran_bench.stability import case_list, command, kills, run, steps
 from gran_bench.stability.case_list import read_cases, shipped_cases
 from gran_bench.stability.command import StressFailed, chosen, run_stress
 from gran_bench.stability.crew import Worker, outcome_of
@@ -28,6 +31,7 @@ from gran_bench.stability.page import closing_line, row
 from gran_bench.stability.perform import Task
 from gran_bench.stability.registry import EXPERIMENTS
 from gran_bench.stability.run import Result, carry_out, errands, forget
+from gran_bench.stability.tiny import tiny_specs
 from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, save_model
 
@@ -61,7 +65,7 @@ def test_the_short_list_passes_and_leaves_its_page(tmp_path, capsys):
     # What the untrained network did wrong stands at the top of the page, and what was kept to resume from is gone.
     top = text.partition("## The DEM")[0]
     assert re.search(r"- untrained contact network: .*kinetic energy up to", top)
-    assert {path.name for path in page.parent.iterdir()} == {"README.md", "stress.csv", "stress.origin.json"}
+    assert {path.name for path in page.parent.iterdir()} == {".lock", "README.md", "stress.csv", "stress.origin.json"}
     told = capsys.readouterr().out
     assert "FAILED" not in told
     assert f"{len(results)} cases in" in told
@@ -203,6 +207,61 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path):
     assert again[0].outcome == seen[0].outcome
     forget(tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_what_takes_longest_begins_first_and_is_told_in_its_place(tmp_path, monkeypatch):
+    monkeypatch.setitem(EXPERIMENTS, "quick", Experiment(lambda bench: Observation({"n": 0.0}), {"n": "-"}))
+    monkeypatch.setitem(EXPERIMENTS, "long", Experiment(lambda bench: Observation({"n": 0.0}), {"n": "-"}, first=True))
+    row = "- {name: A, kind: quick, expect: {met: [{quantity: n, at_most: 0, unit: '-'}]}}\n"
+    cases = cases_of(row + row.replace("A", "B").replace("quick", "long"))
+    began: list[str] = []
+    results = carry_out(errands(cases, [], tmp_path), tmp_path, 1, 60.0, lambda result: began.append(result.name))
+    assert began == ["B", "A"]
+    assert [result.name for result in results] == ["A", "B"]
+    assert EXPERIMENTS["killed_sweep"].first
+    assert not EXPERIMENTS["killed_sweep"].alone
+
+
+def test_the_step_of_the_data_is_held_against_the_floor_that_is_measured_beside_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(steps, "shipped_scene", lambda name: tiny_specs()[1].scene)
+    seen = steps.step_ladder(Bench(tmp_path, tmp_path), [1e-4, 2e-4], production=2e-4, seconds=0.1).quantities
+    assert seen["beyond_floor"] == seen["error"] - seen["floor"]
+    assert seen["error"] > 0.0
+    (case,) = (case for case in shipped_cases(EXPERIMENTS) if case.kind == "step_ladder")
+    assert case.expectation.bounds == (Bound("beyond_floor", "°", at_most=0.5),)
+
+
+@pytest.mark.parametrize("file", ["sweep_run.py", "conf/trainer/quick.yaml", "stability/lists/dem.yaml"])
+def test_what_was_kept_counts_no_more_once_any_code_config_or_list_has_changed(tmp_path, monkeypatch, file):
+    for name in ("__init__.py", "sweep_run.py", "conf/trainer/quick.yaml", "stability/lists/dem.yaml"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("a = 1\n", "utf-8")
+    monkeypatch.setattr(gran_bench, "__file__", str(tmp_path / "__init__.py"))
+    monkeypatch.setattr(run, "files", lambda package: tmp_path / package.removeprefix("gran_bench."))
+    monkeypatch.setattr(run, "package_digest", run.package_digest.__wrapped__)
+    cases, results = cases_of(CASE.replace("LIMIT", "1.0")), tmp_path / "results"
+    (before,), (same,) = errands(cases, [], results), errands(cases, [], results)
+    (tmp_path / file).write_text("a = 2\n", "utf-8")
+    (after,) = errands(cases, [], results)
+    assert before.file == same.file
+    assert before.file != after.file
+
+
+def test_a_second_run_in_the_same_folder_waits_for_the_first_and_says_so(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "cases.yaml"
+    path.write_text(CASE.replace("LIMIT", "1.0"), "utf-8")
+    config = StressConfig(case_list=str(path), workers=1, output=str(tmp_path))
+    folder, waits, say = tmp_path / "part", threading.Event(), command._tell_of_another
+    monkeypatch.setattr(command, "_tell_of_another", lambda place: (say(place), waits.set()))
+    second = threading.Thread(target=run_stress, args=(config,))
+    with locked(folder / ".lock"):
+        second.start()
+        assert waits.wait(60.0)
+        assert f"another stress test runs in {folder}; waiting for it to end" in capsys.readouterr().err
+        assert {path.name for path in folder.iterdir()} == {".lock"}
+    second.join(60.0)
+    assert (folder / "README.md").exists()
 
 
 def test_the_sweep_is_asked_for_its_exit_code_where_there_is_one(tmp_path, monkeypatch):

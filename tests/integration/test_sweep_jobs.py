@@ -17,7 +17,8 @@ from gran_bench import experiment
 from gran_bench.composition import PlannedJob, Source, changed_in, checked_config, described_jobs
 from gran_bench.config import TrainConfig
 from gran_bench.override_errors import explain
-from gran_bench.stability.sweep_kill import PATIENCE, start, sweep_command, sweep_under_kills
+from gran_bench.stability.process_group import group
+from gran_bench.stability.sweep_kill import ENVIRONMENT, PATIENCE, sweep_command, sweep_under_kills
 from gran_bench.sweep.run_file import read_runs
 from gran_bench.sweep_run import Sweep, open_sweep
 from gran_bench.tracking import TrackingError
@@ -56,21 +57,22 @@ def test_a_sweep_that_is_killed_as_a_whole_ends_like_one_that_is_not(place: Path
 def test_a_job_that_the_system_kills_fails_alone_and_the_same_command_finishes_it(place: Path):
     folder = place / "one job"
     command = [*sweep_command(place / "data", jobs=2), "trainer.steps=25"]
-    process, patience = start(command, folder), time.monotonic() + PATIENCE
-    while not (found := _process_of_first_job(folder)):
-        assert process.poll() is None, (folder / "said.txt").read_text()
-        assert time.monotonic() < patience
-        time.sleep(0.005)
-    os.kill(found, signal.SIGKILL)
-    assert process.wait(PATIENCE) == 1
+    with group(command, folder, ENVIRONMENT) as process:
+        patience = time.monotonic() + PATIENCE
+        while not (found := _process_of_first_job(folder)):
+            assert process.poll() is None, (folder / "said.txt").read_text()
+            assert time.monotonic() < patience
+            time.sleep(0.005)
+        os.kill(found, signal.SIGKILL)
+        assert process.wait(PATIENCE) == 1
     assert statuses(folder / "results") == ["FAILED", "FINISHED"]
     assert stored(folder / "results")["kills"] == ("FAILED", None)
     killed, other = read_runs(folder / "results" / "sweeps" / "kills")
     assert (killed.status, other.status) == ("failed", "finished")
     assert "signal 9" in killed.reason
     assert f"{killed.reason} (log: `{killed.facts['log']}`)" in (folder / "said.txt").read_text()
-    process = start(command, folder)
-    assert process.wait(PATIENCE) == 0
+    with group(command, folder, ENVIRONMENT) as process:
+        assert process.wait(PATIENCE) == 0
     assert statuses(folder / "results") == ["FINISHED", "FINISHED"]
     assert stored(folder / "results")["kills"] == ("FINISHED", None)
 
@@ -206,5 +208,3 @@ def test_a_job_whose_data_cannot_be_made_stops_no_other(place: Path, tmp_path: P
         sweep.failed(1, str(failure.value))
     runs = read_runs(tmp_path / "results" / "sweeps" / "kills")
     assert [(run.run, run.status) for run in runs] == [("R0.06", "finished"), ("R0.065", "failed")]
-
-

@@ -31,7 +31,13 @@ SOLVER = ("dem.simulate", "scene.build")
 VERIFIED = (*SOLVER, "verification.suite")
 NETWORKS = tuple(sorted(set(MODEL_SOURCES.values())))
 JUDGED = (*JUDGING, "baselines")
-STRESSED = (*SOLVER, *NETWORKS, *TRAINING, "rollout", "stability.experiment", "stability.expectation")
+# A stress test goes by its lists through every kind of experiment, and one kind through sweeps as a user starts them.
+SWEPT = ("train", "entry", "experiment", "job", "launcher", "sweep_run", "tracking.opening", "tracking.run")
+STRESSED = (
+    *(*SOLVER, *NETWORKS, *TRAINING, *JUDGED, *SWEPT, "rollout", "dataset.worker", "verification.suite"),
+    *("stability.case_list", "stability.registry", "stability.run", "stability.perform", "stability.worker"),
+    *("stability.victim", "stability.sweep_kill"),
+)
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,22 @@ def settled_bed(scene: Scene, shared: Path, dem: DemConfig | None = None) -> Par
     return read_settled(job.path)[0]
 
 
+def bed_in_place(
+    bench: Bench, scene: str, changes: dict[str, Any] | None, then: dict[str, Any] | None, speed_rpm: float | None
+) -> tuple[Scene, ParticleState]:
+    """A scene and its settled bed, at the time when the scene starts.
+
+    Args:
+        scene: shipped one.
+        changes: of its keys before the bed settles.
+        then: further changes of its keys after that.
+        speed_rpm: constant speed; None for the scene's own motion.
+    """
+    bed = settled_bed(shipped_scene(scene, changes), bench.shared)
+    place = turned(shipped_scene(scene, (changes or {}) | (then or {})), speed_rpm)
+    return place, replace(bed, time=place.start_time)
+
+
 def turned(scene: Scene, speed_rpm: float | None) -> Scene:
     """The scene at a constant speed; as it is where None."""
     return scene if speed_rpm is None else scene.at_speed(speed_rpm)
@@ -97,11 +113,9 @@ def turning_bed(
         unsafe: whether a step beyond a fifth of the contact time is let through.
         engine: of the DEM.
     """
-    bed = settled_bed(shipped_scene(scene, changes), bench.shared)
-    place = turned(shipped_scene(scene, (changes or {}) | (then or {})), speed_rpm)
-    start = replace(bed, time=place.start_time)
+    place, bed = bed_in_place(bench, scene, changes, then, speed_rpm)
     dem = DemConfig(engine=engine, time_step=time_step, allow_unsafe_step=unsafe)
-    result = simulate(place, start, place.start_time + seconds, dem=dem)
+    result = simulate(place, bed, place.start_time + seconds, dem=dem)
     ended = replace(place, end_time=place.start_time + seconds)
     count = count_failures(result.trajectory, ended)
     energy, scale = kinetic_energy(result.trajectory, place), energy_scale(place, bed)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections import defaultdict
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 
+from gran_bench.atomic import locked
 from gran_bench.config import StressConfig
 from gran_bench.config_rules import ConfigError
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
@@ -22,6 +24,7 @@ from gran_bench.stability.registry import EXPERIMENTS
 from gran_bench.stability.run import Result, carry_out, errands, forget
 from gran_bench.stopping import stop_on_signals
 
+LOCK = ".lock"  # in the folder of the page
 PART = "part"  # folder of the page of less than the whole list
 
 
@@ -47,20 +50,26 @@ def run_stress(config: StressConfig) -> list[Result]:
     folder = Path(config.output) if whole else Path(config.output) / PART
     checkpoints = [model_file(checkpoint) for checkpoint in (config.checkpoint, *config.also)]
     todo = errands(cases, checkpoints, folder)
-    began = time.perf_counter()
-    with stop_on_signals():
+    # Two at once would empty each other's work folders.
+    with stop_on_signals(), locked(folder / LOCK, lambda: _tell_of_another(folder)):
+        began = time.perf_counter()
         results = carry_out(todo, folder, config.workers, config.patience, lambda result: None)
-    print(table(results))
-    seconds = time.perf_counter() - began
-    # Times are of a machine that may have had other work.
-    origin = provenance() | {"load, mean of 1, 5 and 15 min": ", ".join(f"{load:.1f}" for load in os.getloadavg())}
-    write_page(results, folder, origin, draw_figures(results, folder), seconds)
-    forget(folder)
+        print(table(results))
+        seconds = time.perf_counter() - began
+        # Times are of a machine that may have had other work.
+        origin = provenance() | {"load, mean of 1, 5 and 15 min": ", ".join(f"{load:.1f}" for load in os.getloadavg())}
+        write_page(results, folder, origin, draw_figures(results, folder), seconds)
+        forget(folder)
     print(f"\nthe page is {folder / PAGE}\n{closing_line(results, seconds)}")
     failed = [result.name for result in results if result.verdict.word == FAILED]
     if failed:
         raise StressFailed(f"{len(failed)} of {len(results)} expectations are not met: {', '.join(failed)}")
     return results
+
+
+def _tell_of_another(folder: Path) -> None:
+    message = f"another stress test runs in {folder}; waiting for it to end (output=FOLDER would be one of its own)"
+    print(message, file=sys.stderr, flush=True)
 
 
 def chosen(config: StressConfig) -> tuple[list[StressCase], bool]:

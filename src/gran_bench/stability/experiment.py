@@ -63,12 +63,14 @@ class Experiment:
         measures: unit of each quantity by its name.
         of_model: whether it is done with a model.
         alone: whether nothing else may run beside it, because it takes times or starts many processes.
+        first: whether it begins before all others, because it takes so long that the list would wait for it at its end.
     """
 
     run: Callable[..., Observation]
     measures: Mapping[str, str]
     of_model: bool = False
     alone: bool = False
+    first: bool = False
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:

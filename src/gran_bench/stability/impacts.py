@@ -24,6 +24,7 @@ from gran_bench.verification.laboratory import (
     sphere_material,
     spheres,
 )
+from gran_bench.verification.oblique import at_angles
 from gran_bench.verification.suite import CASES, run_case
 
 ANGLES = (0.0, 20.0, 40.0, 60.0, 80.0, 85.0)  # degrees between approach and normal
@@ -54,14 +55,14 @@ def impacts(
         steps_per_contact: t_c over the step.
     """
     error, gain, momentum, deepest = 0.0, -1.0, 0.0, 0.0
-    angle, phase = (a.ravel() for a in np.meshgrid(np.radians(ANGLES), PHASES))
+    angle, phase = (a.ravel() for a in np.meshgrid(ANGLES, PHASES))
     for modulus in youngs_moduli:
         for e in restitutions:
             for mu in frictions:
                 material = sphere_material(modulus, e, mu)
                 contact = on_wall(material, radius) if against == "wall" else on_sphere(material, radius, second_radius)
                 for speed in speeds:
-                    hits = Impacts.of(contact, speed * np.cos(angle), speed * np.sin(angle))
+                    hits = at_angles(contact, angle, speed)
                     found = collide(hits, phase=phase, steps_per_contact=steps_per_contact, stride=10)
                     # Two spheres that meet obliquely turn while they touch; a wall does not.
                     straight = np.full(len(angle), True) if against == "wall" else angle == 0.0

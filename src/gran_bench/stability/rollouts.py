@@ -15,7 +15,7 @@ from gran_bench.metrics.outside import count_failures, distance_outside
 from gran_bench.rollout import Rollout, rollout
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
-from gran_bench.stability.beds import energy_scale, escapes, kinetic_energy, settled_bed, turned
+from gran_bench.stability.beds import bed_in_place, energy_scale, escapes, kinetic_energy, settled_bed
 from gran_bench.stability.expectation import Observation
 from gran_bench.stability.experiment import Bench, Experiment, Subject
 from gran_bench.state import FloatArray, ParticleState
@@ -46,8 +46,7 @@ def model_rollout(
         speed_rpm: constant speed; null for the scene's own motion.
         frames: to compute.
     """
-    bed = settled_bed(shipped_scene(scene, changes), bench.shared)
-    place = turned(shipped_scene(scene, (changes or {}) | (then or {})), speed_rpm)
+    place, bed = bed_in_place(bench, scene, changes, then, speed_rpm)
     return observed(rollout(bench.model.model, place, bed, frames + 1), place, bed)
 
 

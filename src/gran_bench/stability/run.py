@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import queue
 import shutil
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import Path
 
 from tqdm import tqdm
@@ -25,11 +28,6 @@ from gran_bench.stability.registry import EXPERIMENTS
 from gran_bench.surrogate.checkpoint import file_digest
 
 KEPT, SHARED, OWN = "kept", "beds", "work"
-# What a case depends on: all of the package but what draws and tells.
-ROOMS = (
-    *("scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses", "metrics"),
-    *("stability", "tracking", "atomic.py", "state.py", "rollout.py", "trainer.py"),
-)
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ def errands(cases: Sequence[StressCase], checkpoints: Sequence[Path], folder: Pa
     Raises:
         CheckpointError, ConfigError: a file that is no model, or one of other spheres.
     """
-    code, found = source_digest(ROOMS), []
+    code, found = package_digest(), []
     models = [(path, *model_words(path), file_digest(path)) for path in checkpoints]
     for case in cases:
         of_model = EXPERIMENTS[case.kind].of_model
@@ -92,6 +90,28 @@ def errands(cases: Sequence[StressCase], checkpoints: Sequence[Path], folder: Pa
             name = hashlib.sha256(words.encode()).hexdigest()[:16]
             found.append(Errand(case, str(path), label, folder / KEPT / f"{name}.json"))
     return found
+
+
+@functools.cache
+def package_digest() -> str:
+    """SHA-256 (64 hex digits) of what a case may depend on: all code, configs and lists of the package.
+
+    A killed sweep goes through nearly all of it, from the command to the report, so nothing is left out.
+    """
+    digest = hashlib.sha256(source_digest(["."]).encode())
+    for place in (files("gran_bench.conf"), files("gran_bench.stability") / "lists"):
+        for name, content in sorted(_yaml_files(place, "")):
+            digest.update(f"{name}\n{len(content)}\n".encode() + content)
+    return digest.hexdigest()
+
+
+def _yaml_files(folder: Traversable, path: str) -> Iterator[tuple[str, bytes]]:
+    for entry in folder.iterdir():
+        name = f"{path}/{entry.name}"
+        if entry.is_dir():
+            yield from _yaml_files(entry, name)
+        elif entry.name.endswith(".yaml"):
+            yield name, entry.read_bytes()
 
 
 def carry_out(
@@ -122,8 +142,9 @@ def carry_out(
                 bar.set_postfix_str(todo[number].case.name[:40], refresh=False)
                 tell(result)
 
-        alone = [n for n, errand in enumerate(todo) if EXPERIMENTS[errand.case.kind].alone]
-        beside = [n for n in range(len(todo)) if n not in set(alone)]
+        kinds = [EXPERIMENTS[errand.case.kind] for errand in todo]
+        alone = [n for n, kind in enumerate(kinds) if kind.alone]
+        beside = sorted((n for n, kind in enumerate(kinds) if not kind.alone), key=lambda n: not kinds[n].first)
         if workers == 1:
             for number in (*beside, *alone):
                 one(number, perform)

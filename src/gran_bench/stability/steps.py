@@ -27,7 +27,8 @@ def step_ladder(
 ) -> Observation:
     """Steps from small to far too large on the paper's drum: error of the centre of mass's angle, and cost.
 
-    The smallest step is the reference. The floor is the same error of the reference against itself, nudged by 1e-9 m.
+    The smallest step is the reference. The floor is the same error of the reference against itself, nudged by 1e-9 m;
+    what the production step errs more than that is beyond the floor.
     A step that ends with an error has an infinite error and stays in the curve.
 
     Args:
@@ -69,7 +70,10 @@ def step_ladder(
     # What is off by more than a degree beyond the floor must have been warned of.
     silent = sum(error > floor + 1.0 and step not in told for step, error in of.items())
     return Observation(
-        {"error": of[production], "floor": floor, "largest_error": max(e for e in errors if np.isfinite(e))},
+        {
+            "error": of[production], "floor": floor, "beyond_floor": of[production] - floor,
+            "largest_error": max(e for e in errors if np.isfinite(e)),
+        },
         tuple(flags),
         {
             "step": list(steps), "error": errors, "cost": costs, "floor": [floor],
@@ -148,7 +152,9 @@ def energy_drift(bench: Bench, steps_per_contact: list[float], seconds: float = 
 
 
 STEPS = {
-    "step_ladder": Experiment(step_ladder, {"error": "°", "floor": "°", "largest_error": "°"}, alone=True),
+    "step_ladder": Experiment(
+        step_ladder, {"error": "°", "floor": "°", "beyond_floor": "°", "largest_error": "°"}, alone=True
+    ),
     "blow_up": Experiment(blow_up, {"first_failure": "t_c", "largest_safe": "t_c"}),
     "energy_drift": Experiment(energy_drift, {"drift": "of 3(Δt/t_c)²", "smallest_step_drift": "of the energy"}),
 }

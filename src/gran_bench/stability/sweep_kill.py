@@ -9,8 +9,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import os
-import signal
 import sqlite3
 import subprocess
 import sys
@@ -25,9 +23,14 @@ import numpy as np
 
 from gran_bench.run_record import MODEL
 from gran_bench.run_summary import SUMMARY
+from gran_bench.stability.finished_files import Written, done_again, finished_files, records_of
+from gran_bench.stability.process_group import group, kill_group
+from gran_bench.stopping import stop_on_signals
 from gran_bench.surrogate.checkpoint import load_card
+from gran_bench.sweep.run_file import SWEEPS
 from gran_bench.tracking.store import DATABASE, KEY_TAG, PARENT_TAG
 
+SWEEP = "kills"  # name of the sweep
 RADII = (0.06, 0.065)  # m
 PATIENCE = 900.0  # s, of a sweep that would otherwise be waited for for ever
 JUDGED = ("judged_rpm", "judged", "nearest_case", "position_error", "data_digest")  # of a summary; no times
@@ -50,6 +53,7 @@ class SweepKills:
         other_runs: runs in the store that are neither the parent, finished nor doubled: open, failed or without parent.
         parents: runs that have children.
         differing: what differs from the undisturbed sweep, a line each.
+        repeated: files of finished runs that did not stay as they were, a line each.
         seconds: of the undisturbed sweep and of the killed one.
     """
 
@@ -60,13 +64,14 @@ class SweepKills:
     other_runs: int
     parents: int
     differing: list[str]
+    repeated: list[str]
     seconds: tuple[float, float]
 
     @property
     def passed(self) -> bool:
         """Whether nothing was lost, doubled or changed."""
         whole = self.finished == self.jobs and self.parents == 1
-        return whole and not (self.doubled or self.other_runs or self.differing)
+        return whole and not (self.doubled or self.other_runs or self.differing or self.repeated)
 
     def lines(self) -> list[str]:
         """The result as a short table."""
@@ -77,11 +82,12 @@ class SweepKills:
             ("runs that are open, failed or without the parent", f"{self.other_runs}", not self.other_runs),
             ("parents", f"{self.parents}", self.parents == 1),
             ("weights and figures that differ", f"{len(self.differing)}", not self.differing),
+            ("files of finished runs that were written again", f"{len(self.repeated)}", not self.repeated),
             ("undisturbed, killed", f"{self.seconds[0]:.0f} s, {self.seconds[1]:.0f} s", ""),
         ]
         verdicts = {True: "pass", False: "fail", "": ""}
         table = [f"{name:<52}{found:>12}  {verdicts[good]}".rstrip() for name, found, good in rows]
-        return [*table, *(f"  {line}" for line in self.differing)]
+        return [*table, *(f"  {line}" for line in (*self.differing, *self.repeated))]
 
 
 def sweep_under_kills(folder: Path, jobs: int = 12, kills: int = 10, seed: int = 0) -> SweepKills:
@@ -104,11 +110,12 @@ def sweep_under_kills(folder: Path, jobs: int = 12, kills: int = 10, seed: int =
     undisturbed = time.monotonic() - began
     # A life between two kills: the start, and a job beside another one.
     life = undisturbed / (1.0 + 0.5 * jobs) * 2.0
-    began = time.monotonic()
+    began, finished = time.monotonic(), {}
     for done in sorted(rng.integers(0, max(jobs - 2, 1), kills)):
         kill_at(command, hunted, int(done), float(rng.random()) * life)
+        finished = finished_files(hunted / "results") | finished  # as each was when it was first seen
     finish(command, hunted)
-    return _compared(calm, hunted, jobs, kills, (undisturbed, time.monotonic() - began))
+    return _compared(calm, hunted, jobs, kills, finished, (undisturbed, time.monotonic() - began))
 
 
 def sweep_command(data: Path, jobs: int) -> list[str]:
@@ -117,19 +124,10 @@ def sweep_command(data: Path, jobs: int) -> list[str]:
     seeds = ",".join(str(seed) for seed in range(jobs // len(radii)))
     return [
         *(sys.executable, "-m", "gran_bench.train", "-m", "+experiment=smoke", "hydra/launcher=local"),
-        *("scene.end_time=1.7", "trainer.steps=24", "trainer.checkpoint_steps=3", "threads=1"),
+        *("scene.end_time=1.7", "trainer.steps=12", "trainer.checkpoint_steps=2", "threads=1"),
         *("judge.speeds_rpm=[]", "judge.short_horizon_starts=2", f"dataset.root={data.resolve()}"),
-        *(f"model.radius={','.join(map(str, radii))}", f"seed={seeds}", "tracking.sweep=kills"),
+        *(f"model.radius={','.join(map(str, radii))}", f"seed={seeds}", f"tracking.sweep={SWEEP}"),
     ]
-
-
-def start(command: list[str], folder: Path) -> subprocess.Popen:
-    """Start a command in a process group of its own, in a folder that gets its results."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / "said.txt", "ab") as said:
-        return subprocess.Popen(
-            command, cwd=folder, env=os.environ | ENVIRONMENT, stdout=said, stderr=said, start_new_session=True
-        )
 
 
 def finish(command: list[str], folder: Path) -> None:
@@ -138,12 +136,11 @@ def finish(command: list[str], folder: Path) -> None:
     Raises:
         SweepStalled: it did not end well, or not at all.
     """
-    process = start(command, folder)
-    try:
-        code = process.wait(PATIENCE)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        code = f"none after {PATIENCE:.0f} s"
+    with group(command, folder, ENVIRONMENT) as process:
+        try:
+            code = process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            code = f"none after {PATIENCE:.0f} s"
     if code != 0:
         last = (folder / "said.txt").read_text("utf-8", errors="replace").splitlines()[-12:]
         raise SweepStalled(f"the sweep in {folder} ended with code {code}: " + "\n".join(last))
@@ -157,16 +154,16 @@ def kill_at(command: list[str], folder: Path, done: int, after: float) -> None:
     Raises:
         SweepStalled: it ended by itself, or never came that far.
     """
-    process, began = start(command, folder), time.monotonic()
-    while True:
-        elapsed, finished = time.monotonic() - began, len(list(folder.glob(f"results/runs/*/{SUMMARY}")))
-        if (finished >= done and elapsed >= after) or finished > done:
-            break
-        if process.poll() is not None or elapsed > PATIENCE:
-            raise SweepStalled(f"the sweep in {folder} came to {finished} runs, not to {done}; see said.txt there")
-        time.sleep(0.01)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    with group(command, folder, ENVIRONMENT) as process:
+        began = time.monotonic()
+        while True:
+            elapsed, finished = time.monotonic() - began, len(list(folder.glob(f"results/runs/*/{SUMMARY}")))
+            if (finished >= done and elapsed >= after) or finished > done:
+                break
+            if process.poll() is not None or elapsed > PATIENCE:
+                raise SweepStalled(f"the sweep in {folder} came to {finished} runs, not to {done}; see said.txt there")
+            time.sleep(0.01)
+        kill_group(process)
 
 
 def results_of(folder: Path) -> dict[str, dict[str, Any]]:
@@ -182,11 +179,12 @@ def results_of(folder: Path) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _compared(calm: Path, hunted: Path, jobs: int, kills: int, seconds: tuple[float, float]) -> SweepKills:
-    ours, theirs = results_of(hunted), results_of(calm)
-    differing = [f"{name} is in one sweep alone" for name in sorted(ours.keys() ^ theirs.keys())]
-    for name in sorted(ours.keys() & theirs.keys()):
-        differing += [f"{name}: {part}" for part in theirs[name] if ours[name][part] != theirs[name][part]]
+def _compared(
+    calm: Path, hunted: Path, jobs: int, kills: int, finished: dict[Path, Written], seconds: tuple[float, float]
+) -> SweepKills:
+    differing = _differing(results_of(hunted), results_of(calm), "")
+    sweep = Path("results") / SWEEPS / SWEEP
+    differing += _differing(records_of(hunted / sweep), records_of(calm / sweep), "the sweep's record, ")
     rows = _stored_runs(hunted / "results" / DATABASE)
     parents = {parent for _, _, _, parent in rows if parent is not None}
     children = [row for row in rows if row[0] not in parents]
@@ -201,8 +199,18 @@ def _compared(calm: Path, hunted: Path, jobs: int, kills: int, seconds: tuple[fl
         other_runs=len(rows) - len(good) - len(ended),
         parents=len(parents),
         differing=differing,
+        repeated=done_again(finished, finished_files(hunted / "results")),
         seconds=seconds,
     )
+
+
+def _differing(ours: dict[str, dict[str, Any]], theirs: dict[str, dict[str, Any]], of: str) -> list[str]:
+    """What two sweeps do not share of their runs, a line each."""
+    told = [f"{name}: {of}in one sweep alone" for name in sorted(ours.keys() ^ theirs.keys())]
+    for name in sorted(ours.keys() & theirs.keys()):
+        parts = [part for part in theirs[name] if ours[name].get(part) != theirs[name][part]]
+        told += [f"{name}: {of}{part}" for part in parts]
+    return told
 
 
 def _stored_runs(database: Path) -> list[tuple[str, str, str, str | None]]:
@@ -219,7 +227,8 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=10, help="of the whole process group (default: 10)")
     parser.add_argument("--seed", type=int, default=0, help="of the moments (default: 0)")
     chosen = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
+    # Asked to stop, it ends its sweep and leaves no files.
+    with stop_on_signals(), tempfile.TemporaryDirectory() as folder:
         try:
             result = sweep_under_kills(Path(folder), chosen.jobs, chosen.kills, chosen.seed)
         except SweepStalled as error:

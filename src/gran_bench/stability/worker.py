@@ -14,10 +14,12 @@ import torch
 
 from gran_bench.stability.expectation import Observation
 from gran_bench.stability.perform import Task, perform
+from gran_bench.stability.process_group import end_with_parent
 
 
 def main() -> None:
-    """Serve tasks until the parent closes the pipe or is gone."""
+    """Serve tasks until the parent closes the pipe; where it is gone, end in the middle of one."""
+    end_with_parent(os.getppid())
     # Whatever a library prints must not get between the lines of JSON.
     channel = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
