@@ -9,9 +9,11 @@ import torch
 from gran_bench.config import ContactModelConfig, ContainerConfig, FillingConfig, SceneConfig
 from gran_bench.neighbors import tree_pairs
 from gran_bench.scene import Plane, Scene, build_scene
+from gran_bench.surrogate import compiling
 from gran_bench.surrogate.contact import ContactNetwork
 from gran_bench.surrogate.contact_geometry import find_contacts, wall_displacement_matrix, wall_surfaces
 from gran_bench.surrogate.contact_memory import ContactMemory, follow_memory, warm_memory
+from gran_bench.surrogate.kernels.contact_frame import frame_adjoint, frame_forward
 from gran_bench.surrogate.kernels.contact_springs import SPRING_CAP
 from gran_bench.surrogate.step import FrameState
 
@@ -382,3 +384,33 @@ class TestFusedKernel:
         with ThreadPoolExecutor(2) as pool:
             for together in pool.map(gradient, range(6)):
                 assert all(torch.equal(a, b) for a, b in zip(alone, together, strict=True))
+
+
+def test_kernels_compiled_ahead_are_the_ones_that_a_run_calls(monkeypatch):
+    # Compiled in the run's own process they would sum in another order, and the first run would train other weights.
+    compiling.main()
+    kinds = len(frame_forward.signatures), len(frame_adjoint.signatures)
+    filling = FillingConfig(count=40)
+    scene = build_scene(SceneConfig(container=ContainerConfig(diameter=0.4, length=0.2), filling=filling))
+    start = scene.fresh_filling(0)
+    position, velocity, spin = (
+        torch.tensor(array, dtype=torch.float32) for array in (start.position, start.velocity, start.angular_velocity)
+    )
+    model = ContactNetwork(ContactModelConfig(iterations=4, memory=True, velocity="instantaneous"), scene)
+    frame = model.begin(scene, position, velocity, spin)
+    model(model(frame, scene, 0.0), scene, scene.frame_interval).position.sum().backward()
+    assert (len(frame_forward.signatures), len(frame_adjoint.signatures)) == kinds
+    calls = []
+    monkeypatch.setattr(compiling, "MARK", "nothing.compiled")
+    monkeypatch.setattr(compiling.subprocess, "run", lambda words, **_: calls.append(words[-1]) or Failed)
+    assert compiling.kernels_missing("contact")
+    assert not compiling.kernels_missing("radial")
+    compiling.compile_kernels("contact")
+    assert calls == ["gran_bench.surrogate.compiling"]
+    assert compiling.kernels_missing("contact")  # it failed, so the run compiles for itself
+
+
+class Failed:
+    """What a process leaves that could not do it."""
+
+    returncode = 1

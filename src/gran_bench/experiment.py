@@ -29,6 +29,7 @@ from gran_bench.run_record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRe
 from gran_bench.scene import build_scene
 from gran_bench.stopping import StopRequest, stop_on_signals
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model
+from gran_bench.surrogate.compiling import compile_kernels, kernels_missing
 from gran_bench.surrogate.step import Surrogate
 from gran_bench.trainer import CHECKPOINT, Trainer, TrainingStopped
 from gran_bench.training_start import device_named, make_model, training_windows
@@ -61,6 +62,7 @@ def run_experiment(config: TrainConfig) -> dict[str, Any]:
 
         def work(run: tracking.Run) -> dict[str, Any]:
             model = make_model(config, scene)
+            _compile_ahead(config.model.name)
             device = next(model.parameters()).device
             tell(f"model {config.model.name}: {model.parameter_count} parameters on {device}")
             with record.clock.stage("training"):
@@ -88,6 +90,7 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
     scene, digest = build_scene(read_config(SceneConfig, card.scene)), file_digest(path)
     tell(f"model {card.model['name']}: {model.parameter_count} parameters from {path}, made for scene {scene.name}")
     _refuse_unfair(config, card.origin)
+    _compile_ahead(card.model["name"])
     plan = Plan(scene, config.dem, config.dataset, config.judge)
     key = hash_of(digest, judged_by(plan))
     folder = Path(config.tracking.root) / "evaluations" / f"{path.parent.name}-{key[:8]}"
@@ -97,6 +100,12 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
         return record.carry_out(
             lambda run: judge_stage(record, model, plan, card.model, card.origin, run), lambda finished: False
         )
+
+
+def _compile_ahead(model: str) -> None:
+    if kernels_missing(model):
+        tell("compiling the kernels of the network (once, a minute or two) …")
+        compile_kernels(model)
 
 
 # ---- stages ----------------------------------------------------------------------------------------------

@@ -1,0 +1,88 @@
+"""The contact network's kernels, compiled by a process of their own before a run needs them.
+
+A process that compiles runs the helpers as it compiled them by themselves; one that finds the entries on disk runs the
+copies inside these. Both are right to rounding, but the sums may go in another order. So without this the first run
+of an installation would train other weights than the same run does later.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import torch
+
+import gran_bench
+from gran_bench.atomic import locked, write_text
+from gran_bench.config import ContactModelConfig
+from gran_bench.scene import Cylinder, Filling, Material, Rotation, Scene
+from gran_bench.surrogate import contact_solver
+from gran_bench.surrogate.contact import ContactNetwork
+from gran_bench.surrogate.kernels import contact_block, contact_frame
+from gran_bench.surrogate.kernels.contact_frame import frame_forward
+
+MARK = "contact_frame.compiled"  # beside the kernels: what was compiled by another process
+PATIENCE = 900.0  # s; beyond it the run compiles for itself
+
+
+def kernels_missing(model: str) -> bool:
+    """Whether a model, by its name, has kernels that are not on disk as another process compiled them, and could be."""
+    folder = frame_forward.stats.cache_path
+    if model != "contact" or folder is None:
+        return False
+    try:
+        return (Path(folder) / MARK).read_text("utf-8") != _wanted() or not any(Path(folder).glob("contact_frame*.nbc"))
+    except OSError:
+        return True
+
+
+def _wanted() -> str:
+    """What Numba finds its cache by: the compiler, the sources, and when the entries' file was written."""
+    file = Path(contact_frame.__file__)
+    sources = b"".join(Path(part.__file__).read_bytes() for part in (contact_frame, contact_block, contact_solver))
+    return f"{numba.__version__} {hashlib.sha256(sources).hexdigest()} {file.stat().st_mtime_ns}"
+
+
+def compile_kernels(model: str) -> None:
+    """Have another process compile what is missing; several runs that start at once wait for one.
+
+    Where that fails, the run compiles for itself, as it would without.
+    """
+    folder = Path(frame_forward.stats.cache_path)
+    try:
+        with locked(folder / "contact_frame.lock"):
+            if not kernels_missing(model):
+                return
+            paths = [str(Path(gran_bench.__file__).parent.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+            done = subprocess.run(
+                [sys.executable, "-P", "-m", "gran_bench.surrogate.compiling"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+                timeout=PATIENCE,
+                check=False,
+            )
+            if done.returncode == 0:
+                write_text(folder / MARK, _wanted())
+    except (OSError, subprocess.TimeoutExpired):
+        pass
+
+
+def main() -> None:
+    """One frame of two spheres in a drum, and its gradient: the kinds of array that every run has."""
+    stone = Material(1e7, 0.29, 2500.0, 0.5, 0.3)
+    drum = Cylinder((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 0.1)
+    scene = Scene("two spheres", (drum,), Filling(2, 0.05), stone, stone, rotation=Rotation((0.0,), (30.0,)))
+    model = ContactNetwork(ContactModelConfig(), scene)
+    position = torch.tensor([[0.0, 0.0, -0.076], [0.0, 0.0, -0.027]])
+    still = torch.zeros(2, 3)
+    model(model.begin(scene, position, still, still), scene, 0.0).position.sum().backward()
+
+
+if __name__ == "__main__":
+    main()
