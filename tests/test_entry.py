@@ -286,7 +286,7 @@ def test_runs_of_the_shipped_sweeps_keep_their_names(name):
     ("swept", "told"),
     [
         ("trainer.minutes=1,4", "trainer.minutes=1 and trainer.minutes=4"),
-        ("judge.speeds_rpm=[20],[20.0]", "decides nothing there"),
+        ("judge.speeds_rpm=[30],[30.0]", "decides nothing there"),
         ("seed=3,3", "a value is given twice"),
     ],
 )
