@@ -239,7 +239,7 @@ if __name__ == "__main__":
     parser.add_argument("--same-law-packings", type=int, nargs="+", default=[0], help=f"{several}; gran-bench's law")
     parser.add_argument("--full-radius-packings", type=int, nargs="+", default=[0], help=f"{several}; slip as LAMMPS")
     parser.add_argument("--kept", action="store_true", help="of the others take what a call before has finished")
-    parser.add_argument("--other-step", type=float, default=2.0e-4, help="s, of the others")
+    parser.add_argument("--other-step", "--lammps-step", type=float, default=2.0e-4, help="s, of the others")
     parser.add_argument("--root", type=Path, default=Path("data"), help="folder of the cases")
     parser.add_argument("--workers", type=int, default=2, help="cases at a time")
     parser.add_argument("--output", type=Path, help="folder of the page, the figure and the CSV")
