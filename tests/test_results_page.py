@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from test_comparison import found, row  # noqa: F401  a fixture
+from test_comparison_page import found, row  # noqa: F401  a fixture
 from test_run_summary import SCENE, broken, flowing, summary_of
 from test_sweep import lost, run
 

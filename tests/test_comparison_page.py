@@ -1,0 +1,253 @@
+"""What the page of a benchmark says of its results, with what failed and what is undecided."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from gran_bench.comparison import command
+from gran_bench.comparison.page import PAGE, page_text, table_of
+from gran_bench.comparison.results import (
+    FORMAT,
+    RESULTS,
+    ResultsError,
+    entries,
+    judged_anew,
+    read_all,
+    read_results,
+    share_waited,
+    untimed,
+)
+from gran_bench.comparison.sentences import verdicts, winner
+
+COMMITTED = Path(__file__).parents[1] / "results" / "benchmark"
+
+
+def row(name: str, kind: str, seconds: float, floors: float | None, failure: str = "", **more) -> dict:
+    ranges = {"median": seconds, "low": 0.9 * seconds, "high": 1.1 * seconds}
+    ranges |= {"expected_low": 0.8 * seconds, "expected_high": 1.2 * seconds}
+    found = {"name": name, "kind": kind, "unfit_because": "", "failure": failure, "failed": bool(failure)}
+    found |= {"simulated_seconds": 4.0, "wall": ranges, "relative": ranges, "cpu_seconds": 0.5 * seconds}
+    found |= {"peak_bytes": 2**28, "own_bytes": 2**20, "data_seconds": 0.0, "training_seconds": 0.0}
+    found |= {"floors": floors, "floors_low": floors, "floors_high": floors, "by": "speed_w1", "outside": 0}
+    found |= {"failed_seconds": None}
+    return found | {"judgement": None} | more
+
+
+@pytest.fixture
+def found() -> dict:
+    return {
+        "format": FORMAT,
+        "scene": "drum",
+        "profile": "quick",
+        "spheres": 3000,
+        "simulated_seconds": 4.0,
+        "motion": "30rpm",
+        "modulus": 1e7,
+        "rounds": 5,
+        "automatic": "DEM 0.2 ms",
+        "reference": {
+            "replicas": 5,
+            "noise": 1.3,
+            "accepted": 1.3,
+            "ranked": [{"key": "speed_w1", "label": "speeds, W1 a frame", "unit": "m/s"}],
+        },
+        "methods": [
+            row("DEM 0.2 ms", "dem", 0.9, 1.0),
+            row("DEM 1 ms", "dem", 0.2, 4.0),
+            row("DEM 5 ms", "dem", 0.05, None, "sphere 3 diverged", wall=None, relative=None, failed_seconds=0.05),
+            row("net", "surrogate", 0.6, 1.8, data_seconds=40.0, training_seconds=860.0),
+        ],
+        "waited": 0.0,
+        "stiffness": {},
+        "counts": {},
+        "provenance": {"command": "bench", "commit": "abc", "hardware": "two cores", "versions": "numpy 2"},
+    }
+
+
+class Replicas:
+    """What a kept result is told anew with: floors, errors of the replicas, and the noise."""
+
+    ranked = ()
+    own = {"speed_w1": [0.9, 1.0, 1.1]}  # noqa: RUF012
+
+    def __init__(self, floor: float = 0.02) -> None:
+        self._floor = floor
+
+    def floors(self) -> dict[str, float]:
+        return {"speed_w1": self._floor}
+
+    def noise(self, runs: int) -> float:
+        return 1.0 + 1.0 / runs
+
+
+def test_kept_results_are_told_anew_without_measuring(found):
+    errors = {"speed_w1": {"floor": 0.02, "value": 0.02, "unit": "m/s", "multiple_of_floor": 1.0}}
+    found["methods"][0]["judgement"] = {"velocity_kind": "instantaneous", "errors": errors}
+    anew = judged_anew(found, Replicas(), 3, 5)
+    assert anew["reference"]["accepted"] == anew["reference"]["noise"] == 1.2
+    assert anew["methods"] == found["methods"]
+    assert "older rule" in page_text({"quick/drum": found})
+    assert "older rule" not in page_text({"quick/drum": anew})
+    with pytest.raises(ResultsError, match="other replicas"):
+        judged_anew(found, Replicas(floor=0.03), 3, 5)
+
+
+def test_results_that_were_never_measured_cannot_be_told_anew(tmp_path):
+    with pytest.raises(ResultsError, match="measure=true"):
+        read_results(tmp_path / RESULTS)
+
+
+def test_too_few_replicas_leave_the_winner_unknown(found):
+    found["reference"] |= {"replicas": 2, "noise": None, "accepted": None, "judged_runs": 5}
+    text = page_text({"quick/drum": found})
+    assert "Noise: undefined, 2 replicas do not give the DEM's own accuracy; three or more do" in text
+    assert "Who wins is not known" in text
+    assert "At equal accuracy the rival is DEM 0.2 ms" in text
+
+
+def test_the_page_says_who_wins_and_marks_who_failed(found):
+    text = page_text({"quick/drum": found})
+    assert "the fastest is **DEM 0.2 ms**: 0.9 s" in text
+    assert "✗ failed: sphere 3 diverged" in text
+    (line,) = [line for line in text.splitlines() if line.startswith(("| **net**", "| net"))]
+    assert line.endswith("| 40 | 860 | 3,000 |")
+    assert "the surrogate is 1.5 times as fast (1.2 to 1.8)" in text
+    assert "paid back after 3,000 simulated seconds" in text
+
+
+def test_a_dem_that_is_as_exact_and_faster_wins_and_training_is_never_paid_back(found):
+    found["methods"].append(row("DEM 1.25 ms, E = 1e6 Pa", "dem", 0.3, 1.2))
+    assert "the fastest is **DEM 1.25 ms, E = 1e6 Pa**" in winner(found)
+    (said,) = verdicts(found)
+    assert "**the DEM is 2 times as fast** (1.6 to 2.4)" in said
+    assert "never paid back" in said
+    table = table_of(found).set_index("method")
+    assert table.loc["net", "break_even_seconds"] == math.inf
+    assert not table.loc["net", "on_frontier"]
+    assert table.loc["DEM 5 ms", "failed"]
+
+
+def test_intervals_that_allow_both_answers_leave_the_page_undecided(found):
+    found["methods"].append(row("DEM 1.5 ms", "dem", 0.3, 1.9, floors_low=1.7, floors_high=2.1))
+    next(one for one in found["methods"] if one["name"] == "net").update(floors_low=1.5, floors_high=2.1)
+    (said,) = verdicts(found)
+    assert "it is undecided who is faster: the surrogate is 1.5 times as fast (1.2 to 1.8) beside DEM 0.2 ms" in said
+    assert "**the DEM is 2 times as fast** (1.6 to 2.4) beside DEM 1.5 ms" in said
+    assert "are ever paid back is undecided" in said
+    assert math.isnan(table_of(found).set_index("method").loc["net", "break_even_seconds"])
+    assert "| 860 | undecided |" in page_text({"quick/drum": found})
+
+
+def test_the_winner_is_everyone_whose_time_is_not_told_apart(found):
+    found["methods"].append(row("DEM 0.25 ms", "dem", 0.85, 1.2))
+    assert "**DEM 0.25 ms**: 0.85 s a simulated second, 1.20 floors and **DEM 0.2 ms**: 0.9 s" in winner(found)
+    assert winner(found).endswith(", not told apart.")
+
+
+def test_the_winner_names_who_is_faster_and_may_be_as_exact(found):
+    found["methods"].append(row("DEM 0.5 ms", "dem", 0.4, 1.4, floors_low=1.2, floors_high=1.6))
+    assert "Undecided and faster" in winner(found)
+    assert "**DEM 0.5 ms** (0.4 s, 1.40 floors, 1.20 to 1.60)" in winner(found)
+
+
+def test_interpolation_alone_is_said_to_have_no_spheres(found):
+    found["methods"].append(row("interpolation, 25 and 35 rpm", "baseline", 1e-4, 1.1, data_seconds=40.0))
+    said = winner(found)
+    assert "after 40 s of data, and statistics without spheres. The fastest DEM there is **DEM 0.2 ms**" in said
+    found["methods"][-1] |= {"name": "rigid rotation", "data_seconds": 0.0}
+    assert "statistics" not in winner(found)
+    assert "of data" not in winner(found)
+
+
+def test_the_page_says_where_a_surrogate_starts_to_cost_less_and_what_softening_makes_of_it(found):
+    def points(**costs):
+        return [{"at": float(at[1:]), "wall": {"median": cost}, "failure": ""} for at, cost in costs.items()]
+
+    found["stiffness"] = {
+        "automatic": points(_1e7=0.3, _1e9=3.0),
+        "largest": points(_1e7=0.1, _1e9=0.4),
+        "net": points(_1e7=0.6),
+    }
+    found["counts"] = {"DEM": points(_300=0.1, _3000=1.0), "net": points(_300=0.2, _3000=0.5)}
+    text = page_text({"quick/drum": found})
+    assert "takes less time than the DEM at its largest allowed step at no stiffness that was timed" in text
+    assert "takes less time than the DEM at its automatic step from E = 4.0e+07 Pa on" in text
+    assert "errors were measured at E = 1.0e+07 Pa" in text
+    assert "takes 0.9 s, more than **net**; whether it can stand in for stiffer spheres was not measured" in text
+    assert "2 with 300 spheres, 0.5 with 3000 spheres" in text
+    assert "✗" not in text.partition("Against stiffness")[2]
+
+
+def test_points_of_a_study_that_failed_are_said_and_drawn(found, tmp_path, monkeypatch):
+    def point(at: float, cost: float | None, failure: str = "") -> dict:
+        return {"at": at, "wall": None if cost is None else {"median": cost}, "failure": failure}
+
+    found["stiffness"] = {
+        "automatic": [point(1e7, 0.3), point(1e9, None, "sphere 3 diverged")],
+        "largest": [point(1e7, 0.1), point(1e9, 0.4, "sphere 4 diverged")],
+        "net": [point(1e7, None, "not finite")],
+    }
+    found["counts"] = {"DEM": [point(300, 0.1)], "net": [point(300, None, "not finite")]}
+    text = page_text({"quick/drum": found})
+    assert "✗ The DEM at its automatic step failed at E = 1.0e+09 Pa: sphere 3 diverged." in text
+    assert "✗ The DEM at its largest allowed step failed at E = 1.0e+09 Pa: sphere 4 diverged." in text
+    assert "✗ **net** failed at E = 1.0e+07 Pa: not finite." in text
+    assert "✗ **net** failed at 300 spheres: not finite." in text
+    drawn = []
+    monkeypatch.setattr(command, "cost_against", lambda lines, *_: drawn.extend(lines))
+    command.draw(found, tmp_path)
+    assert [list(line.failed_at) for line in drawn] == [[1e9], [1e9], [1e7], [], [300]]
+    monkeypatch.undo()
+    command.draw(found, tmp_path)
+
+
+def test_a_run_that_failed_on_its_way_has_a_place_in_the_figure(found):
+    (failed,) = [one for one in entries(found) if one.floors is None]
+    assert (failed.name, failed.seconds) == ("DEM 5 ms", 0.05)
+
+
+def test_a_run_that_failed_before_its_first_frame_is_named_in_the_figure(found, tmp_path, monkeypatch):
+    seen = {}
+    monkeypatch.setattr(command, "time_against_error", lambda *given: seen.update(timed=given[0], lost=given[-1]))
+    nothing = {"wall": None, "relative": None}
+    found["methods"].append(row("DEM 9 ms", "dem", 0.05, None, "sphere 3 diverged", **nothing))
+    assert untimed(found) == ["DEM 9 ms"]
+    command.draw(found, tmp_path)
+    assert ([one.name for one in seen["timed"]], seen["lost"]) == (["0.2 ms", "1 ms", "5 ms", "net"], ["9 ms"])
+
+
+def test_a_benchmark_of_failures_alone_is_drawn(found, tmp_path):
+    nothing = {"wall": None, "relative": None}
+    found["methods"] = [row("DEM 0.2 ms", "dem", 0.05, None, "sphere 3 diverged", **nothing)]
+    command.draw(found, tmp_path)
+    assert (tmp_path / "time_error.png").exists()
+    assert "No method has the DEM's own accuracy" in page_text({"quick/drum": found})
+
+
+def test_methods_that_waited_for_the_processor_say_that_the_machine_was_busy(found):
+    assert share_waited(found["methods"]) == pytest.approx(0.5)
+    found["waited"] = 0.5
+    assert "Methods waited 50 % of their time for the processor" in page_text({"quick/drum": found})
+
+
+def test_full_results_of_a_scene_stand_for_it(found, tmp_path):
+    for place in ("quick/drum", "full/drum", "quick/packing"):
+        (tmp_path / place).mkdir(parents=True)
+        (tmp_path / place / RESULTS).write_text(json.dumps(copy.deepcopy(found)))
+    assert list(read_all(tmp_path)) == ["full/drum", "quick/packing"]
+    (tmp_path / "quick/packing" / RESULTS).write_text(json.dumps(found | {"format": FORMAT - 1}))
+    with pytest.raises(ResultsError, match="another version"):
+        read_all(tmp_path)
+
+
+@pytest.mark.skipif(not (COMMITTED / PAGE).exists(), reason="no benchmark is committed")
+def test_the_committed_page_is_made_from_the_committed_results():
+    assert page_text(read_all(COMMITTED)) == (COMMITTED / PAGE).read_text("utf-8"), (
+        "results/benchmark/README.md is not what its results say; write it again with "
+        "`python -m gran_bench.comparison.page results/benchmark`"
+    )
