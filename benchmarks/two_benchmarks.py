@@ -1,0 +1,93 @@
+"""Whether two runs of the benchmark agree: each method's time and error beside what the other run expects of it.
+
+    python -m gran_bench.benchmark root=FIRST
+    python -m gran_bench.benchmark root=SECOND seed=1
+    python benchmarks/two_benchmarks.py FIRST/quick/drum SECOND/quick/drum --output results/benchmark
+
+Another seed gives another order of turns and other nudges, so that nothing but machine and scene is shared. A run says
+for each method where the median time and the mean error of another run lie with 95 % confidence: of twenty such
+figures one is expected to fall outside by chance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from gran_bench.atomic import write_text
+from gran_bench.comparison.results import RESULTS, read_results
+
+NAME = "two_runs.md"
+QUANTITIES = ("time, s", "error, floors")
+
+
+def figures(row: dict[str, Any]) -> list[tuple[float, float, float] | None]:
+    """Of a method: (what was found, and the two ends of where another run's figure is expected), time and error."""
+    wall, time, error = row["wall"], None, None
+    if wall and wall["expected_low"] is not None and not row["failed"]:
+        time = wall["median"], wall["expected_low"], wall["expected_high"]
+    if row["floors"] is not None and not row["failed"]:
+        error = row["floors"], row["floors_low"], row["floors_high"]
+    return [time, error]
+
+
+def verdict(one: tuple[float, float, float], other: tuple[float, float, float]) -> str:
+    """Whether each figure lies where the other run expects it."""
+    if other[1] <= one[0] <= other[2] and one[1] <= other[0] <= one[2]:
+        return "agree"
+    return "overlap" if one[1] <= other[2] and other[1] <= one[2] else "**differ**"
+
+
+def page(first: dict[str, Any], second: dict[str, Any], command: str) -> str:
+    """The table, with a count of what agrees."""
+    others, said, lines = {row["name"]: row for row in second["methods"]}, {name: [] for name in QUANTITIES}, []
+    for row in first["methods"]:
+        cells = [row["name"]]
+        for name, one, other in zip(QUANTITIES, figures(row), figures(others[row["name"]]), strict=True):
+            if one is None or other is None:
+                both = (one, other) == (None, None)
+                cells += ["failed or not measured, in both" if both else "**in one alone**", "", ""]
+                said[name] += [] if both else ["**differ**"]
+                continue
+            said[name].append(verdict(one, other))
+            cells += [f"{x[0]:.3g} ({x[1]:.3g} to {x[2]:.3g})" for x in (one, other)] + [said[name][-1]]
+        lines.append(f"| {' | '.join(cells)} |")
+    counts = [
+        f"{name.partition(',')[0]}: {words.count('agree')} of {len(words)} lie where both runs expect them, "
+        f"{words.count('overlap')} outside one of the two intervals, which overlap, {words.count('**differ**')} differ"
+        for name, words in said.items()
+    ]
+    origins = [found["provenance"] for found in (first, second)]
+    runs = [f"`{origin['command']}` at {origin['commit']}" for origin in origins]
+    return "\n".join(
+        [
+            "# Two runs of the benchmark",
+            "",
+            f"{runs[0]} and {runs[1]}, on {origins[0]['hardware']}.",
+            "In brackets: where another run's figure is expected with 95 % confidence.",
+            "",
+            *(f"- {count[0].upper()}{count[1:]}." for count in counts),
+            "",
+            "| method | " + " | ".join(f"{name}, first | second | " for name in QUANTITIES) + " |",
+            "|---" * 7 + "|",
+            *lines,
+            "",
+            f"Made by `{command}`.",
+            "",
+        ]
+    )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("first", type=Path, help="folder of the results of one scene")
+    parser.add_argument("second", type=Path)
+    parser.add_argument("--output", type=Path, help=f"folder of {NAME}")
+    given = parser.parse_args()
+    words = " ".join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
+    text = page(read_results(given.first / RESULTS), read_results(given.second / RESULTS), words)
+    print(text)
+    if given.output:
+        write_text(given.output / NAME, text)
