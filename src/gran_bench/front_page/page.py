@@ -36,6 +36,11 @@ PAGES = (
         "`make bench`; in full `python -m gran_bench.benchmark -m profile=full scene=drum,packing`",
     ),
     (
+        "benchmark/two_runs.md",
+        "two runs of it: times and errors beside what each expects of the other",
+        "`python benchmarks/two_benchmarks.py`, as its first lines say",
+    ),
+    (
         "verification/README.md",
         "the DEM against theory and published experiments, point by point",
         "`python -m data_gen.verify`",
