@@ -4,7 +4,7 @@
 
 Without --lammps-python gran-bench runs alone. LAMMPS' interpreter is made as dem_vs_lammps.py says. Cases and the
 others' series are kept under --root, so that a second call goes on from there. A case takes some 7 s of one core,
-LAMMPS 20, the readable engine minutes.
+LAMMPS 20, gran-bench with LAMMPS' slip 40, most of them for compiling it.
 
 Both codes: E 1e7 Pa, ν 0.29, e 0.5, μ 0.3, walls alike, end caps that turn, Δt 2e-4 s. A figure of a packing is the
 mean over the frames from 3.5 s to 5.5 s: of the centre-of-mass angle, and of the mean of all spheres' instantaneous
@@ -14,8 +14,8 @@ tangential force falls with the load.
 
 One difference stays, because LAMMPS has no setting for it: it measures slip with the spheres' full radii, gran-bench at
 the contact point (drum_flow_page.py says what follows). Two calls show that nothing else stays. With
---full-radius-packings gran-bench's readable engine runs with LAMMPS' slip. With --youngs-modulus 1e8 the difference is
-too small to show; that makes a page of its own.
+--full-radius-packings gran-bench runs with LAMMPS' slip, too. With --youngs-modulus 1e8 the difference is too small to
+show; that makes a page of its own.
 """
 
 from __future__ import annotations

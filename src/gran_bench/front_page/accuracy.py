@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import pandas as pd
@@ -87,8 +87,9 @@ def flow_sentences(record: str, flow: pd.DataFrame) -> Iterator[str]:
     """For each speed and other code, how far the steady flows are apart, and whether chance gives as much."""
     modulus = record.partition("drum_flow_")[2]
     softness = f" with E {modulus} Pa" if modulus else ""
-    for (speed, code), theirs in flow[flow["code"] != OURS].groupby(["speed_rpm", "code"], sort=False):
-        ours = flow[(flow["code"] == OURS) & (flow["speed_rpm"] == speed)]
+    samples = {found: rows for found, rows in flow.groupby(["code", "speed_rpm"], sort=False)}
+    for one, code, speed in compared_flows(samples):
+        ours, theirs = samples[one, speed], samples[code, speed]
         words = []
         for column, name, unit, digits in (
             ("com_angle_deg", "centre-of-mass angle", "°", 2),
@@ -98,9 +99,17 @@ def flow_sentences(record: str, flow: pd.DataFrame) -> Iterator[str]:
             chance = "more than chance gives" if abs(apart.middle) > apart.half_width else "no more than chance gives"
             words.append(f"{name} {apart.middle:+.{digits}f} ± {apart.half_width:.{digits}f} {unit}, {chance}")
         yield (
-            f"[Steady flow]({record}.md){softness} at {speed:g} rpm, {len(ours)} packings against {len(theirs)} of "
-            f"{code}: {'; '.join(words)}."
+            f"[Steady flow]({record}.md){softness} at {speed:g} rpm, {len(ours)} packings of {one} against "
+            f"{len(theirs)} of {code}: {'; '.join(words)}."
         )
+
+
+def compared_flows(samples: Iterable[tuple[str, float]]) -> Iterator[tuple[str, str, float]]:
+    """Which of these are held against each other: gran-bench, as it is or with a law changed; another code; rpm."""
+    found = list(samples)
+    for ours, speed in found:
+        if ours.startswith(OURS):
+            yield from ((ours, code, speed) for code, other in found if other == speed and not code.startswith(OURS))
 
 
 def _error(error: dict[str, Any] | None) -> str:
