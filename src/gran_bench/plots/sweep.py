@@ -1,4 +1,4 @@
-"""A swept choice against error and time: a point a seed, a line through the means, failed runs at the upper edge."""
+"""A swept choice against error and time: a point a seed, the means, failed runs at the upper edge."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from gran_bench.plots.style import BASELINE, DEM, FURTHER, SURROGATE, drawing, say
 
@@ -29,7 +30,7 @@ def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path 
     Args:
         runs: a row a run: ``axis`` and ``others`` as text, ``status``, and the figures of the panels, NaN where
             undefined.
-        axis: the swept key along x; its values are spaced as numbers where they are numbers.
+        axis: the swept key along x; where its values are numbers they are spaced so, with a line through the means.
         others: the other swept keys; each combination of their values has a colour.
         path: of the PNG.
         title: of the figure: the sweep, and what it is judged on.
@@ -48,7 +49,7 @@ def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path 
         for axes, (name, label) in zip(panels, PANELS, strict=True):
             axes.set_ylabel(label)
             axes.set_xlabel(axis)
-            _points(axes, series, axis, name, place)
+            _points(axes, series, axis, name, place, joined=as_numbers)
             turned = {} if as_numbers else {"rotation": 30, "ha": "right"}
             axes.set_xticks([place[value] for value in values], values, **turned)
             if runs.loc[runs["status"] == "finished", name].isna().all():
@@ -60,15 +61,17 @@ def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path 
     return Path(path)
 
 
-def _points(axes: Axes, series: list, axis: str, name: str, place: dict[str, float]) -> None:
-    """Seeds, means and failures of one panel."""
+def _points(axes: Axes, series: list, axis: str, name: str, place: dict[str, float], joined: bool) -> None:
+    """Seeds, means and failures of one panel; between names there is nothing that a line could say."""
+    dash = {"linestyle": "", "marker": "_", "markersize": 16.0, "markeredgewidth": 2.0}
+    mean = {"linestyle": "-"} if joined else dash
     for (values, runs), colour in zip(series, _colours(len(series)), strict=True):
         label = ", ".join(values if isinstance(values, tuple) else (values,)) or "mean over seeds"
         found = runs.assign(x=runs[axis].map(place), y=pd.to_numeric(runs[name], errors="coerce").astype(float))
         good = found[found["y"].notna()]
         axes.plot(good["x"], good["y"], "o", color=colour, markersize=4.0, alpha=0.6)
         means = good.groupby("x")["y"].mean().sort_index()
-        axes.plot(means.index, means.to_numpy(), color=colour, label=label)
+        axes.plot(means.index, means.to_numpy(), color=colour, label=label, **mean)
         lost = found[found["y"].isna()]
         if len(lost):
             # At the upper edge of the panel, wherever its scale ends: a failure has no figure and must still be seen.
@@ -81,6 +84,9 @@ def _points(axes: Axes, series: list, axis: str, name: str, place: dict[str, flo
         return
     if found.min() > 0 and found.max() > LOG_FROM * found.min():
         axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
     else:
         axes.set_ylim(0.0, 1.08 * found.max() if found.max() > 0 else 1.0)
 
