@@ -21,6 +21,7 @@ PANELS = (
     ("updates", "updates in the time given"),
 )
 LOG_FROM = 15.0  # largest over smallest figure from which a panel is logarithmic
+CROWDED = 4  # numbers below an axis from which on they would touch
 COLOURS = (SURROGATE, BASELINE, *FURTHER, DEM)
 
 
@@ -42,6 +43,7 @@ def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path 
     numbers = [_number(value) for value in values]
     as_numbers = all(number is not None for number in numbers)
     place = dict(zip(values, numbers if as_numbers else range(len(values)), strict=True))
+    crowded = not as_numbers or len(values) > CROWDED
     series = list(runs.groupby(list(others), sort=False)) if others else [((), runs)]
     with drawing(path, 13.0, 7.2) as figure:
         figure.suptitle(title, x=0.01, ha="left", fontsize=10.5)
@@ -50,7 +52,7 @@ def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path 
             axes.set_ylabel(label)
             axes.set_xlabel(axis)
             _points(axes, series, axis, name, place, joined=as_numbers)
-            turned = {} if as_numbers else {"rotation": 30, "ha": "right"}
+            turned = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if crowded else {}
             axes.set_xticks([place[value] for value in values], values, **turned)
             if runs.loc[runs["status"] == "finished", name].isna().all():
                 say(axes, "undefined in every run")
