@@ -28,7 +28,7 @@ def draw_drum_flow(
     """
     codes = list(dict.fromkeys(code for code, _ in samples))
     speeds = sorted({rpm for _, rpm in samples})
-    with drawing(path, 3.6 * len(speeds), 2.5 * len(labels)) as figure:
+    with drawing(path, max(3.6, 1.45 * len(codes)) * len(speeds), 2.5 * len(labels)) as figure:
         grid = figure.subplots(len(labels), len(speeds), squeeze=False)
         for column, rpm in enumerate(speeds):
             for row, label in enumerate(labels):
@@ -41,7 +41,7 @@ def draw_drum_flow(
                     if values is None:
                         continue
                     spread = np.linspace(-0.15, 0.15, len(values[row]))
-                    colour = DEM if place == 0 else BASELINE
+                    colour = DEM if code.startswith(codes[0]) else BASELINE  # the first, or it with something changed
                     axes.plot(place + spread, values[row], "o", color=colour, markersize=3.5, alpha=0.7)
                     mean = mean_of(values[row])
                     axes.errorbar(place + 0.3, mean.middle, mean.half_width, fmt="_", color=colour, capsize=3)
