@@ -7,7 +7,6 @@ of an installation would train other weights than the same run does later.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import subprocess
 import sys
@@ -20,10 +19,9 @@ import gran_bench
 from gran_bench.atomic import locked, write_text
 from gran_bench.config import ContactModelConfig
 from gran_bench.scene import Cylinder, Filling, Material, Rotation, Scene
-from gran_bench.surrogate import contact_solver
 from gran_bench.surrogate.contact import ContactNetwork
-from gran_bench.surrogate.kernels import contact_block, contact_frame
-from gran_bench.surrogate.kernels.contact_frame import frame_forward
+from gran_bench.surrogate.kernels import contact_frame
+from gran_bench.surrogate.kernels.contact_frame import digest_of_sources, frame_forward
 
 MARK = "contact_frame.compiled"  # beside the kernels: what was compiled by another process
 PATIENCE = 900.0  # s; beyond it the run compiles for itself
@@ -42,9 +40,7 @@ def kernels_missing(model: str) -> bool:
 
 def _wanted() -> str:
     """What Numba finds its cache by: the compiler, the sources, and when the entries' file was written."""
-    file = Path(contact_frame.__file__)
-    sources = b"".join(Path(part.__file__).read_bytes() for part in (contact_frame, contact_block, contact_solver))
-    return f"{numba.__version__} {hashlib.sha256(sources).hexdigest()} {file.stat().st_mtime_ns}"
+    return f"{numba.__version__} {digest_of_sources()} {Path(contact_frame.__file__).stat().st_mtime_ns}"
 
 
 def compile_kernels(model: str) -> None:

@@ -17,7 +17,8 @@ from gran_bench.scene import Cylinder, Scene
 from gran_bench.surrogate.contact_geometry import MILLIMETRE, ContactList, wall_displacement_matrix
 from gran_bench.surrogate.contact_solver import PAIR, WALL
 from gran_bench.surrogate.kernels.contact_block import CHANNELS, HIDDEN, INPUTS
-from gran_bench.surrogate.kernels.contact_frame import ROW, frame_adjoint, frame_forward
+from gran_bench.surrogate.kernels.contact_frame import frame_adjoint, frame_forward
+from gran_bench.surrogate.kernels.contact_kinematics import ROW
 
 if TYPE_CHECKING:
     from gran_bench.surrogate.contact import ContactNetwork

@@ -1,0 +1,64 @@
+"""Scenes, beds and lively networks that the tests of the contact network share."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from gran_bench.config import ContactModelConfig, ContainerConfig, FillingConfig, SceneConfig
+from gran_bench.scene import Scene, build_scene
+from gran_bench.surrogate.contact import ContactNetwork
+from gran_bench.surrogate.contact_geometry import find_contacts
+from gran_bench.surrogate.contact_memory import ContactMemory
+from gran_bench.surrogate.step import FrameState
+
+DIAMETER = 0.05
+VARIANTS = ({}, {"memory": True}, {"velocity": "instantaneous"}, {"memory": True, "velocity": "instantaneous"})
+
+
+def drum(count: int = 60, periodic: bool = False, speed_rpm: float = 30.0) -> Scene:
+    """A short, narrow drum."""
+    container = ContainerConfig(diameter=0.26, length=0.2, periodic_axis=periodic)
+    return build_scene(SceneConfig("small", container, FillingConfig(count, DIAMETER))).at_speed(speed_rpm)
+
+
+def nowhere(gravity: bool = False) -> Scene:
+    """No walls."""
+    strength = -9.81 if gravity else 0.0
+    return build_scene(SceneConfig("free", ContainerConfig(kind="none"), gravity=[0.0, 0.0, strength]))
+
+
+def network(scene: Scene, seed: int = 0, **choices) -> ContactNetwork:
+    """A network whose weights are far from their quiet start, so that every term acts."""
+    torch.manual_seed(seed)
+    model = ContactNetwork(ContactModelConfig(**{"iterations": 3, "backend": "torch"} | choices), scene)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter += 0.15 * torch.randn_like(parameter)
+    return model
+
+
+def cluster(scene: Scene, count: int, seed: int = 0, dtype: torch.dtype = torch.float32) -> FrameState:
+    """Spheres on a jittered lattice with gaps of both signs, lively velocities and spins, a few at each wall."""
+    rng = np.random.default_rng(seed)
+    edge = int(np.ceil(count ** (1 / 3)))
+    site = np.stack(np.meshgrid(*[np.arange(edge)] * 3, indexing="ij"), -1).reshape(-1, 3)[:count]
+    position = (site - 0.5 * (edge - 1)) * DIAMETER * 1.01 + rng.uniform(-0.002, 0.002, (count, 3))
+    if scene.drum_radius is not None:
+        reach = scene.drum_radius - 0.5 * DIAMETER
+        radial = np.hypot(position[:, 0], position[:, 2])
+        far = radial > reach
+        position[far] *= np.where([True, False, True], reach / radial[far, None], 1.0)
+        position[:, 1] = np.clip(position[:, 1], -0.5 * scene.length + 0.024, 0.5 * scene.length - 0.024)
+    velocity, spin = rng.normal(0.0, 0.3, (count, 3)), rng.normal(0.0, 8.0, (count, 3))
+    return FrameState(*(torch.tensor(a, dtype=dtype) for a in (position, velocity, spin)))
+
+
+def with_memory(model: ContactNetwork, scene: Scene, state: FrameState) -> FrameState:
+    """The state with springs at half of its contacts."""
+    if model.has_memory:
+        contacts = find_contacts(scene, state.position.detach().numpy(), DIAMETER * 1.1, 0.01)
+        keys = contacts.keys(len(state.position))[::2]
+        spring = np.random.default_rng(5).normal(0.0, 0.3, (len(keys), 3)).astype(np.float32)
+        state.memory = ContactMemory(keys, spring)
+    return state

@@ -1,0 +1,91 @@
+"""The contact network's kernels: that they are the same function as the reference, and compiled ahead of a run."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+import torch
+from contact_beds import VARIANTS, cluster, drum, network, with_memory
+
+from gran_bench.config import ContactModelConfig, ContainerConfig, FillingConfig, SceneConfig
+from gran_bench.scene import build_scene
+from gran_bench.surrogate import compiling
+from gran_bench.surrogate.contact import ContactNetwork
+from gran_bench.surrogate.kernels.contact_frame import frame_adjoint, frame_forward
+
+
+class TestFusedKernel:
+    """The jitted forward and its hand-written adjoint against the reference and autograd, in float32."""
+
+    @pytest.mark.parametrize("choices", VARIANTS)
+    @pytest.mark.parametrize("periodic", [False, True])
+    def test_frames_and_all_gradients_are_those_of_the_reference(self, choices, periodic):
+        scene = drum(periodic=periodic)
+        reference = network(scene, **choices)
+        fused = network(scene, **choices, backend="fused")
+        generator = torch.Generator().manual_seed(1)
+        pull = [torch.randn((60, 3), generator=generator) for _ in range(3)]
+
+        def frame(model):
+            state = with_memory(model, scene, cluster(scene, 60))
+            leaves = [state.position, state.velocity, state.angular_velocity]
+            for leaf in leaves:
+                leaf.requires_grad_()
+            after = model(state, scene, 1.5)
+            outputs = 1e3 * after.position, 10.0 * after.velocity, 0.25 * after.angular_velocity
+            sum((o * p).sum() for o, p in zip(outputs, pull, strict=True)).backward()
+            scales = (1e3, 10.0, 0.25)  # so that all gradients are per mm, or mm a frame
+            return outputs, [leaf.grad / s for leaf, s in zip(leaves, scales, strict=True)]
+
+        expected, expected_gradients = frame(reference)
+        found, found_gradients = frame(fused)
+        for e, f in zip(expected, found, strict=True):
+            assert torch.allclose(e, f, rtol=1e-4, atol=1e-4)
+        for e, f in zip(expected_gradients, found_gradients, strict=True):
+            assert (e - f).norm() < 2e-4 * e.norm()
+        for name, weight in reference.named_parameters():
+            gradient = dict(fused.named_parameters())[name].grad
+            assert (weight.grad - gradient).norm() < 2e-4 * weight.grad.norm(), name
+
+    def test_threads_that_work_at_once_give_the_same_bits(self):
+        scene = drum()
+        model = network(scene, backend="fused", memory=True)
+
+        def gradient(_):
+            state = with_memory(model, scene, cluster(scene, 60))
+            after = model(state, scene, 1.5)
+            return torch.autograd.grad(after.position.sum() + after.velocity.sum(), list(model.parameters()))
+
+        alone = gradient(0)
+        with ThreadPoolExecutor(2) as pool:
+            for together in pool.map(gradient, range(6)):
+                assert all(torch.equal(a, b) for a, b in zip(alone, together, strict=True))
+
+
+def test_kernels_compiled_ahead_are_the_ones_that_a_run_calls(monkeypatch):
+    # Compiled in the run's own process they would sum in another order, and the first run would train other weights.
+    compiling.main()
+    kinds = len(frame_forward.signatures), len(frame_adjoint.signatures)
+    filling = FillingConfig(count=40)
+    scene = build_scene(SceneConfig(container=ContainerConfig(diameter=0.4, length=0.2), filling=filling))
+    start = scene.fresh_filling(0)
+    position, velocity, spin = (
+        torch.tensor(array, dtype=torch.float32) for array in (start.position, start.velocity, start.angular_velocity)
+    )
+    model = ContactNetwork(ContactModelConfig(iterations=4, memory=True, velocity="instantaneous"), scene)
+    frame = model.begin(scene, position, velocity, spin)
+    model(model(frame, scene, 0.0), scene, scene.frame_interval).position.sum().backward()
+    assert (len(frame_forward.signatures), len(frame_adjoint.signatures)) == kinds
+    calls = []
+    monkeypatch.setattr(compiling, "MARK", "nothing.compiled")
+    monkeypatch.setattr(compiling.subprocess, "run", lambda words, **_: calls.append(words[-1]) or Failed)
+    assert compiling.kernels_missing("contact")
+    assert not compiling.kernels_missing("radial")
+    compiling.compile_kernels("contact")
+    assert calls == ["gran_bench.surrogate.compiling"]
+    assert compiling.kernels_missing("contact")  # it failed, so the run compiles for itself
+
+
+class Failed:
+    """What a process leaves that could not do it."""
+
+    returncode = 1
