@@ -1,6 +1,7 @@
 """Training: bit-identical after any interruption, whatever the number of threads; budgets; divergence."""
 
 import itertools
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -297,6 +298,26 @@ def test_the_fused_convolution_trains_to_the_same_bits_on_any_number_of_threads(
         return trainer.final_weights()
 
     assert same(weights(1), weights(2))
+
+
+def test_a_thread_that_runs_windows_has_no_threads_inside_an_operation(tmp_path):
+    # OpenMP's idle threads spin, and what they spin is charged to a budget of processor time.
+    seen = []
+
+    class Watching(FakeWindows):
+        def draw(self, draw: int, frames: int) -> FakeWindow:
+            seen.append((threading.current_thread().name, torch.get_num_threads()))
+            return super().draw(draw, frames)
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        Trainer(Network(), Watching(), config(threads=2), tmp_path).run(progress=False)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+    assert {threads for _, threads in seen} == {1}
+    assert {name.partition("_")[0] for name, _ in seen} == {"windows"}
 
 
 def test_a_loss_that_is_not_finite_stops_and_keeps_what_led_there(tmp_path):

@@ -353,13 +353,17 @@ class Trainer:
         warm = False
         threads = torch.get_num_threads()
         # Threads run whole windows. Threads inside an operation would fight them, and would sum in another order.
+        # OpenMP counts threads for each thread that calls it, so the pool's own have to be told as well.
         torch.set_num_threads(1)
+        windows = ThreadPoolExecutor(
+            self.workers, thread_name_prefix="windows", initializer=torch.set_num_threads, initargs=(1,)
+        )
         bar = tqdm(
             total=budget.steps, initial=self.step, desc="training", unit="update", disable=None if progress else True
         )
         self.model.train()
         try:
-            with ThreadPoolExecutor(self.workers, thread_name_prefix="windows") as pool:
+            with windows as pool:
                 while self.step < budget.steps and self.spent < cap:
                     metrics = self.update(pool)
                     if not warm:
