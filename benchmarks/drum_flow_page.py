@@ -20,7 +20,7 @@ SETTINGS = {
     THEIRS: "LAMMPS `granular` on one rank: hertz/material, coeff_restitution, tangential mindlin/force.",
     SAME_LAW: "With *gran-bench's law* it runs mindlin_rescale/force and limit_damping, and is given the number for e "
     "that makes it 0.5 then.",
-    FULL_RADIUS: "With *LAMMPS' slip* gran-bench runs as `full_radius_drum.py` says: one point of its law changed.",
+    FULL_RADIUS: "With *LAMMPS' slip* gran-bench runs with `dem.slip=full_radius`: one point of its law is LAMMPS'.",
 }
 QUANTITIES = (("angle", "centre-of-mass angle", "°", 2), ("speed", "mean speed", "m/s", 4))
 # What a mean over three packings is held against, in degrees and m/s: an independent code's, found before this one.
@@ -32,7 +32,7 @@ WHY = (
     "full radii a bed that turns as one body slips at each contact by ω δ, although nothing moves against anything; "
     "the contacts are loaded up to the Coulomb limit by it, and the bed is a little weaker. At the contact point it "
     "does not slip (`tests/physics/test_friction.py`). Two things show whether anything else differs: gran-bench with "
-    "this one point changed, which is *LAMMPS' slip* where the table has it; and stiffer spheres, because with δ the "
+    "this one point as LAMMPS has it, *LAMMPS' slip* in the tables; and stiffer spheres, because with δ the "
     "difference vanishes: [1e7 Pa](drum_flow.md), [1e8 Pa](drum_flow_1e8.md)."
 )
 FEW = 3  # packings in such a mean

@@ -137,6 +137,7 @@ class DemConfig:
     skin: float | None = None  # m, Verlet skin; null: chosen by the clock; changes no bit of the result
     threads: int | None = None  # of the numba engine; null: chosen by the clock; changes no bit of the result
     precision: str = "float64"  # float64 | float32 (of contact forces, numba alone; positions stay float64)
+    slip: str = "contact_point"  # contact_point | full_radius (as LAMMPS measures it): arms that spins add slip with
     allow_unsafe_step: bool = False  # true turns the error of a too large step into a recorded warning
 
 

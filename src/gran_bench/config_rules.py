@@ -191,6 +191,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "skin": positive("m"),
         "threads": at_least(1),
         "precision": OneOf(("float64", "float32")),
+        "slip": OneOf(("contact_point", "full_radius")),
         "allow_unsafe_step": Switch(),
     },
     DatasetConfig: {

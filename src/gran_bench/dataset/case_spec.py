@@ -189,7 +189,7 @@ def key_hash(key: dict[str, Any]) -> str:
 def _dem_key(scene: Scene, dem: DemConfig) -> dict[str, Any]:
     """The solver's settings that change numbers; skin and threads don't."""
     time_step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
-    return {"engine": dem.engine, "time_step": float(time_step), "precision": dem.precision}
+    return {"engine": dem.engine, "time_step": float(time_step), "precision": dem.precision, "slip": dem.slip}
 
 
 @functools.cache

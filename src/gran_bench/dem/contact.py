@@ -12,6 +12,11 @@ where the elastic part h is the history. It is turned with the contact plane at 
 √(δ/δ_before) when the normal load drops, and then loaded by −8 G* a v_t Δt, where a is √(R* δ), or while δ grows its
 mean over the step: with the last value alone, the spin that a sticking impact gives is wrong by 2 % at t_c/200. When
 f_t slips, h and f_t are rescaled together.
+
+v_t counts the spins in with the lever arms that the torque has, so that it is the slip of the contact points. Some
+codes measure it with the full radii R (LAMMPS `granular`: GRANULAR/granular_model.cpp, 22 Jul 2025), and give a torque
+at a wall the arm R as well. ``dem.slip=full_radius`` does so too, for comparison with them: a bed that turns as one
+body at ω then slips at each contact by ω δ, and work and torque do not quite belong together.
 """
 
 from __future__ import annotations

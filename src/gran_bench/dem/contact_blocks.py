@@ -74,7 +74,8 @@ def forget(buffer, lane, rolling):
 @kernel
 def pair_forces(
     sphere, velocity, spin, ahead, material, force, torque, pair_i, pair_j, near, begin, end,
-    slot, moment, touched, evaluation, active, buffer, laws, period, tangential, rolling, unequal, several, dt,
+    slot, moment, touched, evaluation, active, buffer, laws, period, tangential, rolling, unequal, several,
+    full_radius, dt,
 ):  # fmt: skip
     """Adds the forces and torques of the touching pairs among ``near[begin:end]`` and updates their slots.
 
@@ -94,6 +95,7 @@ def pair_forces(
         laws: ``(S, S, 5)`` (4/3 E*, 8 G*, α, μ, μ_r).
         period: of y, m; 0 for none.
         tangential, rolling, unequal, several: what is needed: friction, rolling model, sizes and materials that differ.
+        full_radius: whether slip is measured with full radii.
         dt: s over which histories are loaded.
     """
     touching = closer(sphere, pair_i, pair_j, near[begin:end], 0.0, period, active)
@@ -130,9 +132,12 @@ def pair_forces(
                 buffer[NY + k] -= period * np.rint(buffer[NY + k] / period)
         pair_geometry(buffer, size)
         if tangential:
-            surface_spins(buffer, size)
+            if full_radius:
+                full_radius_spins(buffer, size, unequal)
+            else:
+                surface_spins(buffer, size)
             if unequal:
-                shift_arms(buffer, size)
+                shift_arms(buffer, size, not full_radius)
         contact_laws(buffer, size, tangential, rolling, unequal, dt)
         for k in range(0, size, 4):
             p = four_from(active, first + k)
@@ -176,18 +181,36 @@ def surface_spins(buffer, size):
 
 
 @kernel
-def shift_arms(buffer, size):
-    """Lever arms of unequal spheres, which end on the plane of the circle where they intersect, into Σ arm × ω.
+def full_radius_spins(buffer, size, unequal):
+    """Σ ω of a block → Σ r × ω = ½ (r₁ + r₂) (ω₁ + ω₂) + ½ (r₁ − r₂) (ω₁ − ω₂)."""
+    half = buffer.dtype.type(0.5)
+    for k in range(size):
+        mean = half * buffer[REACH + k]
+        buffer[WX + k] *= mean
+        buffer[WY + k] *= mean
+        buffer[WZ + k] *= mean
+    if unequal:
+        for k in range(size):
+            excess = half * buffer[SKEW + k] / buffer[REACH + k]
+            buffer[WX + k] += excess * buffer[PX + k]
+            buffer[WY + k] += excess * buffer[PY + k]
+            buffer[WZ + k] += excess * buffer[PZ + k]
 
-    arm₁ = ½ d + s and arm₂ = ½ d − s with s = (r₁² − r₂²) / 2 d, so Σ arm × ω gains s (ω₁ − ω₂).
+
+@kernel
+def shift_arms(buffer, size, slips):
+    """Lever arms of unequal spheres, which end on the plane of the circle where they intersect.
+
+    arm₁ = ½ d + s and arm₂ = ½ d − s with s = (r₁² − r₂²) / 2 d. Where the contact point ``slips``, Σ arm × ω gains
+    s (ω₁ − ω₂).
     """
-    quarter = buffer.dtype.type(0.25)
+    quarter, share = buffer.dtype.type(0.25), buffer.dtype.type(slips)
     for k in range(size):
         arm = buffer[ARM_1 + k]
         shift = quarter * buffer[SKEW + k] / arm
-        buffer[WX + k] += shift * buffer[PX + k]
-        buffer[WY + k] += shift * buffer[PY + k]
-        buffer[WZ + k] += shift * buffer[PZ + k]
+        buffer[WX + k] += share * shift * buffer[PX + k]
+        buffer[WY + k] += share * shift * buffer[PY + k]
+        buffer[WZ + k] += share * shift * buffer[PZ + k]
         buffer[ARM_1 + k] = arm + shift
         buffer[ARM_2 + k] = arm - shift
 

@@ -108,7 +108,7 @@ class _Stretch:
         self._constants = (
             physics.pair_laws, physics.wall_laws, self._walls, np.array(physics.gravity, np.float64),
             float(physics.period), physics.skin, float(time_step), fastest * fastest,
-            physics.tangential, physics.rolling, bool((self._radius != self._radius[0]).any()),
+            physics.tangential, physics.rolling, bool((self._radius != self._radius[0]).any()), physics.full_radius,
         )  # fmt: skip
 
     def begin(self) -> None:

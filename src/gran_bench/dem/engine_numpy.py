@@ -122,6 +122,8 @@ def _pair_loads(
     normal = offset / distance[:, None]
     # Both lever arms end on the plane of the circle in which the spheres intersect.
     arm = 0.5 * (distance + (radius[i] ** 2 - radius[j] ** 2) / distance)
+    # Those that slip is measured with; LAMMPS' are longer (contact.py).
+    slip_i, slip_j = (radius[i], radius[j]) if physics.full_radius else (arm, distance - arm)
     old = _recall(bodies.history, i, j)
     law = ContactLaw.from_constants(physics.pair_laws[bodies.material[i], bodies.material[j]])
     contact = contact_force(
@@ -132,7 +134,7 @@ def _pair_loads(
         effective_mass=bodies.mass[i] * bodies.mass[j] / (bodies.mass[i] + bodies.mass[j]),
         velocity=bodies.velocity[i] - bodies.velocity[j],
         velocity_gain=bodies.velocity_gain[i] - bodies.velocity_gain[j],
-        surface_spin=arm[:, None] * bodies.spin[i] + (distance - arm)[:, None] * bodies.spin[j],
+        surface_spin=slip_i[:, None] * bodies.spin[i] + slip_j[:, None] * bodies.spin[j],
         history=old.force,
         overlap_before=old.overlap,
         time_step=time_step,
@@ -161,6 +163,7 @@ def _wall_loads(
     i = np.flatnonzero(distance < bodies.radius)
     distance, normal = distance[i], normal[i]
     point = bodies.position[i] + distance[:, None] * normal
+    arm = bodies.radius[i] if physics.full_radius else distance
     old = _recall(bodies.history, i, np.full(len(i), -1 - index))
     law = ContactLaw.from_constants(physics.wall_laws[bodies.material[i], index])
     contact = contact_force(
@@ -171,13 +174,13 @@ def _wall_loads(
         effective_mass=bodies.mass[i],
         velocity=bodies.velocity[i] - surface_velocity(pose, point),
         velocity_gain=bodies.velocity_gain[i],
-        surface_spin=distance[:, None] * bodies.spin[i],
+        surface_spin=arm[:, None] * bodies.spin[i],
         history=old.force,
         overlap_before=old.overlap,
         time_step=time_step,
     )
     force[i] += contact.force
-    torque[i] += distance[:, None] * contact.twist
+    torque[i] += arm[:, None] * contact.twist
     moment = old.rolling_moment
     if physics.rolling:
         # What rolls on a turning wall rolls against the wall's own rotation.

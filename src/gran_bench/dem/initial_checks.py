@@ -10,12 +10,18 @@ from gran_bench.neighbors import nearest_image, tree_pairs
 from gran_bench.scene import Scene
 from gran_bench.state import ParticleState, StateError, name_some
 
-# Of the smaller radius sum resp. the radius: far beyond what a DEM makes itself, and the stored energy would explode.
+# Of the mean diameter of a pair, of the diameter at a wall: Hertz's law is for less, and the stored energy explodes.
 LARGEST_INITIAL_OVERLAP = 0.2
+STIFFEN = "its own weight crushes the bed: raise scene.material.youngs_modulus"
 
 
-def check_initial_state(scene: Scene, state: ParticleState) -> None:
+def check_initial_state(scene: Scene, state: ParticleState, remedy: str | None = None) -> None:
     """Refuses a state that cannot be simulated. Spheres that have left through an outlet are not looked at.
+
+    Args:
+        scene: where it starts.
+        state: to start.
+        remedy: against overlaps; where None, to move the particles.
 
     Raises:
         StateError: duplicates, pairs or walls overlapping by 20 % of the mean diameter (of the diameter for a wall)
@@ -32,8 +38,8 @@ def check_initial_state(scene: Scene, state: ParticleState) -> None:
     inside = taking_part(scene, state.position)
     here, number = (state, np.arange(state.count)) if inside is None else (part_of(state, inside), inside.nonzero()[0])
     if here.count:
-        _check_overlaps(scene, here, number)
-        _check_walls(scene, here, number)
+        _check_overlaps(scene, here, number, remedy or "move them apart before the run")
+        _check_walls(scene, here, number, remedy or "move them inside before the run")
     history = state.history
     if len(history):
         known = (history.first >= 0) & (history.first < state.count)
@@ -63,7 +69,7 @@ def check_initial_speed(state: ParticleState, time_step: float) -> None:
         )
 
 
-def _check_overlaps(scene: Scene, state: ParticleState, number: np.ndarray) -> None:
+def _check_overlaps(scene: Scene, state: ParticleState, number: np.ndarray, remedy: str) -> None:
     pairs = tree_pairs(state.position, 2.0 * float(state.radius.max()), scene.period)
     offset = nearest_image(state.position[pairs[:, 1]] - state.position[pairs[:, 0]], scene.period)
     distance = np.linalg.norm(offset, axis=1)
@@ -75,24 +81,22 @@ def _check_overlaps(scene: Scene, state: ParticleState, number: np.ndarray) -> N
     if len(squeezed):
         raise StateError(
             f"particles {_name_pairs(squeezed)} overlap by {LARGEST_INITIAL_OVERLAP:.0%} of their mean diameter "
-            "or more; move them apart before the run"
+            f"or more; {remedy}"
         )
 
 
-def _check_walls(scene: Scene, state: ParticleState, number: np.ndarray) -> None:
+def _check_walls(scene: Scene, state: ParticleState, number: np.ndarray, remedy: str) -> None:
     poses = wall_poses(scene, state.time, 0.0, 0)[0]
     outside = number[largest_excess(scene, poses, state.position) > 0]
     if len(outside):
-        raise StateError(
-            f"particles {name_some(outside)} have their centre outside the container; move them inside before the run"
-        )
+        raise StateError(f"particles {name_some(outside)} have their centre outside the container; {remedy}")
     for index, pose in enumerate(poses):
         overlap = state.radius - wall_contact(pose, state.position)[0]
         squeezed = number[overlap >= LARGEST_INITIAL_OVERLAP * 2.0 * state.radius]
         if len(squeezed):
             raise StateError(
                 f"particles {name_some(squeezed)} overlap wall {index} by {LARGEST_INITIAL_OVERLAP:.0%} of their "
-                "diameter or more; move them inside before the run"
+                f"diameter or more; {remedy}"
             )
 
 

@@ -59,6 +59,7 @@ class Physics:
         rolling: whether the rolling model is computed.
         threads: how many work together, where there are particles enough; changes no bit of the result.
         single_precision: whether the contact laws are computed in float32. Positions and velocities never are.
+        full_radius: whether slip is measured with full radii instead of at the contact point (contact.py).
     """
 
     pair_laws: FloatArray
@@ -71,6 +72,7 @@ class Physics:
     rolling: bool
     threads: int = 1
     single_precision: bool = False
+    full_radius: bool = False
 
     @classmethod
     def of(cls, scene: Scene, largest_radius: float, skin: float | None = None) -> Physics:

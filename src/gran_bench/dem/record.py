@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gran_bench.dem.contact import sphere_mass
+from gran_bench.dem.initial_checks import LARGEST_INITIAL_OVERLAP
 from gran_bench.dem.outlet import taking_part
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, ParticleState, Trajectory
@@ -67,6 +68,20 @@ class FrameRecord:
         self.time.append(time)
         self.frames.append((state.position, state.velocity, state.angular_velocity))
         self.figures.append(contact_diagnostics(self.scene, state))
+
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader of the frames must know: that no run could start from one of them."""
+        if not len(self.radius):
+            return ()
+        deepest = [max(figures["overlap_max"], figures["wall_overlap_max"]) for figures in self.figures]
+        worst, smallest = int(np.argmax(deepest)), 2.0 * float(self.radius.min())
+        if deepest[worst] < LARGEST_INITIAL_OVERLAP * smallest:
+            return ()
+        return (
+            f"an overlap of {deepest[worst]:.3g} m at t = {self.time[worst]:.6g} s is {deepest[worst] / smallest:.0%} "
+            f"of the smallest diameter, and Hertz's law is for less than {LARGEST_INITIAL_OVERLAP:.0%}: choose a "
+            "stiffer material",
+        )
 
     def trajectory(self, *failed: tuple[float, FloatArray, FloatArray, FloatArray]) -> Trajectory:
         """All frames, and a failed one that has no diagnostics."""

@@ -12,7 +12,7 @@ from tqdm import tqdm
 from gran_bench.config import DemConfig
 from gran_bench.dem import engine_numba, engine_numpy
 from gran_bench.dem.frame import advance_frame, first_contacts
-from gran_bench.dem.initial_checks import check_initial_speed, check_initial_state
+from gran_bench.dem.initial_checks import STIFFEN, check_initial_speed, check_initial_state
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.record import FrameRecord, SimulationError
 from gran_bench.dem.time_step import TimeStepError, choose_time_step, dividing_step
@@ -112,7 +112,7 @@ def simulate(
         time_step=time_step,
         steps=frames * substeps,
         wall_seconds=clock.perf_counter() - started,
-        warnings=warnings,
+        warnings=warnings + record.warnings(),
         skin=tuner.chosen.skin,
         threads=tuner.chosen.threads,
     )
@@ -136,6 +136,7 @@ def settle(
     Raises:
         SceneError: a filling that does not fit.
         SimulationError: divergence, escape, or a bed that still moves after ``filling.longest_settling``.
+        StateError: a bed that its own weight crushes, so that nothing could start from it.
     """
     dem, still, filling = dem or DemConfig(), scene.at_rest(), scene.filling
     state = scene.fresh_filling(seed)
@@ -169,6 +170,7 @@ def settle(
             bar.update(substeps)
             bar.set_postfix_str(f"t = {state.time:.2f} s, mean speed {speed:.2g} m/s", refresh=False)
             listen(state.time)
+    check_initial_state(still, state, remedy=STIFFEN)
     return replace(state, time=scene.start_time, history=_sorted_history(state.history))
 
 
@@ -187,8 +189,12 @@ def _engine(dem: DemConfig) -> Callable[..., ParticleState]:
 def _physics(scene: Scene, largest_radius: float, dem: DemConfig) -> Physics:
     if dem.precision == "float32" and dem.engine != "numba":
         raise ValueError(f"dem.precision=float32 is for dem.engine=numba; {dem.engine} computes in float64 alone")
-    single = dem.precision == "float32"
-    return replace(Physics.of(scene, largest_radius, dem.skin), threads=dem.threads or 1, single_precision=single)
+    return replace(
+        Physics.of(scene, largest_radius, dem.skin),
+        threads=dem.threads or 1,
+        single_precision=dem.precision == "float32",
+        full_radius=dem.slip == "full_radius",
+    )
 
 
 def _radius_range(scene: Scene, state: ParticleState) -> tuple[float, float]:

@@ -33,7 +33,7 @@ def march(
     order, sphere, velocity, spin, ahead, material, force, torque,
     pair_i, pair_j, start, slot, moment, touched, wall_i, wall_w, wall_start, wall_slot, wall_moment, wall_touched,
     everyone, near, active, wall_active, geometry, searched_at, pruned_at, near_start, buffer, wall_buffer,
-    pair_laws, wall_laws, walls, gravity, period, skin, dt, fastest_allowed, tangential, rolling, unequal,
+    pair_laws, wall_laws, walls, gravity, period, skin, dt, fastest_allowed, tangential, rolling, unequal, full_radius,
 ):  # fmt: skip
     """One thread's share of the steps from new lists to where the next ones are needed, or to the stretch's end.
 
@@ -62,6 +62,7 @@ def march(
         fastest_allowed: m²/s², beyond which a particle diverges.
         tangential, rolling: what the scene needs.
         unequal: whether sizes differ.
+        full_radius: whether slip is measured with full radii.
 
     Returns:
         The row that diverged, ``FINISHED`` or ``SEARCH``.
@@ -90,12 +91,13 @@ def march(
             pair_forces(
                 sphere, velocity, spin, ahead, material, force[c], torque[c], pair_i, pair_j,
                 near, near_start[c - chunk], near_start[c - chunk + 1], slot, moment, touched, evaluation,
-                active, buffer, pair_laws, period, tangential, rolling, unequal, several, span,
+                active, buffer, pair_laws, period, tangential, rolling, unequal, several, full_radius, span,
             )  # fmt: skip
             wall_forces(
                 sphere, velocity, spin, ahead, material, force[c], torque[c], wall_i, wall_w,
                 wall_start[(c - chunk) * len(walls[0]) :], wall_slot, wall_moment, wall_touched, evaluation,
-                wall_active, geometry, wall_buffer, wall_laws, walls[evaluation - 1], tangential, rolling, span,
+                wall_active, geometry, wall_buffer, wall_laws, walls[evaluation - 1], tangential, rolling, full_radius,
+                span,
             )  # fmt: skip
         meet(gate, threads)
         if steps == 0:

@@ -49,7 +49,7 @@ from gran_bench.dem.wall_list import shape_of, toward_wall
 @kernel
 def wall_forces(
     sphere, velocity, spin, ahead, material, force, torque, wall_i, wall_w, start, slot, moment, touched,
-    evaluation, active, geometry, buffer, laws, walls, tangential, rolling, dt,
+    evaluation, active, geometry, buffer, laws, walls, tangential, rolling, full_radius, dt,
 ):  # fmt: skip
     """Adds the forces and torques of the touching walls of a chunk and updates their slots.
 
@@ -103,7 +103,7 @@ def wall_forces(
             buffer[VY + k] -= walls[w, 12] + (w2 * cx - w0 * cz)
             buffer[VZ + k] -= walls[w, 13] + (w0 * cy - w1 * cx)
             buffer[DELTA + k] = sphere[i, 3] - distance
-            buffer[ARM_1 + k] = distance
+            buffer[ARM_1 + k] = sphere[i, 3] if full_radius else distance
             buffer[RS + k] = sphere[i, 3]
             buffer[MS + k] = 1.0 / velocity[i, 3]
             buffer[INVERSE_MS + k] = velocity[i, 3]
