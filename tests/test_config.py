@@ -31,6 +31,7 @@ from gran_bench.config_rules import RULES, ConfigError, Range
 from gran_bench.dem.initial_checks import check_initial_state
 from gran_bench.metrics.position_error import HORIZONS
 from gran_bench.scene import build_scene
+from gran_bench.state import StateError
 from gran_bench.surrogate import boundary, contact
 from gran_bench.surrogate.kernels import contact_fused
 
@@ -87,6 +88,12 @@ def test_a_shipped_scene_carries_its_file_name_and_has_room_for_its_spheres(scen
     state = built.fresh_filling(seed=0)
     assert state.count == built.filling.count
     check_initial_state(built, state)
+
+
+def test_spheres_placed_into_each_other_are_refused_with_the_config():
+    overrides = ["scene=collision", "scene.filling.positions=[[0,0,0],[0.01,0,0]]"]
+    with pytest.raises(StateError, match="particles 0 and 1 overlap by 20%"):
+        checked_config(compose("generate", overrides), GenerateConfig)
 
 
 @pytest.mark.parametrize("scene", SCENES)

@@ -56,6 +56,15 @@ def test_a_window_shows_consecutive_frames_of_one_case(cases: list[Case]):
     assert windows.window(0, 0, 3).previous_position is None
 
 
+@pytest.mark.parametrize("field", ["position", "velocity", "angular_velocity"])
+def test_a_frame_that_is_not_finite_is_named_before_any_training(cases: list[Case], field: str):
+    values = np.array(getattr(cases[1].trajectory, field))
+    values[7, 3, 1] = np.nan
+    broken = replace(cases[1], trajectory=replace(cases[1].trajectory, **{field: values}))
+    with pytest.raises(DatasetError, match=rf"a {field} that is not finite in 1 of its frames, first in frame 7"):
+        Windows([cases[0], broken])
+
+
 def test_draws_are_a_pure_function_of_seed_and_number(cases: list[Case]):
     def starts(seed: int, numbers: range) -> list[tuple[int, int]]:
         windows = Windows(cases, seed)

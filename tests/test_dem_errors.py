@@ -50,6 +50,24 @@ def test_a_particle_deep_in_a_wall_is_named_with_the_wall(scene):
         simulate(scene, at((0, 0.09, 0)), 0.1)
 
 
+def test_a_bed_that_its_own_weight_crushes_is_refused_where_it_settled(scene):
+    filling = replace(scene.filling, settled_speed=0.05)
+    crushed = replace(scene.material, youngs_modulus=1e4)
+    soft = replace(scene, filling=filling, material=crushed, wall_material=crushed)
+    with pytest.raises(StateError, match=r"by 20% .* crushes the bed: raise scene\.material\.youngs_modulus"):
+        settle(soft, 0, dem=DemConfig(time_step=1e-3))
+
+
+def test_an_overlap_from_which_no_run_could_start_is_a_warning_of_the_result(scene):
+    soft = replace(scene.material, youngs_modulus=3e4)
+    head_on = replace(at((0, 0, 0), (0.06, 0, 0)), velocity=np.array([[3.0, 0, 0], [-3.0, 0, 0]]))
+    free = replace(scene, walls=(), gravity=(0.0, 0.0, 0.0), material=soft, wall_material=soft)
+    (warning,) = simulate(free, head_on, 0.05, dem=DemConfig(time_step=1e-4)).warnings
+    assert "of the smallest diameter" in warning
+    assert "t = 0.0" in warning
+    assert simulate(free, replace(head_on, velocity=0.1 * head_on.velocity), 0.05).warnings == ()
+
+
 def test_a_history_of_another_scene_is_refused(scene):
     history = ContactHistory(np.array([0]), np.array([7]), np.zeros((1, 3)), np.full(1, 1e-4))
     with pytest.raises(StateError, match="names 1 contacts whose particles or walls this scene does not have"):

@@ -71,6 +71,8 @@ def test_a_requested_step_is_shortened_to_divide_the_frame_and_says_so(drum):
     assert len(warnings) == 1
     assert "was shortened" in warnings[0]
     assert choose_time_step(drum, 1e-4) == (pytest.approx(1e-4), ())
+    with pytest.raises(TimeStepError, match=r"dem\.time_step=0\.003 s, shortened to 0\.0025 s, is 0\.6"):
+        choose_time_step(drum, 3e-3)
 
 
 def test_warning_from_a_tenth_and_error_from_a_fifth_of_the_contact_time(drum):

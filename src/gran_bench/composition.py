@@ -157,17 +157,20 @@ def checked_config(composed: DictConfig, schema: type[Config]) -> Config:
     """The config that Hydra composed, read into ``schema``; its scene can be built, filled and resolved in time.
 
     Raises:
-        ConfigError, SceneError, TimeStepError: what cannot be, in one line.
+        ConfigError, SceneError, StateError, TimeStepError: what cannot be, in one line.
     """
     values = OmegaConf.to_container(composed, resolve=True)
     assert isinstance(values, dict)
     config = read_config(schema, values)
     if isinstance(config, TrainConfig | GenerateConfig):
         # Imported here, so that a typo need not wait for SciPy.
+        from gran_bench.dem.initial_checks import check_initial_state
         from gran_bench.dem.time_step import choose_time_step
 
         scene = build_scene(config.scene)
-        scene.fresh_filling(seed=0)
+        filled = scene.fresh_filling(seed=0)
+        if scene.filling.positions:  # sites of a lattice are apart and inside
+            check_initial_state(scene, filled)
         data = config.dataset
         if scene.takes_speeds:
             speeds = data.training_speeds_rpm + data.validation_speeds_rpm + data.holdout_speeds_rpm

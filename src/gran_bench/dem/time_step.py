@@ -115,8 +115,9 @@ def choose_time_step(
         return dividing_step(scene.frame_interval, largest), ()
     if not (math.isfinite(requested) and requested > 0):
         raise TimeStepError(f"dem.time_step={requested:g} is impossible; choose a value > 0 s, or null")
-    step = dividing_step(scene.frame_interval, requested)
+    step, given = dividing_step(scene.frame_interval, requested), f"dem.time_step={requested:g} s"
     if step < requested * (1.0 - 1e-9):
+        given += f", shortened to {step:.6g} s,"
         warnings.append(
             f"dem.time_step={requested:g} s was shortened to {step:.6g} s, "
             f"a whole fraction of the frame interval {scene.frame_interval:g} s"
@@ -124,7 +125,7 @@ def choose_time_step(
     if step >= ERROR_FRACTION * contact_time:
         safe = dividing_step(scene.frame_interval, WARNING_FRACTION * contact_time * (1.0 - 1e-6))
         message = (
-            f"dem.time_step={step:g} s is {step / contact_time:.2g} of the shortest contact time {contact_time:.3g} s "
+            f"{given} is {step / contact_time:.2g} of the shortest contact time {contact_time:.3g} s "
             f"and cannot resolve it; the largest safe step is {safe:.10g} s"
         )
         if not allow_unsafe:
@@ -132,7 +133,7 @@ def choose_time_step(
         warnings.append(message)
     elif step >= WARNING_FRACTION * contact_time:
         warnings.append(
-            f"dem.time_step={step:g} s is {step / contact_time:.2g} of the shortest contact time {contact_time:.3g} s; "
+            f"{given} is {step / contact_time:.2g} of the shortest contact time {contact_time:.3g} s; "
             "from a tenth on, restitution depends on the step"
         )
     return step, tuple(warnings)
