@@ -56,4 +56,6 @@ $(READY): requirements.lock pyproject.toml
 	@echo "Installing the packages of requirements.lock into $(VENV) (a minute or two)"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@echo "Checking the installation by an experiment of two spheres, which also compiles the DEM's kernels"
+	@$(BIN)/python -m gran_bench.verify --case chung-ooi-1 > /dev/null
 	@touch $@
