@@ -12,13 +12,23 @@ from gran_bench.atomic import write_text
 from gran_bench.provenance import commit, hardware, provenance, write_origin
 
 FOLDER = Path("results/dem_speed")
+INTERPRETER = "--lammps-python"  # an option whose value is a place on somebody's machine
+
+
+def typed_command() -> str:
+    """The command line as a reader would type it, with LAMMPS' interpreter where the benchmarks say that it is made."""
+    words = ["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]
+    for place, word in enumerate(words[:-1]):
+        if word == INTERPRETER:
+            words[place + 1] = "lammps-venv/bin/python"
+    return " ".join(words)
 
 
 def keep(name: str, text: str, output: Path | None, rows: Sequence[dict[str, object]] = ()) -> None:
     """Prints the text and, where a folder is given, writes it to ``<name>.md`` there, and rows to ``<name>.csv``."""
     print(text)
     if output is not None:
-        command = " ".join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
+        command = typed_command()
         made = f"Made by `{command}` at {commit()} on {hardware()}."
         write_text(output / f"{name}.md", f"{made}\n\n```\n{text}\n```\n")
         if rows:

