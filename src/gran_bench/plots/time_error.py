@@ -9,6 +9,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import NullFormatter
 from matplotlib.transforms import Bbox
 
@@ -20,6 +21,15 @@ KINDS = {
     "hybrid": ("hybrid or corrected", FURTHER[0], "s"),
     "baseline": ("baseline", BASELINE, "^"),
 }
+
+
+# Where a name may stand, from its mark, points: the first that is free. From farther than FAR a line leads to the mark.
+PLACES = (
+    (9, 0), (-9, 0), (9, 11), (9, -11), (-9, 11), (-9, -11), (0, 18), (0, -18), (9, 24), (9, -24), (-9, 24), (-9, -24),
+    *((side * right, -up) for up, right in ((38, 9), (38, 40), (52, 9), (52, 60)) for side in (1, -1)),
+    *((side * right, up) for up, right in ((38, 40), (52, 60)) for side in (1, -1)),
+)  # fmt: skip
+FAR = 20
 
 
 @dataclass(frozen=True)
@@ -120,24 +130,16 @@ def _name_marks(figure: Figure, axes: Axes, marks: Sequence[tuple[Contender, flo
     taken = [Bbox.from_extents(x - 6, y - 6, x + 6, y + 6) for x, y in points]
     for contender, y in marks:
         text = contender.name if contender.floors is not None else f"{contender.name} (failed)"
-        for right, up in (
-            (9, 0),
-            (-9, 0),
-            (9, 11),
-            (9, -11),
-            (-9, 11),
-            (-9, -11),
-            (0, 18),
-            (0, -18),
-            (9, 24),
-            (9, -24),
-        ):
+        for right, up in PLACES:
+            leader = {"arrowstyle": "-", "color": QUIET, "linewidth": 0.6, "shrinkA": 0.0, "shrinkB": 3.0}
             label = axes.annotate(
                 text, (contender.seconds, y), xytext=(right, up), textcoords="offset points", fontsize=9,
-                ha={9: "left", -9: "right", 0: "center"}[right], va="center", color=KINDS[contender.kind][1],
+                ha=("center", "left", "right")[(right > 0) - (right < 0)], va="center", color=KINDS[contender.kind][1],
                 bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6},
+                arrowprops=leader if abs(up) > FAR else None,
             )  # fmt: skip
-            box = label.get_window_extent()
+            label.get_window_extent()  # puts the text in its place; its own box leaves out the line
+            box = Text.get_window_extent(label)
             if (
                 not any(box.overlaps(other) for other in taken)
                 and axes.bbox.containsx(box.x0)
