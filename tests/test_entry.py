@@ -286,8 +286,10 @@ def test_runs_of_the_shipped_sweeps_keep_their_names(name):
     ("swept", "told"),
     [
         ("trainer.minutes=1,4", "trainer.minutes=1 and trainer.minutes=4"),
-        ("judge.speeds_rpm=[30],[30.0]", "decides nothing there"),
+        ("judge.speeds_rpm=[30],[30.0]", "judge.speeds_rpm decides nothing there"),
+        ("judge.speeds_rpm=[30],[30,40]", "judge.speeds_rpm only decides how it is judged"),
         ("seed=3,3", "a value is given twice"),
+        ("loss.discount=0.5,0.8", "loss.discount decides nothing there"),
     ],
 )
 def test_two_jobs_that_would_be_the_same_run_are_refused_before_any_work(monkeypatch, capsys, tmp_path, swept, told):
@@ -299,8 +301,15 @@ def test_two_jobs_that_would_be_the_same_run_are_refused_before_any_work(monkeyp
     assert ending.value.code == REFUSED
     said = capsys.readouterr().err
     assert told in said
-    assert "tracking.sweep=NAME" in said
+    assert ("gran_bench.evaluate" if "only decides" in told else "tracking.sweep=NAME") in said
     assert list(tmp_path.iterdir()) == []
+
+
+def test_recipes_that_are_sweeps_are_not_swept_over():
+    with pytest.raises(
+        ConfigError, match=r"experiment=sweep_\w+ is itself a sweep over .*; give each a command of its own"
+    ):
+        described_jobs(Source("train"), ["+experiment=smoke,sweep_radius"], multirun=True)
 
 
 def test_long_commands_keep_a_folder_of_their_own():

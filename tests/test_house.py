@@ -36,7 +36,17 @@ ROOMS = [
     *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses", "rollout", "metrics"),
     *("baselines", "trainer", "training_start", "evaluation_plan", "evaluation", "plots", "export", "tracking"),
     *("sweep", "run_summary", "run_page", "run_identity", "run_record", "experiment"),
-    *("override_errors", "composition", "sweep_data", "sweep_run", "job", "launcher", "entry"),
+    *(
+        "override_errors",
+        "composition",
+        "sweep_data",
+        "sweep_jobs",
+        "sweep_records",
+        "sweep_run",
+        "job",
+        "launcher",
+        "entry",
+    ),
     *("shipped", "result_page", "comparison", "stability", "front_page"),
 ]
 ENTRIES = ["train", "generate", "verify", "evaluate", "benchmark", "stress", "report", "ui"]

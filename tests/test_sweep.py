@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +9,9 @@ from pathlib import Path
 import pytest
 from test_run_summary import SCENE, broken, flowing, summary_of
 
-from gran_bench.front_page.command import report_command
 from gran_bench.front_page.records import read_records
 from gran_bench.run_summary import headline
-from gran_bench.sweep.overview import reaches, write_overview
+from gran_bench.sweep.overview import write_overview
 from gran_bench.sweep.run_file import (
     MADE,
     RunFile,
@@ -24,7 +22,7 @@ from gran_bench.sweep.run_file import (
     recorded_runs,
 )
 from gran_bench.sweep.standing import read_standing, standing, unequal_updates
-from gran_bench.sweep.sweep_file import SweepFile, SweepJob, read_sweep
+from gran_bench.sweep.sweep_file import SweepFile, SweepJob
 from gran_bench.sweep.sweep_report import report_sweep
 from gran_bench.sweep.table import axes_of, best_choices, choices_frame, newest, runs_frame, shown_table
 
@@ -56,6 +54,14 @@ def lost(radius: str, seed: int, reason: str = "the loss is not finite at update
     return failed_run(f"r+model.radius-{radius}+seed-{seed}", f"{radius}{seed}", "j", choices, seed, reason, facts)
 
 
+def sweep_in(folder: Path, *runs: RunFile, jobs: int = 0) -> None:
+    for one in runs:
+        one.write(folder)
+    listed = [SweepJob(one.run, one.key, one.judged_by, one.choices, one.seed) for one in runs]
+    listed += [SweepJob(f"waits {i}", f"w{i}", "j", {"model.radius": "0.2", "seed": str(i)}, i) for i in range(jobs)]
+    SweepFile(folder.name, "k", "python -m gran_bench.train -m ...", "gran-bench", listed).write(folder)
+
+
 # ---- a run's file ----------------------------------------------------------------------------------------
 
 
@@ -80,7 +86,17 @@ def test_what_any_sweep_has_recorded_is_known_by_key_and_judge_but_a_failure_is_
     good, bad = run("0.08", 0, 1.0), lost("0.1", 0)
     path = good.write(tmp_path / "sweeps" / "one")
     bad.write(tmp_path / "sweeps" / "two")
-    assert recorded_runs(tmp_path) == {(good.key, "j"): path}
+    assert recorded_runs(tmp_path) == ({(good.key, "j"): [path]}, [])
+
+
+def test_a_damaged_file_of_one_sweep_hides_no_run_of_another(tmp_path: Path):
+    good = run("0.08", 0, 1.0)
+    path, damaged = good.write(tmp_path / "sweeps" / "two"), tmp_path / "sweeps" / "one" / "runs" / "x.json"
+    damaged.parent.mkdir(parents=True)
+    damaged.write_text("{")
+    found, (complaint,) = recorded_runs(tmp_path)
+    assert found == {(good.key, "j"): [path]}
+    assert str(damaged) in str(complaint)
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"run": "x"}'])
@@ -252,92 +268,3 @@ def test_the_page_lists_what_does_not_count(tmp_path: Path):
     text = report_sweep(tmp_path).text
     assert "1 runs finished" in text
     assert re.search(rf"## Not counted, of other code or data\n\n.+\n\n- `{re.escape(old.file_name)}`", text)
-
-
-# ---- the page --------------------------------------------------------------------------------------------
-
-
-def sweep_in(folder: Path, *runs: RunFile, jobs: int = 0) -> None:
-    for one in runs:
-        one.write(folder)
-    listed = [SweepJob(one.run, one.key, one.judged_by, one.choices, one.seed) for one in runs]
-    listed += [SweepJob(f"waits {i}", f"w{i}", "j", {"model.radius": "0.2", "seed": str(i)}, i) for i in range(jobs)]
-    SweepFile(folder.name, "k", "python -m gran_bench.train -m ...", "gran-bench", listed).write(folder)
-
-
-def test_the_page_says_what_it_is_judged_on_what_failed_and_what_waits(tmp_path: Path):
-    folder = tmp_path / "results" / "sweeps" / "mine"
-    sweep_in(folder, run("0.08", 0, 1.0), run("0.1", 0, 2.0), lost("0.15", 0), jobs=2)
-    report = report_sweep(folder)
-    text = (folder / "README.md").read_text("utf-8")
-    assert text == report.text
-    assert "2 runs finished, 1 failed, 2 wait; judged at 35 rpm, the validation speed" in text
-    assert "the loss is not finite at update 7 (log: `logs/x.log`)" in text
-    assert "waits 1" in text
-    assert (len(report.failed), len(report.waiting)) == (1, 2)
-    assert report.metrics["best/angle_error_deg"] == 1.0
-    assert report.tags["best.angle_error_deg"] == "model.radius=0.08"
-    assert (folder / "model.radius.png").read_bytes().startswith(b"\x89PNG")
-    assert len((folder / "runs.csv").read_text().splitlines()) == 4
-    assert read_sweep(folder).jobs[-1].run == "waits 1"
-
-
-def test_a_sweep_of_which_all_failed_has_a_page_and_a_figure_too(tmp_path: Path):
-    folder = tmp_path / "sweeps" / "mine"
-    sweep_in(folder, lost("0.08", 0), lost("0.1", 0))
-    report = report_sweep(folder)
-    assert "0 runs finished, 2 failed" in report.text
-    assert (folder / "model.radius.png").exists()
-
-
-def test_sweeps_are_reported_at_any_time_from_their_files_alone(tmp_path: Path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert report_command([]) == 2
-    assert "holds no sweep" in capsys.readouterr().err
-    for name in ("one", "two"):
-        sweep_in(tmp_path / "results" / "sweeps" / name, run("0.08", 0, 1.0))
-    assert report_command([]) == 0
-    said = capsys.readouterr()
-    assert "# one" in said.out
-    assert "# two" in said.out
-    (tmp_path / "results" / "sweeps" / "one" / "runs" / "x.json").write_text("{")
-    assert report_command(["results/sweeps/one", "results/sweeps/two"]) == 1
-    said = capsys.readouterr()
-    assert "x.json is no file of a sweep's run" in said.err
-    assert "# two" in said.out
-
-
-def test_a_runs_file_is_plain_json(tmp_path: Path):
-    path = run("0.08", 0, 1.0).write(tmp_path)
-    assert json.loads(path.read_text("utf-8"))["choices"] == {"model.radius": "0.08", "seed": "0"}
-
-
-# ---- over all sweeps -------------------------------------------------------------------------------------
-
-
-def test_the_reach_of_a_key_is_from_its_best_mean_to_its_worst_beside_the_spread_of_seeds():
-    runs = [run("0.08", 0, 1.0), run("0.08", 1, 2.0), run("0.1", 0, 4.0), run("0.1", 1, 5.0), lost("0.2", 0)]
-    found = {reach.figure: reach for reach in reaches(runs)}
-    angle = found["angle error, floors"]
-    assert (angle.axis, angle.beside) == ("model.radius", "")
-    assert angle.best == ("0.08", 3.0)
-    assert angle.worst == ("0.1", 9.0)
-    assert angle.factor == 3.0
-    # Figures in floors are twice the angle: 2 and 4, 8 and 10; each pair scatters by √2.
-    assert angle.spread == pytest.approx(2**0.5)
-    assert angle.lost == ("0.2",)
-    assert found["speed W1, floors"].factor == 1.0
-    assert "centre-of-mass angle error, floors" not in found  # of which these runs say nothing
-
-
-def test_the_page_over_all_sweeps_begins_with_a_persons_remarks_and_shows_every_sweep(tmp_path: Path, capsys):
-    for name, radii in {"one": ("0.08", "0.1"), "two": ("0.1", "0.2")}.items():
-        for radius in radii:
-            run(radius, 0, 10 * float(radius)).write(tmp_path / "sweeps" / name)
-    (tmp_path / "sweeps" / "remarks.md").write_text("The radius matters.\n")
-    assert report_command(["--root", str(tmp_path)]) == 0
-    page = (tmp_path / "sweeps" / "README.md").read_text()
-    assert page.index("The radius matters.") < page.index("| sweep |") < page.index("## one") < page.index("## two")
-    assert "| [one](one/README.md) |  | angle error, floors | 0.08 (1.6) | 0.1 (2) | 1.25 | one seed |" in page
-    assert "![model.radius](two/model.radius.png)" in page
-    assert write_overview(tmp_path / "nothing") is None

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 import stored_runs
+from mlflow.entities import Run as StoredRun
 from stored_runs import client, runs
 
 from gran_bench.config import TrackingConfig
-from gran_bench.tracking import Child, end_child, open_run, reopen_ended, schedule_children
+from gran_bench.tracking import Child, end_child, fill_stand_ins, open_run, reopen_ended, schedule_children
 
 # SQLAlchemy's word to MLflow, which a user never sees either.
 pytestmark = pytest.mark.filterwarnings("ignore:The ``noload`` loader strategy")
@@ -44,20 +45,60 @@ def test_a_sweeps_runs_wait_under_its_parent_before_their_jobs_start(config: Tra
     assert statuses == {"R1": "FINISHED", "R2": "SCHEDULED", "R3": "SCHEDULED"}
 
 
-def test_a_run_that_another_sweep_made_stays_there_and_an_orphan_is_taken_in(config: TrackingConfig):
+def under(config: TrackingConfig, parent: str) -> dict[str, StoredRun]:
+    """The children of a parent, by name."""
+    return {run.info.run_name: run for run in runs(config) if run.data.tags.get("mlflow.parentRunId") == parent}
+
+
+def test_a_run_that_two_sweeps_share_stays_with_the_first_and_a_stand_in_shows_it_in_the_second(config: TrackingConfig):
+    first = sweep_parent(config)
+    schedule_children(config, first, [Child("R1", "one"), Child("R2", "two")])
+    with open_run(config, "boundary", "second", {}, {"sweep": "boundary"}) as second:
+        pass
+    theirs = [Child("R1", "one", called="boundary+kind-spheres"), Child("R3", "three")]
+    for _ in "12":  # the same command again makes none again
+        schedule_children(config, second.run_id, theirs)
+    assert set(under(config, first)) == {"R1", "R2"}
+    assert {name: run.info.status for name, run in under(config, second.run_id).items()} == {
+        "kind-spheres": "SCHEDULED",
+        "R3": "SCHEDULED",
+    }
+    with open_run(config, "R1", "one", {"model": {"radius": 0.1}}, {"commit": "abc"}) as run:
+        run.log_metrics({"headline/angle": 1.5})
+    for _ in "12":
+        fill_stand_ins(config, second.run_id)
+    shown = under(config, second.run_id)["kind-spheres"]
+    assert shown.info.status == "FINISHED"
+    assert shown.data.params == {"model.radius": "0.1"}
+    assert shown.data.metrics == {"headline/angle": 1.5}
+    assert (shown.data.tags["sweep"], shown.data.tags["commit"]) == ("boundary", "abc")
+    assert run.run_id in shown.data.tags["mlflow.note.content"]
+    # No command takes the stand-in for the run.
+    with open_run(config, "R1", "one", {}) as again:
+        assert again.run_id == run.run_id
+
+
+def test_an_orphan_is_taken_in_and_what_stood_for_it_goes(config: TrackingConfig):
     with open_run(config, "single", "one", {}):
         pass
-    parent = sweep_parent(config)
-    schedule_children(config, parent, [Child("single", "one", finished=True)])
+    first, child = sweep_parent(config), Child("single", "one", finished=True)
+    schedule_children(config, first, [child])
+    assert set(under(config, first)) == {"single"}
     with open_run(config, "another sweep", "second", {}, {"sweep": "another"}) as other:
         pass
-    schedule_children(config, other.run_id, [Child("single", "one", finished=True)])
-    tags = {run.info.run_name: run.data.tags for run in runs(config)}
-    assert (tags["single"]["mlflow.parentRunId"], tags["single"]["sweep"]) == (parent, "sweep_radius")
-    client(config).delete_run(parent)
-    schedule_children(config, other.run_id, [Child("single", "one", finished=True)])
-    tags = {run.info.run_name: run.data.tags for run in runs(config)}
-    assert (tags["single"]["mlflow.parentRunId"], tags["single"]["sweep"]) == (other.run_id, "another")
+    schedule_children(config, other.run_id, [child])
+    client(config).delete_run(first)
+    schedule_children(config, other.run_id, [child])
+    (name, run), *more = under(config, other.run_id).items()
+    assert (name, run.data.tags["sweep"], more) == ("single", "another", [])
+    assert run.data.tags["gran_bench.key"] == "one"
+
+
+def test_a_sweeps_own_row_keeps_the_name_of_its_recipe(config: TrackingConfig):
+    for name in ("sweep_radius+trainer-quick", "sweep_loss+trainer-quick"):
+        with open_run(config, name, name, {}, {"sweep": name}):
+            pass
+    assert {run.info.run_name for run in runs(config)} == {"sweep_radius+trainer-quick", "sweep_loss+trainer-quick"}
 
 
 def test_a_child_that_could_not_close_itself_is_closed_with_the_reason_and_no_other(config: TrackingConfig):

@@ -150,7 +150,26 @@ def described_jobs(source: Source, overrides: Sequence[str], multirun: bool) -> 
             return Described([(fixed, source.composed(fixed))], complete=False, apart=apart)
         lines = [*(f"{key}={values}" for key, values in axes.items()), *overrides]
         (jobs,) = BasicSweeper.split_arguments(parser.parse_overrides(lines), None)
+        if "experiment" in swept_keys(jobs):
+            _refuse_nested_sweeps(source, jobs, axes)
         return Described([(job, source.composed(job)) for job in jobs], apart=apart)
+
+
+def _refuse_nested_sweeps(source: Source, jobs: Sequence[list[str]], axes: Collection[str]) -> None:
+    """Refuse recipes among the jobs that are sweeps themselves: Hydra would run each once and forget its axes.
+
+    Raises:
+        ConfigError: names the recipe and the remedy.
+    """
+    for job in jobs:
+        params = source.composed(job, hydra_too=True).hydra.sweeper.get("params") or {}
+        lost = sorted(set(params) - set(axes))
+        if lost:
+            recipe = next(line.partition("=")[2] for line in job if line.lstrip("+").startswith("experiment="))
+            raise ConfigError(
+                f"experiment={recipe} is itself a sweep over {', '.join(lost)}, which one among several recipes would "
+                f"lose; give each a command of its own: -m +experiment={recipe}"
+            )
 
 
 def checked_config(composed: DictConfig, schema: type[Config]) -> Config:

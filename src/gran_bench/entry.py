@@ -36,7 +36,7 @@ from gran_bench.override_errors import explain
 from gran_bench.provenance import program
 
 if TYPE_CHECKING:
-    from gran_bench.sweep_run import Sweep
+    from gran_bench.sweep_jobs import Sweep
 
 __all__ = ["FAILED", "REFUSED", "checked_config", "complain", "compose", "run", "run_folder"]
 

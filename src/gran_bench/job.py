@@ -19,9 +19,10 @@ from gran_bench.config_rules import ConfigError
 from gran_bench.override_errors import explain, is_full_disk
 from gran_bench.provenance import remember_command
 from gran_bench.scene import SceneError
+from gran_bench.tracking import TrackingError
 
 if TYPE_CHECKING:
-    from gran_bench.sweep_run import Sweep
+    from gran_bench.sweep_jobs import Sweep
 
 FAILED, REFUSED = 1, 2  # exit codes
 
@@ -82,7 +83,7 @@ class Job:
         message = f"{why}; the same command goes on from its last checkpoint"
         print(f"error: {self._title(number)}{message}", file=sys.stderr, flush=True)
         if self.sweep is not None:
-            self.sweep.failed(number, message)
+            self.sweep.failed(number, message, into_log=True)
 
     def _do(self, composed: DictConfig, overrides: Sequence[str], number: int, apart: bool) -> None:
         if (reason := self.nothing_to_do(number)) is not None:
@@ -103,7 +104,8 @@ class Job:
                     complain(error, self.schema)  # into the log; the terminal hears it from whoever called
                     raise
         except Exception as error:
-            sweep.failed(number, explain(error, self.schema) or f"{type(error).__name__}: {error}")
+            if not isinstance(error, TrackingError) or sweep.finished_unrecorded(number) is None:
+                sweep.failed(number, explain(error, self.schema) or f"{type(error).__name__}: {error}")
             raise
         left = sweep.finished(number, summary)
         found = ", ".join(f"{name} {value:.3g}" for name, value in left.figures.items() if value is not None)

@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing import connection, forkserver
@@ -29,6 +30,7 @@ from gran_bench.composition import LAUNCHER
 from gran_bench.job import Job
 
 SAID = 3  # exit code of a job's process that failed and said so; Python itself ends with 1
+LOST = 255  # what `multiprocessing` gives for a job whose fork server, which would know its exit code, is gone
 GRACE_SECONDS = 60.0  # for jobs that were asked to stop: an update, a checkpoint, a last word to the store
 
 
@@ -74,7 +76,10 @@ class ProcessLauncher(Launcher):
                     running[number] = _started(self.job, overrides, number)
                 connection.wait([process.sentinel for process in running.values()])
                 for number in [number for number, process in running.items() if not process.is_alive()]:
-                    code = running.pop(number).exitcode
+                    process = running.pop(number)
+                    code = process.exitcode
+                    if code == LOST:
+                        _end_lost(process.pid)
                     if code not in (0, SAID):
                         self.job.died(number, _last_words(code))
                     failed += code != 0
@@ -140,10 +145,25 @@ def _ended_on_error(running: dict[int, ForkServerProcess]) -> Iterator[None]:
         raise
 
 
+def _end_lost(pid: int) -> None:
+    """End a process whose fork server is gone: it may go on, and its run must not be done twice at a time."""
+    patience = time.monotonic() + GRACE_SECONDS
+    try:
+        os.kill(pid, signal.SIGTERM)
+        while time.monotonic() < patience:
+            os.kill(pid, 0)  # whether it is there
+            time.sleep(0.05)
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        pass
+
+
 def _last_words(code: int) -> str:
     """Why a process ended without a word of its own."""
+    if code == LOST:
+        return "the process that jobs are forked from was ended (often a lack of memory; try hydra.launcher.n_jobs=1)"
     if code < 0:
-        return f"its process was ended by signal {-code} (9: often a lack of memory; try n_jobs=1)"
-    if code > 128:
+        return f"its process was ended by signal {-code} (9: often a lack of memory; try hydra.launcher.n_jobs=1)"
+    if code - 128 in signal.valid_signals():
         return f"it was stopped by {signal.Signals(code - 128).name}"
     return f"its process ended with status {code}"

@@ -50,8 +50,25 @@ def identify(config: TrainConfig) -> RunIdentity:
     """
     digest = dataset_digest(spec.path(config.dataset.root) for spec in splits(config).training)
     key = hash_of(deciding_keys(config), digest, training_code(config.model.name))
-    folder = Path(config.tracking.root) / "runs" / f"{config.tracking.folder or config.experiment}-{key[:8]}"
+    folder = run_place(Path(config.tracking.root), config.tracking.folder or config.experiment, key)
     return RunIdentity(folder, key, judged_by(judging_plan(config)), digest)
+
+
+def run_place(root: Path, name: str, key: str) -> Path:
+    """The folder of a run: the one that holds its key under whatever name, else one of the name.
+
+    So a run that another command began, a sweep or a single one, goes on there and is not done twice.
+
+    Args:
+        root: of the results.
+        name: of the run, for people.
+        key: of the run.
+    """
+    named = root / "runs" / f"{name}-{key[:8]}"
+    if named.exists():
+        return named
+    # A name may hold what `glob` takes for a pattern; a key never does.
+    return next(iter(sorted((root / "runs").glob(f"*-{key[:8]}"))), named)
 
 
 def splits(config: TrainConfig) -> Split:

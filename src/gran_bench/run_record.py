@@ -6,7 +6,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,10 +17,11 @@ import pandas as pd
 from gran_bench import tracking
 from gran_bench.atomic import locked, write_atomically, write_text
 from gran_bench.config import EvaluateConfig, TrainConfig
-from gran_bench.provenance import provenance
+from gran_bench.provenance import command, provenance
 from gran_bench.run_identity import RunIdentity
 from gran_bench.run_page import FIGURES, params_of, record_judgement
 from gran_bench.run_summary import read_summary, summary_table, write_summary
+from gran_bench.sweep.run_file import read_run
 
 MODEL = "model.pt"
 TRAINING = "training.json"
@@ -94,11 +95,16 @@ class RunRecord:
         return summary, None
 
     @contextmanager
-    def opened(self) -> Iterator[tracking.Run]:
-        """The run in the tracking store, open, with what it was made from."""
+    def opened(self, made: Mapping[str, str] | None = None) -> Iterator[tracking.Run]:
+        """The run in the tracking store, open, with what it was made from.
+
+        Args:
+            made: provenance of a run that is recorded again; None for one that this process makes.
+        """
         config, digest = self.config, self.identity.data_digest
         identity, parent = self.identity, config.tracking.parent
-        tags = {"data_digest": digest, "scene": self.scene_name, "folder": str(identity.folder), **provenance()}
+        tags = {"data_digest": digest, "scene": self.scene_name, "folder": str(identity.folder)}
+        tags |= provenance() if made is None else {**made, "recorded_again_by": command()}
         with tracking.open_run(config.tracking, identity.name, identity.key, params_of(config), tags, parent) as run:
             run.log_dataset(self.scene_name, digest, str(Path(config.dataset.root).resolve()))
             yield run
@@ -110,7 +116,7 @@ class RunRecord:
             TrackingError: the store does not take it.
         """
         folder = self.identity.folder
-        with self.opened() as run:
+        with self.opened(summary["provenance"]) as run:
             if (folder / LOSSES).exists():
                 for row in pd.read_csv(folder / LOSSES).to_dict("records"):
                     run.log_metrics(training_metrics(row), int(row["step"]))
@@ -118,6 +124,22 @@ class RunRecord:
                 run.log_artifact(folder / MODEL, "model")
             record_judgement(run, summary, folder, sorted((folder / FIGURES).glob("*")))
             run.log_artifact(write_summary(folder / TRACKED, summary))
+
+    def record_file(self, path: Path) -> None:
+        """Put a run into a tracking store that does not know it, of which nothing is here but a sweep's small file.
+
+        Args:
+            path: of the file.
+
+        Raises:
+            TrackingError: the store does not take it.
+        """
+        kept = read_run(path)
+        with self.opened(kept.facts["provenance"]) as run:
+            run.set_tag("folder", f"made elsewhere; what is here of it: {path}")
+            figures = {f"{tracking.HEADLINE}{name}": value for name, value in kept.facts["headline"].items()}
+            run.log_metrics(figures, supersede=True)
+            run.log_artifact(path)
 
 
 def finished_summary(identity: RunIdentity) -> dict[str, Any] | None:

@@ -20,7 +20,8 @@ from gran_bench.override_errors import explain
 from gran_bench.stability.process_group import group
 from gran_bench.stability.sweep_kill import ENVIRONMENT, PATIENCE, sweep_command, sweep_under_kills
 from gran_bench.sweep.run_file import read_runs
-from gran_bench.sweep_run import Sweep, open_sweep
+from gran_bench.sweep_jobs import Sweep
+from gran_bench.sweep_run import open_sweep
 from gran_bench.tracking import TrackingError
 
 

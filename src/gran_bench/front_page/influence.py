@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 
 from gran_bench.front_page.records import Records
 from gran_bench.sweep.overview import Reach, reaches
 
 SHOWN = 2  # rows a sweep
-CERTAIN = 2.0  # spreads between seeds, from which on a difference counts
 
 
 def influence_section(records: Records, mark: Callable[[str], str]) -> Iterator[str]:
@@ -25,8 +23,8 @@ def influence_section(records: Records, mark: Callable[[str], str]) -> Iterator[
     found = [(name, reach) for name, runs in records.sweeps.items() for reach in reaches(runs)]
     single = sum(reach.one_seed for _, reach in found)
     yield (
-        f"The largest reaches of each sweep, everything else alike, means over seeds; those of less than {CERTAIN:g} "
-        "times the spread between seeds are left out. [All of them](sweeps/README.md)."
+        "The largest reaches of each sweep, everything else alike, means over seeds; those that seeds alone would "
+        "exceed in one of 20 such rows (*by chance*) are left out. [All of them](sweeps/README.md)."
     )
     if single:
         yield (
@@ -38,21 +36,16 @@ def influence_section(records: Records, mark: Callable[[str], str]) -> Iterator[
     if not shown:
         yield "None is left."
         return
-    yield "| sweep | beside | figure | best | worst | worst / best | spread |"
+    yield "| sweep | beside | figure | best | worst | worst / best | by chance |"
     yield "|---|---|---|---|---|---:|---:|"
     for name, reach in shown:
         best, worst = (f"{choice} ({value:.3g})" for choice, value in (reach.best, reach.worst))
         lost = f"; no figure: {', '.join(reach.lost)}" if reach.lost else ""
         cells = [f"[{name}](sweeps/{name}/README.md){mark(name)}", reach.beside, reach.figure, best, worst + lost]
-        yield f"| {' | '.join([*cells, f'{reach.factor:.2f}', f'{reach.spread:.2g}'])} |"
+        yield f"| {' | '.join([*cells, f'{reach.factor:.2f}', f'{reach.chance:.2f}'])} |"
 
 
 def largest(found: Iterable[Reach]) -> list[Reach]:
     """The reaches with the largest ratio of worst to best that seeds alone do not give."""
-    certain = [reach for reach in found if _counts(reach) and math.isfinite(reach.factor)]
+    certain = [reach for reach in found if reach.counts]
     return sorted(certain, key=lambda reach: -reach.factor)[:SHOWN]
-
-
-def _counts(reach: Reach) -> bool:
-    """Whether the difference is more than chance, which a single seed a choice cannot say."""
-    return not reach.one_seed and reach.worst[1] - reach.best[1] > CERTAIN * reach.spread

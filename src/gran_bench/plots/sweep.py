@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from gran_bench.plots.style import BASELINE, DEM, FURTHER, SURROGATE, drawing, say
+from gran_bench.plots.style import BASELINE, DEM, FURTHER, QUIET, SURROGATE, drawing, say
 
 PANELS = (
     ("angle_error_floors", "angle error, noise floors"),
@@ -23,6 +23,9 @@ PANELS = (
 LOG_FROM = 15.0  # largest over smallest figure from which a panel is logarithmic
 CROWDED = 4  # numbers below an axis from which on they would touch
 COLOURS = (SURROGATE, BASELINE, *FURTHER, DEM)
+MARKERS = "osD^v"  # for each round of the colours another
+BREADTH = 0.7  # of all series over a name, where names are 1 apart
+LINES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 
 
 def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path | str, title: str) -> Path:
@@ -54,6 +57,8 @@ def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path 
             _points(axes, series, axis, name, place, joined=as_numbers)
             turned = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if crowded else {}
             axes.set_xticks([place[value] for value in values], values, **turned)
+            if not as_numbers:
+                axes.set_xlim(-0.5, len(values) - 0.5)
             if runs.loc[runs["status"] == "finished", name].isna().all():
                 say(axes, "undefined in every run")
                 axes.set_yticks([])
@@ -64,23 +69,34 @@ def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path 
 
 
 def _points(axes: Axes, series: list, axis: str, name: str, place: dict[str, float], joined: bool) -> None:
-    """Seeds, means and failures of one panel; between names there is nothing that a line could say."""
-    dash = {"linestyle": "", "marker": "_", "markersize": 16.0, "markeredgewidth": 2.0}
-    mean = {"linestyle": "-"} if joined else dash
-    for (values, runs), colour in zip(series, _colours(len(series)), strict=True):
+    """Seeds, means and failures of one panel; between names there is nothing that a line could say.
+
+    Series stand beside each other over a name, and at their number where they are joined.
+    """
+    breadth = 0.0 if joined else BREADTH / len(series)
+    for number, (values, runs) in enumerate(series):
+        colour = COLOURS[number % len(COLOURS)]
+        style = number // len(COLOURS) % len(MARKERS)
         label = ", ".join(values if isinstance(values, tuple) else (values,)) or "mean over seeds"
-        found = runs.assign(x=runs[axis].map(place), y=pd.to_numeric(runs[name], errors="coerce").astype(float))
-        good = found[found["y"].notna()]
-        axes.plot(good["x"], good["y"], "o", color=colour, markersize=4.0, alpha=0.6)
+        beside = breadth * (number - 0.5 * (len(series) - 1))
+        found = runs.assign(x=runs[axis].map(place) + beside)
+        found["y"] = pd.to_numeric(runs[name], errors="coerce").astype(float)
+        good, lost = found[found["y"].notna()], found[found["y"].isna()]
+        axes.plot(good["x"], good["y"], MARKERS[style], color=colour, markersize=4.0, alpha=0.6)
         means = good.groupby("x")["y"].mean().sort_index()
-        axes.plot(means.index, means.to_numpy(), color=colour, label=label, **mean)
-        lost = found[found["y"].isna()]
+        if joined:
+            axes.plot(means.index, means.to_numpy(), color=colour, linestyle=LINES[style], label=label)
+        else:
+            axes.hlines(means, means.index - 0.45 * breadth, means.index + 0.45 * breadth, color=colour, linewidth=2.0)
+            # For the legend: a point of the seeds stands for them and their mean.
+            axes.plot([], [], MARKERS[style], color=colour, label=label)
         if len(lost):
             # At the upper edge of the panel, wherever its scale ends: a failure has no figure and must still be seen.
             axes.plot(
-                lost["x"], [0.985] * len(lost), "x", color=colour, markersize=8.0, markeredgewidth=2.0, clip_on=False,
-                transform=axes.get_xaxis_transform(), label=f"{label}: failed or undefined" if label else "failed",
+                lost["x"], [0.985] * len(lost), "x", color=colour, markersize=7.0, markeredgewidth=2.0, clip_on=False,
+                transform=axes.get_xaxis_transform(),
             )  # fmt: skip
+    axes.plot([], [], "x", color=QUIET, markersize=7.0, markeredgewidth=2.0, label="failed or undefined")
     found = pd.to_numeric(pd.concat([runs[name] for _, runs in series]), errors="coerce").dropna()
     if found.empty:
         return
@@ -91,10 +107,6 @@ def _points(axes: Axes, series: list, axis: str, name: str, place: dict[str, flo
         axes.yaxis.set_minor_formatter(NullFormatter())
     else:
         axes.set_ylim(0.0, 1.08 * found.max() if found.max() > 0 else 1.0)
-
-
-def _colours(count: int) -> list[str]:
-    return [COLOURS[i % len(COLOURS)] for i in range(count)]
 
 
 def _number(value: object) -> float | None:

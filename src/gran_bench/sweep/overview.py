@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from gran_bench.atomic import write_text
 from gran_bench.sweep.run_file import FAILED, FINISHED, SWEEPS, RunFile
 from gran_bench.sweep.standing import read_standing
 from gran_bench.sweep.sweep_file import sweep_folders
-from gran_bench.sweep.table import COLUMNS, axes_of, runs_frame
+from gran_bench.sweep.sweep_report import figure_paths
+from gran_bench.sweep.table import COLUMNS, TIME, axes_of, changes_work, runs_frame
 
 OVERVIEW = "README.md"
 REMARKS = "remarks.md"  # a person's words beside the page, put before its table
@@ -24,9 +27,7 @@ ERRORS = (
     "position_error_10_frames_mm",
     "ms_per_frame",
 )
-TIME = "ms_per_frame"
-# Sections of the config that change the work of a frame. Under other keys networks are the same, and times scatter.
-WORK = ("experiment", "model", "boundary", "scene", "threads", "device")
+CHANCE = 0.05  # share of rows without any effect whose ratio chance alone brings above what a page calls chance
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Reach:
         figure: heading of the figure.
         best: choice with the smallest mean, and the mean.
         worst: choice with the largest mean, and the mean.
-        spread: standard deviation over seeds within a choice, pooled; NaN where each has one seed.
+        chance: the ratio of worst to best that seeds alone would give, see `chance_ratio`; NaN where nothing says so.
         lost: choices that have no mean, because a run of theirs failed or has no such figure.
     """
 
@@ -48,23 +49,23 @@ class Reach:
     figure: str
     best: tuple[str, float]
     worst: tuple[str, float]
-    spread: float
+    chance: float
     lost: tuple[str, ...]
 
     @property
     def one_seed(self) -> bool:
         """Whether every choice has one seed, so that nothing says what chance alone would give."""
-        return math.isnan(self.spread)
+        return math.isnan(self.chance)
 
     @property
     def factor(self) -> float:
         """Worst over best."""
         return self.worst[1] / self.best[1] if self.best[1] > 0 else math.nan
 
-
-def changes_work(axis: str) -> bool:
-    """Whether a swept key changes what a frame costs: the network, or what it is given to step."""
-    return any(axis.lstrip("+") == key or axis.lstrip("+").startswith((f"{key}.", f"{key}/")) for key in WORK)
+    @property
+    def counts(self) -> bool:
+        """Whether the difference is more than chance gives."""
+        return not self.one_seed and self.factor > self.chance
 
 
 def reaches(runs: Sequence[RunFile]) -> Iterator[Reach]:
@@ -94,21 +95,48 @@ def reaches(runs: Sequence[RunFile]) -> Iterator[Reach]:
 def _reach(
     group: pd.DataFrame, axis: str, name: str
 ) -> tuple[tuple[str, float], tuple[str, float], float, tuple[str, ...]] | None:
-    """Best, worst, spread and lost choices of one figure; None where fewer than two choices have it."""
-    means, squares, freedom, lost = {}, 0.0, 0, []
+    """Best, worst, chance and lost choices of one figure; None where fewer than two choices have it."""
+    found, lost = {}, []
     for value, runs in group.groupby(axis, sort=False):
         figures = pd.to_numeric(runs[name], errors="coerce").astype(float)
         if (runs["status"] != FINISHED).any() or figures.isna().any():
             lost.append(str(value))
-            continue
-        means[str(value)] = float(figures.mean())
-        squares += float(((figures - figures.mean()) ** 2).sum())
-        freedom += len(figures) - 1
-    if len(means) < 2:
+        else:
+            found[str(value)] = figures.to_numpy()
+    if len(found) < 2:
         return None
+    means = {value: float(figures.mean()) for value, figures in found.items()}
     best, worst = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
-    spread = math.sqrt(squares / freedom) if freedom else math.nan
-    return (best, means[best]), (worst, means[worst]), spread, tuple(lost)
+    return (best, means[best]), (worst, means[worst]), chance_ratio(list(found.values())), tuple(lost)
+
+
+def chance_ratio(samples: Sequence[np.ndarray]) -> float:
+    """The ratio of the largest to the smallest mean that chance alone exceeds in one of 20 rows of such samples.
+
+    exp(q s / √n): Tukey's studentised range (1949) of as many means as there are choices, the best and the worst of
+    which are looked at, on logarithms, because errors of choices that run away scatter in proportion.
+
+    Args:
+        samples: a figure's values over the seeds of each choice; s is pooled over choices, n the harmonic mean of
+            their numbers.
+
+    Returns:
+        NaN where each choice has one seed, or a figure is not positive.
+    """
+    freedom = sum(len(sample) - 1 for sample in samples)
+    if freedom == 0 or any((sample <= 0).any() for sample in samples):
+        return math.nan
+    logs = [np.log(sample) for sample in samples]
+    deviation = math.sqrt(sum(float(((log - log.mean()) ** 2).sum()) for log in logs) / freedom)
+    count = len(samples) / sum(1.0 / len(sample) for sample in samples)
+    return math.exp(_studentised_range(len(samples), freedom) * deviation / math.sqrt(count))
+
+
+@functools.cache
+def _studentised_range(means: int, freedom: int) -> float:
+    from scipy.stats import studentized_range  # takes a second to load, and is needed at the end alone
+
+    return float(studentized_range.ppf(1.0 - CHANCE, means, freedom))
 
 
 def write_overview(root: Path) -> Path | None:
@@ -127,12 +155,13 @@ def write_overview(root: Path) -> Path | None:
     found = [(folder.name, reach) for folder in folders for reach in reaches(read_standing(folder).counted)]
     single = sum(reach.one_seed for _, reach in found)
     lines += [
-        "Each row: one swept key, everything else alike. Means over seeds; *spread* is the standard deviation between "
-        "seeds of one choice, and a difference of less than twice that means nothing. A floor is the DEM against "
-        f"itself. {single} of {len(found)} rows have one seed a choice: nothing says what chance alone would give, so "
-        "they are no finding. The time of a frame stands only beside keys that change its work.",
+        "Each row: one swept key, everything else alike. Means over seeds; *by chance* is the ratio of worst to best "
+        "that seeds alone would exceed in one of 20 such rows (Tukey's range of the means, on logarithms), and a "
+        "ratio below it is no finding. A floor is the DEM against itself. "
+        f"{single} of {len(found)} rows have one seed a choice: nothing says what chance alone would give, so they are "
+        "no finding. The time of a frame stands only beside keys that change its work.",
         "",
-        "| sweep | beside | figure | best | worst | worst / best | spread |",
+        "| sweep | beside | figure | best | worst | worst / best | by chance |",
         "|---|---|---|---|---|---:|---:|",
     ]
     lines += [_row(name, reach) for name, reach in found]
@@ -145,10 +174,10 @@ def write_overview(root: Path) -> Path | None:
 
 def _row(name: str, reach: Reach) -> str:
     best, worst = (f"{choice} ({value:.3g})" for choice, value in (reach.best, reach.worst))
-    spread = "one seed" if reach.one_seed else f"{reach.spread:.2g}"
+    chance = "one seed" if reach.one_seed else f"{reach.chance:.2f}"
     lost = f"; no figure: {', '.join(reach.lost)}" if reach.lost else ""
     sweep, factor = f"[{name}]({name}/README.md)", f"{reach.factor:.2f}"
-    return f"| {' | '.join([sweep, reach.beside, reach.figure, best, worst + lost, factor, spread])} |"
+    return f"| {' | '.join([sweep, reach.beside, reach.figure, best, worst + lost, factor, chance])} |"
 
 
 def _section(folder: Path) -> list[str]:
@@ -164,5 +193,5 @@ def _section(folder: Path) -> list[str]:
     lines[-1] += f" All figures: [table]({folder.name}/README.md), [CSV]({folder.name}/runs.csv)."
     if sweep:
         lines += ["", "```", sweep.command, "```"]
-    figures = sorted(folder.glob("*.png"))
+    figures = [path for path in figure_paths(folder, runs) if path.exists()]
     return [*lines, "", *(f"![{path.stem}]({folder.name}/{path.name})" for path in figures)]

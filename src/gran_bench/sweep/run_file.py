@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -135,6 +135,24 @@ def failed_run(
     return RunFile(run, key, judged_by, FAILED, dict(choices), seed, reason=reason, facts=dict(facts), ended_at=now())
 
 
+def copied_run(run: RunFile, name: str, choices: Mapping[str, str], source: Path) -> RunFile:
+    """What a sweep keeps of a run that another one did.
+
+    Args:
+        run: as the other sweep kept it.
+        name: of the run in this sweep.
+        choices: of this sweep.
+        source: the other sweep's file; logs are beside it.
+    """
+    facts = {key: value for key, value in run.facts.items() if key != "log"}
+    return replace(
+        run,
+        run=name,
+        choices=dict(choices),
+        facts=facts | {"copied_from": f"{source.parent.parent.name}/{RUNS}/{source.name}"},
+    )
+
+
 def _packing(judged: Mapping[str, Any]) -> dict[str, Any]:
     names = ("value", "unit", "floor", "multiple_of_floor", "note")
     return {
@@ -153,18 +171,23 @@ def read_runs(sweep_folder: Path) -> list[RunFile]:
     return [_read(path) for path in sorted((sweep_folder / RUNS).glob("*.json"))]
 
 
-def recorded_runs(root: Path) -> dict[tuple[str, str], Path]:
-    """The file of each finished run below a results folder, in whatever sweep, by ``(key, judged_by)``.
+def recorded_runs(root: Path) -> tuple[dict[tuple[str, str], list[Path]], list[SweepFileError]]:
+    """The files of each finished run below a results folder, in whatever sweep, by ``(key, judged_by)``.
 
-    Raises:
-        SweepFileError: a file is no run of a sweep.
+    Returns:
+        The files, and what could not be read: a damaged file of one sweep stops no other.
     """
-    found = {}
+    found: dict[tuple[str, str], list[Path]] = {}
+    damaged = []
     for path in sorted((root / SWEEPS).glob(f"*/{RUNS}/*.json")):
-        run = _read(path)
+        try:
+            run = _read(path)
+        except SweepFileError as error:
+            damaged.append(error)
+            continue
         if run.status == FINISHED:
-            found[run.key, run.judged_by] = path
-    return found
+            found.setdefault((run.key, run.judged_by), []).append(path)
+    return found, damaged
 
 
 def read_run(path: Path) -> RunFile:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 from gran_bench import tracking
 from gran_bench.atomic import write_text
 from gran_bench.config import TrackingConfig
-from gran_bench.plots import sweep_axis
+from gran_bench.plots import drawn_for, sweep_axis
 from gran_bench.sweep.run_file import FAILED, FINISHED, RunFile, SweepFileError
 from gran_bench.sweep.standing import Standing, read_standing, unequal_updates
 from gran_bench.sweep.sweep_file import SweepJob, read_sweep
@@ -55,15 +58,16 @@ def report_sweep(folder: Path) -> SweepReport:
     frame, axes = runs_frame(runs), axes_of(runs)
     failed = [run for run in runs if run.status == FAILED]
     name, judged = sweep.name if sweep else folder.name, _judged(runs)
-    figures = []
-    if len(runs):
-        for axis in axes or [SEED]:
-            others = [other for other in axes if other != axis]
-            path = folder / f"{axis.replace('/', '_').lstrip('+')}.png"
-            figures.append(sweep_axis(frame.astype({axis: str}), axis, others, path, f"{name}: {judged}"))
-        write_text(folder / TABLE, frame.to_csv(index=False))
+    figures = figure_paths(folder, runs)
     text = _page(name, judged, stands, figures)
     write_text(folder / PAGE, text)
+    if len(runs):
+        write_text(folder / TABLE, frame.to_csv(index=False))
+    # Last: what cannot be drawn must not cost the table.
+    with drawn_for(f"{name}-{sweep.key[:8]}") if sweep else nullcontext():
+        for axis, path in zip(axes or [SEED], figures, strict=False):
+            others = [other for other in axes if other != axis]
+            sweep_axis(frame.astype({axis: str}), axis, others, path, f"{name}: {judged}")
     best = best_choices(runs)
     metrics = {f"best/{column}": value for column, (_, value) in best.items()}
     metrics |= {
@@ -74,6 +78,17 @@ def report_sweep(folder: Path) -> SweepReport:
     tags = {f"best.{column}": choice for column, (choice, _) in best.items()}
     paths = [folder / PAGE, *([folder / TABLE] if len(runs) else []), *figures]
     return SweepReport(text, paths, {key: float(value) for key, value in metrics.items()}, tags, failed, stands.waiting)
+
+
+def figure_paths(folder: Path, runs: Sequence[RunFile]) -> list[Path]:
+    """Where the figures of a sweep lie: one a swept key; of the seed where nothing else is swept.
+
+    Args:
+        folder: of the sweep.
+        runs: that stand beside each other.
+    """
+    axes = axes_of(runs) or [SEED]
+    return [folder / f"{axis.replace('/', '_').lstrip('+')}.png" for axis in axes] if runs else []
 
 
 def log_report(run: tracking.Run, report: SweepReport) -> None:
@@ -111,6 +126,18 @@ def _judged(runs: list[RunFile]) -> str:
     return f"judged at {' and '.join(words)}" if words else "nothing judged yet"
 
 
+def _made_on(runs: Sequence[RunFile]) -> list[str]:
+    """On what hardware and at which commits the runs were made; a warning where that was not one machine."""
+    made = [run.facts["provenance"] for run in runs if "provenance" in run.facts]
+    machines = Counter(one["hardware"] for one in made if "hardware" in one)
+    commits = ", ".join(sorted({one["commit"] for one in made if "commit" in one}))
+    counted = [f"{machine} ({count} runs)" if len(machines) > 1 else machine for machine, count in machines.items()]
+    lines = [f"Made at {commits} on {'; '.join(counted)}."] if machines else []
+    if len(machines) > 1:
+        lines.append("Times, and what equal time bought, are of several machines: compare with care.")
+    return [" ".join(lines)] if lines else []
+
+
 def _page(name: str, judged: str, stands: Standing, figures: list[Path]) -> str:
     sweep, runs, waiting = stands.sweep, stands.counted, stands.waiting
     failed = [run for run in runs if run.status == FAILED]
@@ -119,6 +146,7 @@ def _page(name: str, judged: str, stands: Standing, figures: list[Path]) -> str:
     if sweep:
         lines += ["", "```", sweep.command, "```"]
     if runs:
+        lines += ["", *_made_on(runs)]
         lines += ["", "Mean ± standard deviation over seeds, shared packing; a floor is the DEM against itself.", ""]
         lines.append(shown_table(runs))
         if said := unequal_updates(runs):
@@ -126,7 +154,7 @@ def _page(name: str, judged: str, stands: Standing, figures: list[Path]) -> str:
     headings = {column.name: column.heading for column in COLUMNS}
     best = best_choices(runs)
     if len(best) and len(axes_of(runs)):
-        lines += ["", "Smallest mean:", ""]
+        lines += ["", "Smallest mean ([what is more than chance](../README.md)):", ""]
         lines += [f"- {headings[column]}: {value:.3g} with {choice}" for column, (choice, value) in best.items()]
     if failed:
         lines += ["", "## Failed", ""]

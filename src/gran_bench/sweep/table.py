@@ -13,6 +13,9 @@ from gran_bench.sweep.run_file import FINISHED, RunFile
 
 SEED = "seed"
 NOT_CHOSEN = "default"  # of a key that one run changed and another left as it was
+TIME = "ms_per_frame"
+# Sections of the config that change the work of a frame. Under other keys networks are the same, and times scatter.
+WORK = ("experiment", "model", "boundary", "scene", "threads", "device")
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ COLUMNS = (
     Column("speed_w1_m_s", "speed W1", "m/s", 4),
     Column("speed_w1_floors", "speed W1", "floors", 2),
     Column("position_error_10_frames_mm", "position error, 10 frames", "mm", 2),
-    Column("ms_per_frame", "a frame", "ms", 2),
+    Column(TIME, "a frame", "ms", 2),
     Column("updates", "updates", "", 0, ranked=False),
     Column("training_minutes", "training, wall clock", "min", 2, ranked=False),
     Column("requirements_failed", "requirements failed", "", 1, ranked=False),
@@ -67,6 +70,11 @@ def axes_of(runs: Sequence[RunFile]) -> list[str]:
     """The keys whose values differ among runs, but for the seed."""
     keys = sorted({key for run in runs for key in run.choices} - {SEED})
     return [key for key in keys if len({run.choices.get(key, NOT_CHOSEN) for run in runs}) > 1]
+
+
+def changes_work(axis: str) -> bool:
+    """Whether a swept key changes what a frame costs: the network, or what it is given to step."""
+    return any(axis.lstrip("+") == key or axis.lstrip("+").startswith((f"{key}.", f"{key}/")) for key in WORK)
 
 
 def runs_frame(runs: Sequence[RunFile]) -> pd.DataFrame:
@@ -131,12 +139,13 @@ def shown_table(runs: Sequence[RunFile]) -> str:
 def best_choices(runs: Sequence[RunFile]) -> dict[str, tuple[str, float]]:
     """For each error, and the time of a frame, the choice with the smallest mean: its words and the mean.
 
-    A choice with a failed or undefined run is no candidate.
+    A choice with a failed or undefined run is no candidate. The time is left out where a swept key does not change it:
+    the smallest of equal times is chance.
     """
     axes, frame = axes_of(runs), choices_frame(runs)
     found = {}
     for column in COLUMNS if not frame.empty else ():
-        if not column.ranked:
+        if not column.ranked or (column.name == TIME and not all(map(changes_work, axes))):
             continue
         candidates = frame[(frame["failed"] == 0) & frame[column.name].notna()]
         if len(candidates):

@@ -3,6 +3,7 @@
 from gran_bench.tracking.names import HEADLINE, HEADLINE_FIGURES, shown_name
 from gran_bench.tracking.opening import Child, end_child, open_run, reopen_ended, schedule_children
 from gran_bench.tracking.run import Run
+from gran_bench.tracking.stand_in import fill_stand_ins
 from gran_bench.tracking.store import DATABASE, SWEEP_TAG, Store, TrackingError
 from gran_bench.tracking.user_interface import ui
 
@@ -16,6 +17,7 @@ __all__ = [
     "Store",
     "TrackingError",
     "end_child",
+    "fill_stand_ins",
     "open_run",
     "reopen_ended",
     "schedule_children",

@@ -11,8 +11,10 @@ from dataclasses import asdict, dataclass, is_dataclass
 from typing import Any
 
 from gran_bench.config import TrackingConfig
+from gran_bench.tracking.names import shown_name
 from gran_bench.tracking.run import Run, StoredRun, send_kept
-from gran_bench.tracking.store import Store, TrackingError
+from gran_bench.tracking.stand_in import dismiss_stand_ins, let_stand_in
+from gran_bench.tracking.store import SWEEP_TAG, Store, TrackingError
 
 ENDED_TAG = "ended_by"  # what ended a run that did not finish
 
@@ -68,17 +70,20 @@ class Child:
         name: for people.
         key: hash of what determines the result.
         finished: whether its result is there already.
+        called: its name in this sweep, where another command gave it ``name``; empty where they are the same.
     """
 
     name: str
     key: str
     finished: bool = False
+    called: str = ""
 
 
 def schedule_children(config: TrackingConfig, parent: str | None, children: Iterable[Child]) -> set[str]:
     """Make a run ``SCHEDULED`` for each child that has none, and hang all of them under their parent.
 
-    A child that has a run already keeps it: one that is finished stays as it is, any other waits to start again.
+    A child that has a run already keeps it: one that is finished stays as it is, any other waits to start again. One
+    that hangs under another sweep stays there, and has a stand-in here (`stand_in`).
 
     Args:
         config: where, or that nothing is recorded.
@@ -98,15 +103,18 @@ def schedule_children(config: TrackingConfig, parent: str | None, children: Iter
         for child in children:
             run_id = store.run_of(child.key)
             if run_id is None:
-                store.create_run(child.name, child.key, parent, "SCHEDULED")
+                store.create_run(shown_name(child.name), child.key, parent, "SCHEDULED")
                 status = "SCHEDULED"
             else:
-                store.adopt_run(run_id, parent)
+                if store.adopt_run(run_id, parent):
+                    dismiss_stand_ins(store, run_id, parent)
+                else:
+                    let_stand_in(store, run_id, parent, child.called or child.name)
                 status = store.status_of(run_id)
             if child.finished and status != "FINISHED":
                 missing.add(child.key)
             elif not child.finished and run_id is not None:
-                store.reopen_run(run_id, child.name, ENDED_TAG, "SCHEDULED")
+                store.reopen_run(run_id, shown_name(child.name), ENDED_TAG, "SCHEDULED")
     return missing
 
 
@@ -157,15 +165,17 @@ def dotted(params: Mapping[str, Any] | object, prefix: str = "") -> dict[str, st
 def _open(
     store: Store, name: str, key: str, params: dict[str, str], tags: dict[str, object], parent: str | None
 ) -> StoredRun:
+    # A sweep's own row is the only one that its recipe's name tells from others.
+    shown = name if tags.get(SWEEP_TAG) == name else shown_name(name)
     # Two processes with one key must not both find nothing and make two runs.
     with store.alone():
         send_kept(store)
         run_id = store.run_of(key)
         resumed = run_id is not None
         if run_id is None:
-            run_id = store.create_run(name, key, parent)
+            run_id = store.create_run(shown, key, parent)
         else:
-            store.reopen_run(run_id, name, without_tag=ENDED_TAG)
+            store.reopen_run(run_id, shown, without_tag=ENDED_TAG)
             if parent is not None:
                 store.adopt_run(run_id, parent)
         changed = store.add_params(run_id, params)

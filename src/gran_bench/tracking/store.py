@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from gran_bench.atomic import locked
 from gran_bench.config import TrackingConfig
-from gran_bench.tracking.names import shown_name
 from gran_bench.tracking.views import VIEW_TAG, experiment_tags
 
 if TYPE_CHECKING:
@@ -102,6 +101,12 @@ class Store:
         except OSError as error:
             raise TrackingError(self._complaint(error.strerror or str(error))) from error
 
+    @contextmanager
+    def answering(self) -> Iterator[MlflowClient]:
+        """MLflow's own client, whose errors become clear ones."""
+        with self._answers():
+            yield self._client
+
     # ---- runs ------------------------------------------------------------------------------------------------
 
     def run_of(self, key: str) -> str | None:
@@ -120,29 +125,32 @@ class Store:
     def create_run(self, name: str, key: str, parent: str | None, status: str = "RUNNING") -> str:
         """Make a run under a key; returns its id."""
         with self._answers():
-            tags = {KEY_TAG: key} | (self._tags_of_child(parent) if parent else {})
-            run_id = self._client.create_run(self.experiment_id, tags=tags, run_name=shown_name(name)).info.run_id
+            tags = {KEY_TAG: key} | (self.tags_of_child(parent) if parent else {})
+            run_id = self._client.create_run(self.experiment_id, tags=tags, run_name=name).info.run_id
             if status != "RUNNING":
                 self._client.update_run(run_id, status=status)
         return run_id
 
-    def adopt_run(self, run_id: str, parent: str) -> None:
-        """Hang a run under a parent, unless it has one that is there."""
+    def adopt_run(self, run_id: str, parent: str) -> bool:
+        """Hang a run under a parent, unless it has another one that is there; whether it hangs there now."""
         with self._answers():
             present = self._client.get_run(run_id).data.tags.get(PARENT_TAG)
-            if present == parent or (present is not None and self._has_run(present)):
-                return
-            for name, value in self._tags_of_child(parent).items():
-                self._client.set_tag(run_id, name, value)
+            if present != parent and present is not None and self._has_run(present):
+                return False
+            if present != parent:
+                for name, value in self.tags_of_child(parent).items():
+                    self._client.set_tag(run_id, name, value)
+        return True
 
     def reopen_run(self, run_id: str, name: str, without_tag: str, status: str = "RUNNING") -> None:
         """Mark a run as running again, or as waiting to, and remove the tag that says how it ended."""
         with self._answers():
-            self._client.update_run(run_id, status=status, name=shown_name(name))
+            self._client.update_run(run_id, status=status, name=name)
             if without_tag in self._client.get_run(run_id).data.tags:
                 self._client.delete_tag(run_id, without_tag)
 
-    def _tags_of_child(self, parent: str) -> dict[str, str]:
+    def tags_of_child(self, parent: str) -> dict[str, str]:
+        """Tags of a run that hangs under a parent: its id, and the name of its sweep."""
         sweep = self._client.get_run(parent).data.tags.get(SWEEP_TAG) if self._has_run(parent) else None
         return {PARENT_TAG: parent} | ({SWEEP_TAG: sweep} if sweep else {})
 

@@ -1,0 +1,72 @@
+"""The launcher of processes: whatever ends one, the others go on, and nothing of it works on unseen."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from dataclasses import dataclass, field
+from multiprocessing import forkserver
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from gran_bench.launcher import JobError, ProcessLauncher
+
+
+@dataclass
+class Stub:
+    """Jobs that do what their overrides say: a number to exit with, or ``orphan`` to lose their fork server."""
+
+    folder: Path
+    ends: dict[int, str] = field(default_factory=dict)
+
+    def nothing_to_do(self, number: int) -> None:
+        """There is always something."""
+
+    def apart(self, overrides: list[str], number: int) -> bool:
+        (word,) = overrides
+        if word == "orphan":
+            (self.folder / "orphan").write_text(str(os.getpid()))
+            os.kill(os.getppid(), signal.SIGKILL)
+            time.sleep(60.0)
+        if word.isdigit():
+            os._exit(int(word))
+        (self.folder / word).touch()
+        return True
+
+    def died(self, number: int, why: str) -> None:
+        self.ends[number] = why
+
+
+@pytest.fixture
+def launcher(tmp_path: Path):
+    made = ProcessLauncher(n_jobs=1)
+    config = OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}})
+    made.setup(hydra_context=None, task_function=Stub(tmp_path), config=config)
+    yield made
+    # What the test started is not for the tests after it.
+    forkserver._forkserver._stop()
+
+
+def test_a_status_that_no_signal_gives_is_told_and_the_next_job_starts(launcher: ProcessLauncher, tmp_path: Path):
+    with pytest.raises(JobError, match="3 of 4 jobs failed"):
+        launcher.launch([["255"], ["200"], ["137"], ["done"]], 0)
+    lost, odd, stopped = (launcher.job.ends[number] for number in range(3))
+    assert "forked from" in lost
+    assert "status 200" in odd
+    assert "SIGKILL" in stopped
+    assert (tmp_path / "done").exists()
+
+
+def test_a_job_whose_fork_server_is_gone_is_ended_before_another_takes_its_place(
+    launcher: ProcessLauncher, tmp_path: Path
+):
+    with pytest.raises(JobError, match="1 of 2 jobs failed"):
+        launcher.launch([["orphan"], ["done"]], 4)
+    assert list(launcher.job.ends) == [4]
+    assert "hydra.launcher.n_jobs=1" in launcher.job.ends[4]
+    assert (tmp_path / "done").exists()
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "orphan").read_text()), 0)

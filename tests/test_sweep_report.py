@@ -1,0 +1,142 @@
+"""What a sweep says: its page, its figures, and over all sweeps what matters and by how much."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_sweep import lost, run, sweep_in
+
+from gran_bench.front_page.command import report_command
+from gran_bench.sweep.overview import chance_ratio, reaches, write_overview
+from gran_bench.sweep.run_file import RunFile
+from gran_bench.sweep.sweep_file import read_sweep
+from gran_bench.sweep.sweep_report import report_sweep
+from gran_bench.sweep.table import best_choices
+
+# ---- the page --------------------------------------------------------------------------------------------
+
+
+def test_the_page_says_what_it_is_judged_on_what_failed_and_what_waits(tmp_path: Path):
+    folder = tmp_path / "results" / "sweeps" / "mine"
+    sweep_in(folder, run("0.08", 0, 1.0), run("0.1", 0, 2.0), lost("0.15", 0), jobs=2)
+    report = report_sweep(folder)
+    text = (folder / "README.md").read_text("utf-8")
+    assert text == report.text
+    assert "2 runs finished, 1 failed, 2 wait; judged at 35 rpm, the validation speed" in text
+    assert "the loss is not finite at update 7 (log: `logs/x.log`)" in text
+    assert "waits 1" in text
+    assert (len(report.failed), len(report.waiting)) == (1, 2)
+    assert report.metrics["best/angle_error_deg"] == 1.0
+    assert report.tags["best.angle_error_deg"] == "model.radius=0.08"
+    assert (folder / "model.radius.png").read_bytes().startswith(b"\x89PNG")
+    assert len((folder / "runs.csv").read_text().splitlines()) == 4
+    assert read_sweep(folder).jobs[-1].run == "waits 1"
+
+
+def test_a_sweep_of_which_all_failed_has_a_page_and_a_figure_too(tmp_path: Path):
+    folder = tmp_path / "sweeps" / "mine"
+    sweep_in(folder, lost("0.08", 0), lost("0.1", 0))
+    report = report_sweep(folder)
+    assert "0 runs finished, 2 failed" in report.text
+    assert (folder / "model.radius.png").exists()
+
+
+def test_sweeps_are_reported_at_any_time_from_their_files_alone(tmp_path: Path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert report_command([]) == 2
+    assert "holds no sweep" in capsys.readouterr().err
+    for name in ("one", "two"):
+        sweep_in(tmp_path / "results" / "sweeps" / name, run("0.08", 0, 1.0))
+    assert report_command([]) == 0
+    said = capsys.readouterr()
+    assert "# one" in said.out
+    assert "# two" in said.out
+    (tmp_path / "results" / "sweeps" / "one" / "runs" / "x.json").write_text("{")
+    assert report_command(["results/sweeps/one", "results/sweeps/two"]) == 1
+    said = capsys.readouterr()
+    assert "x.json is no file of a sweep's run" in said.err
+    assert "# two" in said.out
+
+
+def test_a_runs_file_is_plain_json(tmp_path: Path):
+    path = run("0.08", 0, 1.0).write(tmp_path)
+    assert json.loads(path.read_text("utf-8"))["choices"] == {"model.radius": "0.08", "seed": "0"}
+
+
+# ---- over all sweeps -------------------------------------------------------------------------------------
+
+
+def test_the_reach_of_a_key_is_from_its_best_mean_to_its_worst_beside_the_spread_of_seeds():
+    runs = [run("0.08", 0, 1.0), run("0.08", 1, 2.0), run("0.1", 0, 4.0), run("0.1", 1, 5.0), lost("0.2", 0)]
+    found = {reach.figure: reach for reach in reaches(runs)}
+    angle = found["angle error, floors"]
+    assert (angle.axis, angle.beside) == ("model.radius", "")
+    assert angle.best == ("0.08", 3.0)
+    assert angle.worst == ("0.1", 9.0)
+    assert angle.factor == 3.0
+    # Figures in floors are twice the angle, 2 and 4, 8 and 10, and seeds scatter by ½ ln² 2 and ½ ln² 1.25 in the log.
+    deviation = (0.25 * (math.log(2.0) ** 2 + math.log(1.25) ** 2)) ** 0.5
+    assert angle.chance == pytest.approx(math.exp(6.085 * deviation / 2**0.5), rel=1e-3)  # q of 2 means, 2 degrees
+    assert not angle.counts
+    assert angle.lost == ("0.2",)
+    assert found["speed W1, floors"].factor == 1.0
+    assert "centre-of-mass angle error, floors" not in found  # of which these runs say nothing
+
+
+def test_the_best_and_the_worst_of_choices_that_do_not_matter_are_apart_by_chance():
+    chosen = np.random.default_rng(0)
+    rows = [[np.exp(0.3 * chosen.standard_normal(2)) for _ in range(5)] for _ in range(1000)]
+    means = [[np.log(sample).mean() for sample in row] for row in rows]
+    above = [max(m) - min(m) > math.log(chance_ratio(row)) for row, m in zip(rows, means, strict=True)]
+    assert 0.03 < np.mean(above) < 0.07
+    assert math.isnan(chance_ratio([np.array([1.0]), np.array([2.0])]))
+    assert math.isnan(chance_ratio([np.array([0.0, 1.0]), np.array([2.0, 3.0])]))
+
+
+def test_the_smallest_time_of_a_frame_is_named_only_where_every_key_changes_the_work():
+    runs = [run("0.08", 0, 1.0), run("0.1", 0, 2.0)]
+    assert "ms_per_frame" in best_choices(runs)
+    losses = [replace(one, choices={"loss": loss, "seed": "0"}) for one, loss in zip(runs, "ab", strict=True)]
+    assert "ms_per_frame" not in best_choices(losses)
+    assert "angle_error_deg" in best_choices(losses)
+
+
+def test_the_page_says_on_what_its_runs_were_made_and_warns_of_several_machines(tmp_path: Path):
+    def made(radius: str, hardware: str) -> RunFile:
+        return run(radius, 0, 1.0, facts={"provenance": {"hardware": hardware, "commit": "abc"}})
+
+    sweep_in(tmp_path / "one", made("0.08", "a fast one"), made("0.1", "a fast one"))
+    assert "Made at abc on a fast one." in report_sweep(tmp_path / "one").text
+    sweep_in(tmp_path / "two", made("0.08", "a fast one"), made("0.1", "a slow one"))
+    text = report_sweep(tmp_path / "two").text
+    assert "a fast one (1 runs); a slow one (1 runs). Times, and what equal time bought" in text
+
+
+def test_a_figure_that_cannot_be_drawn_costs_no_table(tmp_path: Path, monkeypatch):
+    def refuse(*arguments) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr("gran_bench.sweep.sweep_report.sweep_axis", refuse)
+    sweep_in(tmp_path, run("0.08", 0, 1.0))
+    with pytest.raises(OSError, match="no space left"):
+        report_sweep(tmp_path)
+    assert (tmp_path / "README.md").exists()
+    assert (tmp_path / "runs.csv").exists()
+
+
+def test_the_page_over_all_sweeps_begins_with_a_persons_remarks_and_shows_every_sweep(tmp_path: Path, capsys):
+    for name, radii in {"one": ("0.08", "0.1"), "two": ("0.1", "0.2")}.items():
+        for radius in radii:
+            run(radius, 0, 10 * float(radius)).write(tmp_path / "sweeps" / name)
+    (tmp_path / "sweeps" / "remarks.md").write_text("The radius matters.\n")
+    assert report_command(["--root", str(tmp_path)]) == 0
+    page = (tmp_path / "sweeps" / "README.md").read_text()
+    assert page.index("The radius matters.") < page.index("| sweep |") < page.index("## one") < page.index("## two")
+    assert "| [one](one/README.md) |  | angle error, floors | 0.08 (1.6) | 0.1 (2) | 1.25 | one seed |" in page
+    assert "![model.radius](two/model.radius.png)" in page
+    assert write_overview(tmp_path / "nothing") is None
