@@ -12,10 +12,12 @@ import time
 from pathlib import Path
 
 import pytest
+from omegaconf import DictConfig
 
 from gran_bench import experiment
 from gran_bench.composition import PlannedJob, Source, changed_in, checked_config, described_jobs
 from gran_bench.config import TrainConfig
+from gran_bench.job import Job
 from gran_bench.override_errors import explain
 from gran_bench.stability.process_group import group
 from gran_bench.stability.sweep_kill import ENVIRONMENT, PATIENCE, sweep_command, sweep_under_kills
@@ -89,12 +91,17 @@ def _process_of_first_job(folder: Path) -> int | None:
 # ---- in this process: a store that vanishes, a disk that is full, records from elsewhere -------------------
 
 
-def planned(place: Path, root: Path, *more: str) -> list[PlannedJob]:
-    """The two jobs of a quick sweep."""
+def described(place: Path, root: Path, *more: str) -> list[tuple[list[str], DictConfig]]:
+    """The two jobs of a quick sweep, as its command line says them."""
     lines = [line for line in sweep_command(place / "data", jobs=2)[5:] if not line.startswith("hydra/")]
     lines += [f"tracking.root={root}", "trainer.steps=3", *more]
+    return described_jobs(Source("train"), [*lines, "+experiment=smoke"], multirun=True).jobs
+
+
+def planned(place: Path, root: Path, *more: str) -> list[PlannedJob]:
+    """The two jobs of a quick sweep."""
     jobs = []
-    for overrides, composed in described_jobs(Source("train"), [*lines, "+experiment=smoke"], multirun=True).jobs:
+    for overrides, composed in described(place, root, *more):
         config = checked_config(composed, TrainConfig)
         radius = next(line.partition("=")[2] for line in overrides if line.startswith("model.radius"))
         config.tracking.folder = f"R{radius}"
@@ -142,6 +149,40 @@ def test_a_store_that_vanishes_is_told_and_the_same_command_records_all_again(pl
     with sqlite3.connect(root / "mlflow.db") as store:
         keys = {row[0] for row in store.execute("select distinct key from latest_metrics")}
     assert {"training/loss", "shared/error/speed_w1", "sweep/runs finished"} <= keys
+
+
+def test_a_run_is_finished_in_the_table_though_the_store_failed_at_its_end(place: Path, tmp_path: Path, monkeypatch):
+    root = tmp_path / "results"
+    # Among the last things that a run does.
+    monkeypatch.setattr(experiment, "draw_evaluation", lambda *arguments: (root / "mlflow.db").unlink() or [])
+    overrides, _ = described(place, root)[0]
+
+    def first_life() -> None:
+        with open_sweep(planned(place, root), "kills") as sweep:
+            job = Job(experiment.run_experiment, Source("train"), TrainConfig, ["python"], sweep)
+            assert not job.apart(overrides, 0)  # the exit code says that something went wrong
+
+    with pytest.raises(TrackingError):
+        first_life()
+    assert [(run.run, run.status) for run in read_runs(root / "sweeps" / "kills")] == [("R0.06", "finished")]
+    with open_sweep(planned(place, root), "kills") as sweep:
+        assert list(sweep.done) == [0]
+    assert statuses(root) == ["FINISHED", "SCHEDULED"]
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_run_that_a_single_command_finished_is_found_under_its_other_name(place: Path, tmp_path: Path):
+    root = tmp_path / "results"
+    alone = planned(place, root)[0].config
+    alone.tracking.folder = "alone"
+    experiment.run_experiment(alone)
+    with open_sweep(planned(place, root), "kills") as sweep:
+        assert list(sweep.done) == [0]
+        assert "runs/alone-" in sweep.done[0]
+    assert [path.name[:6] for path in (root / "runs").iterdir()] == ["alone-"]
+    # It hangs under the sweep by now, finished.
+    found = {name.partition("-")[0]: status for name, (status, parent) in stored(root).items() if parent == "kills"}
+    assert found == {"alone": "FINISHED", "R0.065": "SCHEDULED"}
 
 
 @pytest.mark.usefixtures("quick")
@@ -193,7 +234,13 @@ def test_a_run_that_any_sweep_has_recorded_is_not_done_again_and_the_store_learn
     assert [run.run for run in read_runs(there / "sweeps" / "kills")] == ["R0.06"]
     with sqlite3.connect(there / "mlflow.db") as store:
         keys = {row[0] for row in store.execute("select key from latest_metrics")}
+        tags = dict(store.execute("select key, value from tags where key in ('commit', 'folder', 'recorded_again_by')"))
     assert "headline/speed W1 m per s" in keys
+    # Where the run was made, not where it was recorded again.
+    (kept,) = read_runs(there / "sweeps" / "kills")
+    assert kept.facts["copied_from"].startswith("committed/runs/R0.06-")
+    assert tags["commit"] == kept.facts["provenance"]["commit"]
+    assert "made elsewhere" in tags["folder"]
 
 
 @pytest.mark.usefixtures("quick")
