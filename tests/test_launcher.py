@@ -17,13 +17,17 @@ from gran_bench.launcher import JobError, ProcessLauncher
 
 @dataclass
 class Stub:
-    """Jobs that do what their overrides say: a number to exit with, or ``orphan`` to lose their fork server."""
+    """Jobs that do what their overrides say.
+
+    A number to exit with, ``orphan`` to lose their fork server, else a file to make.
+    """
 
     folder: Path
+    finished: tuple[int, ...] = ()
     ends: dict[int, str] = field(default_factory=dict)
 
-    def nothing_to_do(self, number: int) -> None:
-        """There is always something."""
+    def nothing_to_do(self, number: int) -> str | None:
+        return "finished before" if number in self.finished else None
 
     def apart(self, overrides: list[str], number: int) -> bool:
         (word,) = overrides
@@ -48,6 +52,14 @@ def launcher(tmp_path: Path):
     yield made
     # What the test started is not for the tests after it.
     forkserver._forkserver._stop()
+
+
+@pytest.mark.parametrize("finished", [(0, 1, 2), (1, 2), (0, 1)])
+def test_a_sweep_whose_last_jobs_or_all_have_nothing_to_do_ends(launcher: ProcessLauncher, tmp_path: Path, finished):
+    launcher.job.finished = finished
+    assert len(launcher.launch([["one"], ["two"], ["three"]], 0)) == 3
+    made = [path.name for path in tmp_path.iterdir()]
+    assert sorted(made) == sorted({"one", "two", "three"} - {("one", "two", "three")[k] for k in finished})
 
 
 def test_a_status_that_no_signal_gives_is_told_and_the_next_job_starts(launcher: ProcessLauncher, tmp_path: Path):

@@ -74,6 +74,8 @@ class ProcessLauncher(Launcher):
                         print(reason, file=sys.stderr, flush=True)
                         continue
                     running[number] = _started(self.job, overrides, number)
+                if not running:  # none of the rest had anything to do, and no end of theirs would come
+                    break
                 connection.wait([process.sentinel for process in running.values()])
                 for number in [number for number, process in running.items() if not process.is_alive()]:
                     process = running.pop(number)
