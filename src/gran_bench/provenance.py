@@ -61,7 +61,10 @@ def _accelerator() -> str:
 
 
 def commit() -> str:
-    """The checked-out commit, with ``+`` where the tree has changes; the version for an installed wheel."""
+    """The checked-out commit, with ``+`` where the tree has changes; the version for an installed wheel.
+
+    Changes below ``results/`` don't count: they are what a sweep writes while its runs go on, and decide nothing.
+    """
     folder = Path(gran_bench.__file__).resolve().parents[2]
     if not (folder / ".git").exists():
         return f"version {gran_bench.__version__}"
@@ -71,7 +74,8 @@ def commit() -> str:
         return done.stdout.strip()
 
     head = git("rev-parse", "--short=12", "HEAD") or "no commit"
-    return head + ("+" if git("status", "--porcelain", "--untracked-files=no") else "")
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", ":(top)", ":(top,exclude)results")
+    return head + ("+" if changed else "")
 
 
 def program() -> list[str]:
