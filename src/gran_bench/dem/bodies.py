@@ -1,83 +1,146 @@
-"""Bodies of a stretch: sorted in space, as rows of four (jitted)."""
+"""Bodies of a stretch: sorted in space, as rows of four; and the contacts that they are known to have."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from gran_bench.dem.kernel import entry, kernel, places, quads
 from gran_bench.neighbors import bin_cells
+from gran_bench.state import ContactHistory, FloatArray
 
 # Edge of the cells that particles are sorted by, in diameters of the largest.
 CELL_EDGE = 1.1
 
 
-@entry()
-def bodies_in_order(position, velocity, spin, radius, material, density, period, first, second, known):
-    """Particles cell by cell, slab after slab along the longest axis, and rows of four in that order.
+class Known(NamedTuple):
+    """Touching contacts of one kind, with pairs or with walls, and what they remember.
 
-    Two spare bodies that just touch follow, far away; they fill lanes that a block does not need.
+    Attributes:
+        first, second: ``(C,)`` particles or rows, first < second; or particle and wall.
+        slot: ``(C, 4)`` elastic tangential force and overlap.
+        moment: ``(C, 4)`` rolling moment and 0; ``(0, 4)`` where there is no rolling.
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    slot: FloatArray
+    moment: FloatArray
+
+
+def known_contacts(history: ContactHistory, name: np.ndarray, rolling: bool) -> tuple[Known, Known]:
+    """Pairs and walls of a state, with particle i called ``name[i]`` and the lower name first.
+
+    Args:
+        history: in which wall w is the second −1 − w.
+        name: ``(N,)``.
+        rolling: whether rolling moments are remembered.
+    """
+    slot = _in_fours(history.force, history.overlap)
+    moment = _in_fours(history.rolling_moment, 0.0) if rolling else np.zeros((0, 4))
+    is_pair = history.second >= 0
+    split = int(np.count_nonzero(is_pair))
+    if is_pair[:split].all():
+        chosen = slice(split), slice(split, None)  # in turn, as one thread leaves them
+    else:
+        chosen = np.flatnonzero(is_pair), np.flatnonzero(~is_pair)
+    pairs, walls = (
+        Known(name[history.first[part]], history.second[part], slot[part], moment[part] if rolling else moment)
+        for part in chosen
+    )
+    return _renamed(pairs, name), walls._replace(second=-1 - walls.second)
+
+
+def contact_history(parts: list[tuple[Known, Known]], name: np.ndarray) -> ContactHistory:
+    """What a state remembers: contacts of each part in turn, pairs and then walls, with row i called ``name[i]``."""
+    named = []
+    for pairs, walls in parts:
+        named.append(_renamed(pairs._replace(first=name[pairs.first], second=pairs.second), name))
+        named.append(walls._replace(first=name[walls.first], second=-1 - walls.second))
+    first, second, slot, moment = (np.concatenate(arrays) for arrays in zip(*named, strict=True))
+    rolling = moment[:, :3].copy() if len(moment) else np.zeros((len(slot), 3))
+    return ContactHistory(first, second, slot[:, :3].copy(), slot[:, 3].copy(), rolling)
+
+
+def _renamed(pairs: Known, name: np.ndarray) -> Known:
+    """Pairs whose firsts have their new name and whose seconds have not yet, the lower one first."""
+    first, second = pairs.first, name[pairs.second]
+    sign = np.where(second < first, -1.0, 1.0)
+    slot, moment = pairs.slot.copy(), pairs.moment.copy()
+    for k in range(3):
+        slot[:, k] *= sign
+        if len(moment):
+            moment[:, k] *= sign
+    return Known(np.minimum(first, second), np.maximum(first, second), slot, moment)
+
+
+class Bodies(NamedTuple):
+    """Particles as rows, and two spare ones, which fill lanes that a block of contacts does not need.
+
+    Attributes:
+        order: ``(N,)`` particle of each row.
+        sphere, velocity, spin: ``(N + 2, 4)`` rows (x, y, z, r), (v, 1/m), (ω, 1/I).
+        ahead: ``(N + 2, 4)`` zeros.
+        material: ``(N + 2,)`` index.
+    """
+
+    order: np.ndarray
+    sphere: FloatArray
+    velocity: FloatArray
+    spin: FloatArray
+    ahead: FloatArray
+    material: np.ndarray
+
+
+def bodies_in_order(
+    position: FloatArray,
+    velocity: FloatArray,
+    spin: FloatArray,
+    radius: FloatArray,
+    material: np.ndarray,
+    density: FloatArray,
+    period: float,
+) -> Bodies:
+    """Particles cell by cell, slab after slab along the longest axis, as rows.
+
+    Two spare bodies that just touch follow.
 
     Args:
         position, velocity, spin: ``(N, 3)``.
         radius, material: ``(N,)`` m and index.
         density: ``(S,)`` kg/m³.
         period: of y, m; 0 for none.
-        first, second, known: ``(C,)``, ``(C,)``, ``(C, 7)`` contacts by particle; called by row here, in place.
-
-    Returns:
-        ``(N,)`` particle of each row; ``(N + 2, 4)`` rows (x, y, z, r), (v, 1/m), (ω, 1/I) and zeros; ``(N + 2,)``
-        materials.
     """
-    count = len(position)
-    low, high, largest = position[0].copy(), position[0].copy(), 0.0
-    for i in range(count):
-        largest = max(largest, radius[i])
-        for k in range(3):
-            low[k], high[k] = min(low[k], position[i, k]), max(high[k], position[i, k])
+    # Column by column: along short rows NumPy's reductions take ten times as long.
+    count, extent = len(position), [float(position[:, k].max() - position[:, k].min()) for k in range(3)]
     # Slabs across the longest axis meet in the fewest pairs. A periodic axis would make the first meet the last.
-    axes = np.array([0, 1, 2])
-    if high[0] - low[0] > high[2] - low[2]:
-        axes[0], axes[2] = 2, 0
-    if period == 0.0 and high[1] - low[1] > high[axes[2]] - low[axes[2]]:
+    axes = [2, 1, 0] if extent[0] > extent[2] else [0, 1, 2]
+    if period == 0.0 and extent[1] > extent[axes[2]]:
         axes[1], axes[2] = axes[2], 1
-    place = quads(count)
-    for i in range(count):
-        for k in range(3):
-            place[i, k] = position[i, axes[k]]
-    order = bin_cells(place, 2.0 * CELL_EDGE * largest, period)[0]
-    sphere, rates, spins, ahead = quads(count + 2), quads(count + 2), quads(count + 2), quads(count + 2)
-    ahead[:] = 0.0
-    materials = np.zeros(count + 2, np.uint8)
-    for row in range(count):
-        i = order[row]
-        mass = 4.0 / 3.0 * math.pi * density[material[i]] * radius[i] ** 3
-        for k in range(3):
-            sphere[row, k], rates[row, k], spins[row, k] = position[i, k], velocity[i, k], spin[i, k]
-        sphere[row, 3], rates[row, 3], spins[row, 3] = radius[i], 1.0 / mass, 1.0 / (0.4 * mass * radius[i] ** 2)
-        materials[row] = material[i]
-    for spare in (count, count + 1):
-        for k in range(4):
-            sphere[spare, k], rates[spare, k], spins[spare, k] = sphere[0, k], 0.0, 0.0
-        rates[spare, 3], spins[spare, 3] = rates[0, 3], spins[0, 3]
+    place = np.empty((count, 4))
+    for k, axis in enumerate(axes):
+        place[:, k] = position[:, axis]
+    order = bin_cells(place, 2.0 * CELL_EDGE * float(radius.max()), period)[0]
+    mass = 4.0 / 3.0 * math.pi * density[material] * (radius * radius * radius)
+    sphere, rates = _rows(position, radius, order), _rows(velocity, 1.0 / mass, order)
+    spins = _rows(spin, 1.0 / (0.4 * mass * (radius * radius)), order)
+    sphere[count:] = sphere[0]
     sphere[count + 1, 0] += 2.0 * sphere[0, 3]
-    rank = places(count)
-    for row in range(count):
-        rank[order[row]] = row
-    rename(first, second, known, rank)
-    return order, sphere, rates, spins, ahead, materials
+    rates[count:], spins[count:] = (0.0, 0.0, 0.0, rates[0, 3]), (0.0, 0.0, 0.0, spins[0, 3])
+    materials = np.zeros(count + 2, np.uint8)
+    materials[:count] = material[order]
+    return Bodies(order, sphere, rates, spins, np.zeros((count + 2, 4)), materials)
 
 
-@kernel
-def rename(first, second, known, name):
-    """Calls the particles of contacts ``name[i]`` instead of i, in place; the lower name first, walls as they are."""
-    for c in range(len(first)):
-        a, b = name[first[c]], second[c]
-        if b >= 0:
-            b = name[b]
-            if b < a:
-                a, b = b, a
-                for k in (0, 1, 2, 4, 5, 6):
-                    known[c, k] = -known[c, k]
-        first[c], second[c] = a, b
+def _rows(vector: FloatArray, scalar: FloatArray, order: np.ndarray) -> FloatArray:
+    rows = np.empty((len(order) + 2, 4))
+    _in_fours(vector, scalar).take(order, axis=0, out=rows[:-2], mode="clip")
+    return rows
+
+
+def _in_fours(vector: FloatArray, scalar: FloatArray | float) -> FloatArray:
+    """Vectors and scalars as rows of four, which NumPy moves faster than rows of three."""
+    rows = np.empty((len(vector), 4))
+    rows[:, :3], rows[:, 3] = vector, scalar
+    return rows

@@ -1,8 +1,9 @@
 """The first compilation of the fast engine, shared by two processes.
 
 Numba compiles one function at a time in a process, but what it compiled lies on disk for all. So while the caller
-compiles the loop of steps, a process beside it compiles what makes the lists. Whatever keeps that process from its
-work (one core, no cache, no interpreter to start), the caller finds nothing on disk and compiles it all.
+compiles the loop of steps, a process beside it compiles pieces of that loop that come late in it, and what makes the
+lists. Whatever keeps that process from its work (one core, no cache, no interpreter to start), the caller finds nothing
+on disk and compiles it all.
 """
 
 from __future__ import annotations
@@ -18,11 +19,14 @@ from pathlib import Path
 import numba
 
 import gran_bench
-from gran_bench.dem.bodies import bodies_in_order
-from gran_bench.dem.search import search
+from gran_bench.dem.contact_list import largest_displacement, sorted_pairs, with_margins
+from gran_bench.dem.stretch import kick, march, take_over
+from gran_bench.dem.wall_list import list_wall_contacts, shape_of, toward_wall
+from gran_bench.neighbors import bin_cells, list_pairs
 
-# What the process beside compiles (compile_lists.py).
-LISTS = (bodies_in_order, search)
+# What the process beside compiles (compile_beside.py).
+PIECES = (kick, take_over, largest_displacement, shape_of, toward_wall)
+LISTS = (bin_cells, list_pairs, sorted_pairs, with_margins, list_wall_contacts)
 # How much longer than the caller's own share its share may take: more, and it hangs.
 PATIENCE = 3.0
 
@@ -34,13 +38,13 @@ def on_disk(entry: Callable) -> bool:
 
 
 @contextmanager
-def lists_compiled_beside(own: Callable) -> Iterator[None]:
-    """While the body compiles ``own`` and what else is not in ``LISTS``, another process compiles these.
+def compiled_beside() -> Iterator[None]:
+    """While the body compiles the loop of steps, another process compiles what is in ``PIECES`` and ``LISTS``.
 
-    Only where that is worth it: with two cores, and where nothing of it is on disk.
+    Only where that is worth it: with two cores, and where nothing of the loop is on disk.
     """
     beside, began = None, time.perf_counter()
-    if numba.config.NUMBA_NUM_THREADS > 1 and not any(map(on_disk, (own, *LISTS))):
+    if numba.config.NUMBA_NUM_THREADS > 1 and not any(map(on_disk, (march, *PIECES))):
         beside = _started()
     try:
         yield
@@ -60,7 +64,7 @@ def _started() -> subprocess.Popen | None:
     paths = [sources, *filter(None, [os.environ.get("PYTHONPATH")])]
     try:
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", "gran_bench.dem.compile_lists"],
+            [sys.executable, "-P", "-m", "gran_bench.dem.compile_beside"],
             stdin=subprocess.PIPE,  # closed when the caller is gone, however it went
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

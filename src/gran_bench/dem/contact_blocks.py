@@ -12,12 +12,14 @@ import math
 import numpy as np
 
 from gran_bench.dem.contact import PREDICTION_FADE
-from gran_bench.dem.contact_list import closer
+from gran_bench.dem.contact_list import overlapping
 from gran_bench.dem.kernel import kernel
 from gran_bench.dem.rows import (
     BLOCK,
     four_from,
     four_of,
+    four_on,
+    four_remembered,
     gather_difference,
     gather_rows,
     gather_sum,
@@ -44,7 +46,8 @@ REACH, SKEW, RS, MS, INVERSE_MS = (k * BLOCK for k in range(40, 45))  # r₁ + r
 MODULUS, SHEAR, DAMPING, FRICTION, ROLLING = (k * BLOCK for k in range(45, 50))  # 4/3 E*, 8 G*, α, μ, μ_r
 # What the tangential law takes from the normal one.
 APPROACH, CONTACT_RADIUS, DRAG, LOAD = (k * BLOCK for k in range(50, 54))
-BUFFER_SIZE = 54 * BLOCK
+RESCALE = 54 * BLOCK  # squared factor of the history that is turned
+BUFFER_SIZE = 55 * BLOCK
 
 
 @kernel
@@ -63,23 +66,14 @@ def fill_law(buffer, lane, law):
 
 
 @kernel
-def forget(buffer, lane, rolling):
-    """A contact that the last evaluation did not touch remembers nothing."""
-    buffer[HX + lane], buffer[HY + lane], buffer[HZ + lane] = 0.0, 0.0, 0.0
-    buffer[BEFORE + lane] = 0.0
-    if rolling:
-        buffer[MX + lane], buffer[MY + lane], buffer[MZ + lane] = 0.0, 0.0, 0.0
-
-
-@kernel
 def pair_forces(
-    sphere, velocity, spin, ahead, material, force, torque, pair_i, pair_j, near, begin, end,
-    slot, moment, touched, evaluation, active, buffer, laws, period, tangential, rolling, unequal, several,
-    full_radius, dt,
+    sphere, velocity, spin, ahead, material, force, torque, near_i, near_j, memory, begin, end, touched,
+    remembered, active, contacts, old_slot, slot, old_moment, moment, buffer, laws, period, tangential, rolling, unequal, several, full_radius, dt,
 ):  # fmt: skip
-    """Adds the forces and torques of the touching pairs among ``near[begin:end]`` and updates their slots.
+    """Adds the forces and torques of the touching pairs among places ``begin … end − 1`` of an inner list.
 
-    Bodies N and N + 1, and the last pair, are spare: they fill the lanes that a block does not need.
+    Bodies N and N + 1, and place 0 of the list, are spare: they fill the lanes that a block does not need. Row 0 of the
+    old histories is zero, for pairs that remember nothing.
 
     Args:
         sphere: ``(N + 2, 4)`` x, y, z, r, m.
@@ -87,71 +81,76 @@ def pair_forces(
         ahead: ``(N + 2, 4)`` what v still gains until the step's end, m/s.
         material: ``(N + 2,)`` index.
         force, torque: ``(N + 2, 4)``, added to.
-        pair_i, pair_j: ``(M + 1,)`` outer list.
-        near: inner list, as places in the outer one.
-        slot, moment, touched: ``(M + 1, 4)``, ``(M + 1 or 1, 4)``, ``(M + 1,)`` of the outer list.
-        evaluation: number of this force evaluation; a contact that the last one did not touch remembers nothing.
-        active, buffer: scratch.
+        near_i, near_j: inner list.
+        memory: row of history of each of its pairs when it last touched, 0 for never.
+        begin, end: range of places.
+        touched: place of the pair of each old row.
+        remembered: end of the old rows.
+        active: place of each touching pair, written from ``contacts`` on.
+        contacts: first row of the new histories that is written, ≥ 1.
+        old_slot, slot: ``(≥ M + 4, 4)`` elastic tangential force and overlap, of the last evaluation and of this one.
+        old_moment, moment: rolling moments alike; one row where there is no rolling.
+        buffer: scratch.
         laws: ``(S, S, 5)`` (4/3 E*, 8 G*, α, μ, μ_r).
         period: of y, m; 0 for none.
         tangential, rolling, unequal, several: what is needed: friction, rolling model, sizes and materials that differ.
         full_radius: whether slip is measured with full radii.
         dt: s over which histories are loaded.
+
+    Returns:
+        ``contacts`` and the number of touching pairs.
     """
-    touching = closer(sphere, pair_i, pair_j, near[begin:end], 0.0, period, active)
-    for lane in range(touching, touching + 3):
-        active[lane] = len(pair_i) - 1
-    for first in range(0, touching, BLOCK):
-        size = (min(BLOCK, touching - first) + 3) // 4 * 4
+    found = overlapping(sphere, near_i, near_j, begin, end, period, active, contacts)
+    for row in range(found, found + 3):
+        active[row] = 0
+    for first in range(contacts, found, BLOCK):
+        filled = min(BLOCK, found - first)
+        size = (filled + 3) // 4 * 4
         for k in range(0, size, 4):
-            p = four_from(active, first + k)
-            i, j = four_of(pair_i, p), four_of(pair_j, p)
+            q = four_from(active, first + k)
+            i, j, rows = four_of(near_i, q), four_of(near_j, q), four_remembered(memory, q, touched, remembered)
             gather_difference(buffer, OFFSET, k, sphere, j, i)
             gather_difference(buffer, VELOCITY, k, velocity, i, j)
             gather_difference(buffer, AHEAD, k, ahead, i, j)
             if tangential:
                 gather_sum(buffer, SPIN_SUM, k, spin, i, j)
-                gather_rows(buffer, SLOT, k, slot, p)
+                gather_rows(buffer, SLOT, k, old_slot, rows)
             if rolling or unequal:
                 gather_difference(buffer, SPIN_DIFFERENCE, k, spin, i, j)
             if rolling:
-                gather_rows(buffer, MOMENT, k, moment, p)
-        for k in range(size):
-            if touched[active[first + k]] != evaluation - 1:
-                forget(buffer, k, rolling)
+                gather_rows(buffer, MOMENT, k, old_moment, rows)
         if unequal:
             for k in range(size):
-                a, b = pair_i[active[first + k]], pair_j[active[first + k]]
+                a, b = near_i[active[first + k]], near_j[active[first + k]]
                 fill_sizes(buffer, k, sphere[a, 3], sphere[b, 3], velocity[a, 3] + velocity[b, 3])
         if several:
             for k in range(size):
-                a, b = pair_i[active[first + k]], pair_j[active[first + k]]
+                a, b = near_i[active[first + k]], near_j[active[first + k]]
                 fill_law(buffer, k, laws[material[a], material[b]])
         if period > 0.0:
             for k in range(size):
                 buffer[NY + k] -= period * np.rint(buffer[NY + k] / period)
         pair_geometry(buffer, size)
         if tangential:
-            if full_radius:
-                full_radius_spins(buffer, size, unequal)
-            else:
-                surface_spins(buffer, size)
-            if unequal:
-                shift_arms(buffer, size, not full_radius)
-        contact_laws(buffer, size, tangential, rolling, unequal, dt)
+            slip_spins(buffer, size, unequal, full_radius)
+        contact_laws(buffer, size, tangential, rolling, dt)
+        if unequal:
+            second_torques(buffer, size)
+        contact_torques(buffer, size)
         for k in range(0, size, 4):
-            p = four_from(active, first + k)
-            i, j = four_of(pair_i, p), four_of(pair_j, p)
+            q = four_from(active, first + k)
+            i, j = four_of(near_i, q), four_of(near_j, q)
             scatter_opposite(force, i, j, buffer, FORCE, k)
             if tangential:
                 second = TORQUE_2 if unequal else TORQUE
                 scatter_both(torque, i, j, buffer, TORQUE, second, k)
             if rolling:
                 scatter_opposite(torque, i, j, buffer, MOMENT, k)
-                scatter_rows(moment, p, buffer, MOMENT, k)
-            scatter_rows(slot, p, buffer, SLOT, k)
-            for lane in range(k, k + 4):
-                touched[active[first + lane]] = evaluation
+                scatter_rows(moment, four_on(first + k), buffer, MOMENT, k)
+            scatter_rows(slot, four_on(first + k), buffer, SLOT, k)
+        for row in range(first, first + filled):
+            memory[active[row]] = row
+    return found
 
 
 @kernel
@@ -171,48 +170,29 @@ def pair_geometry(buffer, size):
 
 
 @kernel
-def surface_spins(buffer, size):
-    """Σ ω of a block → Σ arm × ω, with one lever arm for both."""
-    for k in range(size):
-        arm = buffer[ARM_1 + k]
-        buffer[WX + k] *= arm
-        buffer[WY + k] *= arm
-        buffer[WZ + k] *= arm
+def slip_spins(buffer, size, unequal, full_radius):
+    """Σ ω of a block → Σ arm × ω, with which spins add to the slip; and the lever arms of unequal spheres.
 
-
-@kernel
-def full_radius_spins(buffer, size, unequal):
-    """Σ ω of a block → Σ r × ω = ½ (r₁ + r₂) (ω₁ + ω₂) + ½ (r₁ − r₂) (ω₁ − ω₂)."""
-    half = buffer.dtype.type(0.5)
+    Contacts end on the plane of the circle where the spheres intersect: arm₁ = ½ d + s and arm₂ = ½ d − s with
+    s = (r₁² − r₂²) / 2 d, so that Σ arm × ω = ½ d (ω₁ + ω₂) + s (ω₁ − ω₂). With full radii, slip takes r₁ and r₂ in
+    the place of the arms: ½ (r₁ + r₂) (ω₁ + ω₂) + ½ (r₁ − r₂) (ω₁ − ω₂).
+    """
+    quarter, half = buffer.dtype.type(0.25), buffer.dtype.type(0.5)
     for k in range(size):
-        mean = half * buffer[REACH + k]
+        mean = half * buffer[REACH + k] if full_radius else buffer[ARM_1 + k]
         buffer[WX + k] *= mean
         buffer[WY + k] *= mean
         buffer[WZ + k] *= mean
     if unequal:
         for k in range(size):
-            excess = half * buffer[SKEW + k] / buffer[REACH + k]
+            arm = buffer[ARM_1 + k]
+            shift = quarter * buffer[SKEW + k] / arm
+            excess = half * buffer[SKEW + k] / buffer[REACH + k] if full_radius else shift
             buffer[WX + k] += excess * buffer[PX + k]
             buffer[WY + k] += excess * buffer[PY + k]
             buffer[WZ + k] += excess * buffer[PZ + k]
-
-
-@kernel
-def shift_arms(buffer, size, slips):
-    """Lever arms of unequal spheres, which end on the plane of the circle where they intersect.
-
-    arm₁ = ½ d + s and arm₂ = ½ d − s with s = (r₁² − r₂²) / 2 d. Where the contact point ``slips``, Σ arm × ω gains
-    s (ω₁ − ω₂).
-    """
-    quarter, share = buffer.dtype.type(0.25), buffer.dtype.type(slips)
-    for k in range(size):
-        arm = buffer[ARM_1 + k]
-        shift = quarter * buffer[SKEW + k] / arm
-        buffer[WX + k] += share * shift * buffer[PX + k]
-        buffer[WY + k] += share * shift * buffer[PY + k]
-        buffer[WZ + k] += share * shift * buffer[PZ + k]
-        buffer[ARM_1 + k] = arm + shift
-        buffer[ARM_2 + k] = arm - shift
+            buffer[ARM_1 + k] = arm + shift
+            buffer[ARM_2 + k] = arm - shift
 
 
 @kernel
@@ -234,16 +214,30 @@ def normal_law(buffer, size, dt):
 
 @kernel
 def tangential_law(buffer, size, dt):
-    """Adds the tangential force on the first; n × f_t, and the new history; after normal_law (see contact.py)."""
-    zero, one, half_step = buffer.dtype.type(0.0), buffer.dtype.type(1.0), buffer.dtype.type(0.5 * dt)
+    """Adds the tangential force on the first; n × f_t, and the new history; after normal_law (see contact.py).
+
+    Three short loops: in one, each contact would wait for a chain of roots and divisions too long to overlap with the
+    next ones.
+    """
+    slip_and_turn(buffer, size)
+    load_history(buffer, size, dt)
+    limit_friction(buffer, size)
+
+
+@kernel
+def slip_and_turn(buffer, size):
+    """Slip velocity into the columns of the spins; the history turned with the contact plane, not yet of its length.
+
+    What leaves the plane is removed, and the length will be kept but for √(δ / δ before) where the contact shrinks;
+    ``RESCALE`` is the square of what that takes. A new contact, whose overlap before is zero, remembers nothing.
+    """
+    zero = buffer.dtype.type(0.0)
     for k in range(size):
         nx, ny, nz, approach = buffer[NX + k], buffer[NY + k], buffer[NZ + k], buffer[APPROACH + k]
         wx, wy, wz = buffer[WX + k], buffer[WY + k], buffer[WZ + k]
-        sx = buffer[VX + k] - approach * nx + (wy * nz - wz * ny)
-        sy = buffer[VY + k] - approach * ny + (wz * nx - wx * nz)
-        sz = buffer[VZ + k] - approach * nz + (wx * ny - wy * nx)
-        # The history turns with the contact plane (what leaves the plane is removed, the length is kept) and unloads
-        # with the contact's size; a new contact, whose overlap before is zero, remembers nothing.
+        buffer[WX + k] = buffer[VX + k] - approach * nx + (wy * nz - wz * ny)
+        buffer[WY + k] = buffer[VY + k] - approach * ny + (wz * nx - wx * nz)
+        buffer[WZ + k] = buffer[VZ + k] - approach * nz + (wx * ny - wy * nx)
         before = buffer[BEFORE + k]
         smaller = min(before, buffer[DELTA + k])
         hx, hy, hz = buffer[HX + k], buffer[HY + k], buffer[HZ + k]
@@ -251,15 +245,38 @@ def tangential_law(buffer, size, dt):
         out = hx * nx + hy * ny + hz * nz
         hx, hy, hz = hx - out * nx, hy - out * ny, hz - out * nz
         inside = (hx * hx + hy * hy + hz * hz) * before
-        keep = math.sqrt(length * smaller / inside) if inside > zero else zero
+        buffer[HX + k], buffer[HY + k], buffer[HZ + k] = hx, hy, hz
+        buffer[RESCALE + k] = length * smaller / inside if inside > zero else zero
+
+
+@kernel
+def load_history(buffer, size, dt):
+    """The history loaded by slip over the step; with its damping into the columns of n × f_t."""
+    half_step = buffer.dtype.type(0.5 * dt)
+    for k in range(size):
+        sx, sy, sz = buffer[WX + k], buffer[WY + k], buffer[WZ + k]
+        keep = math.sqrt(buffer[RESCALE + k])
+        smaller = min(buffer[BEFORE + k], buffer[DELTA + k])
         mean_radius = buffer[CONTACT_RADIUS + k] + math.sqrt(buffer[RS + k] * smaller)  # twice the mean
         load, drag = half_step * buffer[SHEAR + k] * mean_radius, buffer[DRAG + k]
-        hx, hy, hz = keep * hx - load * sx, keep * hy - load * sy, keep * hz - load * sz
-        tx, ty, tz = hx - drag * sx, hy - drag * sy, hz - drag * sz
+        hx, hy, hz = keep * buffer[HX + k] - load * sx, keep * buffer[HY + k] - load * sy, keep * buffer[HZ + k] - load * sz
+        buffer[HX + k], buffer[HY + k], buffer[HZ + k] = hx, hy, hz
+        buffer[TX + k], buffer[TY + k], buffer[TZ + k] = hx - drag * sx, hy - drag * sy, hz - drag * sz
+
+
+@kernel
+def limit_friction(buffer, size):
+    """Force and history of a contact that slips are cut to μ times the load."""
+    one = buffer.dtype.type(1.0)
+    for k in range(size):
+        nx, ny, nz = buffer[NX + k], buffer[NY + k], buffer[NZ + k]
+        tx, ty, tz = buffer[TX + k], buffer[TY + k], buffer[TZ + k]
         squared, limit = tx * tx + ty * ty + tz * tz, buffer[FRICTION + k] * buffer[LOAD + k]
         slip = limit / math.sqrt(squared) if squared > limit * limit else one
         tx, ty, tz = slip * tx, slip * ty, slip * tz
-        buffer[HX + k], buffer[HY + k], buffer[HZ + k] = slip * hx, slip * hy, slip * hz
+        buffer[HX + k] *= slip
+        buffer[HY + k] *= slip
+        buffer[HZ + k] *= slip
         buffer[FX + k] += tx
         buffer[FY + k] += ty
         buffer[FZ + k] += tz
@@ -315,15 +332,12 @@ def second_torques(buffer, size):
 
 
 @kernel
-def contact_laws(buffer, size, tangential, rolling, unequal, dt):
-    """What the contacts of a block do: force on the first, torques, rolling moment, and what they remember."""
+def contact_laws(buffer, size, tangential, rolling, dt):
+    """What the contacts of a block do: force on the first, n × f_t, rolling moment, and what they remember."""
     normal_law(buffer, size, dt)
     if rolling:
         rolling_law(buffer, size, dt)
     if tangential:
         tangential_law(buffer, size, dt)
-        if unequal:
-            second_torques(buffer, size)
-        contact_torques(buffer, size)
     for k in range(size):
         buffer[BEFORE + k] = buffer[DELTA + k]

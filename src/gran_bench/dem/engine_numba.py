@@ -4,8 +4,8 @@ What makes it fast:
 
 - Bodies are rows of four doubles (position and radius, velocity and 1/m, spin and 1/I, force, torque), moved as SIMD
   vectors (rows.py). Particles are sorted in space when a stretch begins.
-- Pairs are flat half lists, pruned often, searched for rarely; the history lives in the slot of its pair and moves only
-  when pairs are searched for (contact_list.py).
+- Pairs are flat half lists, pruned often, searched for rarely; the histories of those that touch lie densely in their
+  order (contact_list.py).
 - A branchless filter packs the touching pairs; blocks of them are gathered into columns, computed there in SIMD, and
   scattered (contact_blocks.py). ``error_model="numpy"`` is what allows SIMD: a division may then not raise.
 - Threads own chunks of neighbouring particles for the whole stretch and meet twice a step (barrier.py).
@@ -25,18 +25,16 @@ import numba
 import numpy as np
 
 from gran_bench.dem import barrier
-from gran_bench.dem.bodies import bodies_in_order
-from gran_bench.dem.compiling import lists_compiled_beside
+from gran_bench.dem.bodies import Bodies, Known, bodies_in_order, contact_history, known_contacts
+from gran_bench.dem.compiling import compiled_beside
 from gran_bench.dem.contact_blocks import BUFFER_SIZE
 from gran_bench.dem.integrate import Divergence, Physics
-from gran_bench.dem.search import search, touching
-from gran_bench.dem.stretch import DONE, EVALUATION, SEARCH, march
-from gran_bench.state import ContactHistory, FloatArray, ParticleState
+from gran_bench.dem.search import Lists, search, touching
+from gran_bench.dem.stretch import DONE, EVALUATION, NEAR_I, NEAR_J, PAIRS, SEARCH, WALLS, march
+from gran_bench.state import FloatArray, ParticleState
 
 # Particles from which on a bed is cut into 2, 4, 8, 16 chunks: each large beside what lies at its rim.
 CHUNK_SIZES = (1500, 8000, 32000, 128000)
-# Calls no contact by particle.
-NOBODY = np.zeros(0, np.int64)
 
 
 def chunk_bounds(count: int) -> np.ndarray:
@@ -66,16 +64,15 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
         return state
     stretch = _Stretch(state, physics, time_step, walls)
     if not march.overloads:
-        with lists_compiled_beside(march):
+        with compiled_beside():
             stretch.compile()
     stretch.begin()
     results = run_together(stretch.run, stretch.threads, stretch.gate)
-    culprit, done = results[0][:2]
+    culprit, done, _ = results[0]
     position, velocity, spin = stretch.moving
     if culprit >= 0:
-        raise Divergence(int(stretch.bodies[0][culprit]), done, position, velocity, spin)
-    first, second, memory = (np.concatenate([result[k] for result in results]) for k in (2, 3, 4))
-    contacts = ContactHistory(first, second, memory[:, :3].copy(), memory[:, 3].copy(), memory[:, 4:].copy())
+        raise Divergence(int(stretch.bodies.order[culprit]), done, position, velocity, spin)
+    contacts = contact_history([touched for *_, touched in results], stretch.bodies.order)
     return ParticleState(
         position, velocity, spin, state.radius, state.time + done * time_step, contacts, state.material
     )
@@ -93,11 +90,7 @@ class _Stretch:
             np.array(array, np.float64) for array in (state.position, state.velocity, state.angular_velocity)
         )
         self._radius, self._material = np.array(state.radius, np.float64), np.array(state.material, np.uint8)
-        history = state.history
-        self._known = (
-            np.array(history.first, np.int64), np.array(history.second, np.int64),
-            np.column_stack((history.force, history.overlap, history.rolling_moment)),
-        )  # fmt: skip
+        self._history = state.history
         self._physics, self._walls = physics, np.array(walls, np.float64, order="C")
         self._bounds = chunk_bounds(state.count)
         chunks = len(self._bounds) - 1
@@ -107,58 +100,67 @@ class _Stretch:
         fastest = 0.25 * float(self._radius.min()) / time_step
         self._constants = (
             physics.pair_laws, physics.wall_laws, self._walls, np.array(physics.gravity, np.float64),
-            float(physics.period), physics.skin, float(time_step), fastest * fastest,
+            float(physics.period), float(time_step), fastest * fastest,
             physics.tangential, physics.rolling, bool((self._radius != self._radius[0]).any()), physics.full_radius,
         )  # fmt: skip
 
     def begin(self) -> None:
         """Sorts the bodies."""
-        density, period = self._physics.density, float(self._physics.period)
-        self.bodies = bodies_in_order(*self.moving, self._radius, self._material, density, period, *self._known)
+        physics, count = self._physics, len(self._radius)
+        self.bodies = bodies_in_order(
+            *self.moving, self._radius, self._material, physics.density, float(physics.period)
+        )
+        row = np.empty(count, np.int64)
+        row[self.bodies.order] = np.arange(count)
+        self._known = known_contacts(self._history, row, physics.rolling)
 
-    def run(self, thread: int) -> tuple:
-        """One thread's share: the row that diverged or −1, the completed steps, the touching contacts."""
+    def run(self, thread: int) -> tuple[int, int, tuple[Known, Known]]:
+        """One thread's share: the row that diverged or −1, the completed steps, the touching contacts by row."""
         bounds, physics, known = self._bounds, self._physics, self._known
-        order, sphere = self.bodies[:2]
+        sphere, velocity = self.bodies.sphere, self.bodies.velocity
         chunk, stop = (t * (len(bounds) - 1) // self.threads for t in (thread, thread + 1))
-        own = sphere[bounds[chunk] : bounds[stop]]
-        room = self._room(own, stop - chunk)
-        progress = np.array([1, 0])
+        progress = np.array([1, 0, 1, 1])
         while True:
-            evaluation = int(progress[EVALUATION])
             lists = search(
-                sphere, bounds, chunk, stop, self._walls, evaluation, physics.skin, float(physics.period),
-                *known, physics.rolling,
+                sphere, velocity, bounds, chunk, stop, self._walls, int(progress[EVALUATION]), physics.skin,
+                float(physics.period), known, physics.rolling,
             )  # fmt: skip
-            room[0][:] = own
-            culprit = march(*self._of_march(thread, progress, self.bodies, lists, room))
-            if culprit != SEARCH:
-                return int(culprit), int(progress[DONE]), *touching(*lists, len(self._walls), order)
-            known = touching(*lists, int(progress[EVALUATION]) - 1, NOBODY)
+            room = self._room(sphere, stop - chunk, lists)
+            culprit = int(march(*self._of_march(thread, progress, self.bodies, lists, room)))
+            inner, pairs, on_walls = room[2:5]
+            searches = culprit == SEARCH
+            last = int(progress[EVALUATION]) - 1 if searches else len(self._walls)
+            known = touching(
+                lists, inner[NEAR_I], inner[NEAR_J], pairs[last % 2, 1 : progress[PAIRS]],
+                on_walls[last % 2, 1 : progress[WALLS]], last,
+            )  # fmt: skip
+            if not searches:
+                return culprit, int(progress[DONE]), known
 
     def compile(self) -> None:
-        """Compiles what is called after bodies and lists, with arrays of their kinds in the place of them."""
-        row, place, number = np.zeros((1, 4)), np.zeros(1, np.uint32), np.zeros(1, np.int32)
-        bodies = NOBODY, row, row, row, row, np.zeros(1, np.uint8)
-        lists = place, place, place, row, row, number, place, place, NOBODY, row, row, number
-        arguments = self._of_march(0, np.array([1, 0]), bodies, lists, self._room(row, 1))
+        """Compiles what is called after lists are made, with arrays of their kinds in the place of them."""
+        row, place, number, histories = np.zeros((1, 4)), np.zeros(1, np.uint32), np.zeros(1, np.int64), np.zeros((2, 1, 4))
+        bodies = Bodies(number, row, row, row, row, np.zeros(1, np.uint8))
+        lists = Lists(place, place, place, place, histories, histories, place, place, place, number, histories, histories, np.zeros(1))
+        arguments = self._of_march(0, np.zeros(4, np.int64), bodies, lists, self._room(row, 1, lists))
         march.compile(tuple(map(numba.typeof, arguments)))
-        touching.compile(tuple(map(numba.typeof, (*lists, 1, NOBODY))))
 
-    def _room(self, own: FloatArray, chunks: int) -> tuple:
-        """What a thread with such rows and so many chunks keeps from lists to lists."""
+    def _room(self, sphere: FloatArray, chunks: int, lists: Lists) -> tuple:
+        """What a thread with so many chunks keeps while its lists live."""
         precision = np.float32 if self._physics.single_precision else np.float64
-        return own.copy(), np.empty_like(own), np.zeros(chunks + 1, np.int64), *_zeros(2, BUFFER_SIZE, dtype=precision)
-
-    def _of_march(self, thread: int, progress: np.ndarray, bodies: tuple, lists: tuple, room: tuple) -> tuple:
-        pairs, walls = len(lists[0]), len(lists[6])
-        scratch = (
-            np.arange(pairs, dtype=np.uint32), np.empty(pairs, np.uint32), np.empty(pairs + 4, np.uint32),
-            np.empty(walls + 4, np.uint32), _zeros(walls + 4, 4),
-        )  # fmt: skip
+        pairs, walls = lists.slot.shape[1], lists.wall_slot.shape[1]
+        inner = np.empty((4, pairs), np.uint32)
+        inner[:, 0] = 0
+        inner[NEAR_I, 0], inner[NEAR_J, 0] = (len(self._radius) + k for k in (0, 1))
         return (
-            thread, self.threads, *self._shared, progress, *self.moving, *bodies, *self._loads, *lists, *scratch,
-            *room, *self._constants,
+            sphere.copy(), np.empty_like(sphere), inner, np.empty((2, pairs), np.uint32),
+            np.empty((2, walls), np.uint32), _zeros(walls, 4), np.ones(chunks + 1, np.int64), *_zeros(2, BUFFER_SIZE, dtype=precision),
+        )  # fmt: skip
+
+    def _of_march(self, thread: int, progress: np.ndarray, bodies: Bodies, lists: Lists, room: tuple) -> tuple:
+        return (
+            thread, self.threads, *self._shared, progress, *self.moving, *bodies, *self._loads, *lists, *room,
+            *self._constants,
         )  # fmt: skip
 
 

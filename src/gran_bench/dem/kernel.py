@@ -35,25 +35,11 @@ def entry(**options) -> Callable[[Callable], Callable]:
     return jitted
 
 
-# One function for each kind of array: every way of writing np.empty would be compiled anew.
-
-
-@kernel
-def quads(count):
-    """Room for so many rows of four, not cleared."""
-    return np.empty((np.int64(count), 4))
+# A piece that two processes need, or that one compiles for the other: not called from Python, but cached on disk.
+shared = entry(no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 @kernel
 def places(count):
     """Room for so many particles, pairs or places, not cleared."""
     return np.empty(np.int64(count), np.uint32)
-
-
-@kernel
-def never(count):
-    """As many −1."""
-    array = np.empty(np.int64(count), np.int32)
-    for k in range(count):
-        array[k] = -1
-    return array

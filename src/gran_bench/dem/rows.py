@@ -106,6 +106,17 @@ def four_from(typing, array, begin):
 
 
 @intrinsic
+def four_on(typing, begin):
+    """begin, …, begin + 3 as a tuple."""
+
+    def emit(context, builder, signature, values):
+        places = [builder.add(values[0], ir.Constant(values[0].type, lane)) for lane in range(_LANES)]
+        return cgutils.pack_array(builder, places)
+
+    return types.UniTuple(begin, _LANES)(begin), emit
+
+
+@intrinsic
 def four_of(typing, array, places):
     """array[places[0]], …, array[places[3]] as a tuple."""
 
@@ -118,6 +129,27 @@ def four_of(typing, array, places):
         return cgutils.pack_array(builder, loads)
 
     return types.UniTuple(array.dtype, _LANES)(array, places), emit
+
+
+@intrinsic
+def four_remembered(typing, memory, places, touched, end):
+    """For each of four places the row r = memory[place] where touched[r] is that place and r < end, else 0."""
+
+    def emit(context, builder, signature, values):
+        writer = _Writer(context, builder, signature, values)
+        end = context.cast(builder, values[3], signature.args[3], types.int64)
+        rows = []
+        for lane in range(_LANES):
+            place = builder.extract_value(values[1], lane)
+            index = context.cast(builder, place, signature.args[1].dtype, types.uint64)
+            row = builder.load(writer.pointer(0, index))
+            wide = context.cast(builder, row, signature.args[0].dtype, types.int64)
+            same = builder.icmp_unsigned("==", builder.load(writer.pointer(2, wide)), place)
+            known = builder.and_(same, builder.icmp_signed("<", wide, end))
+            rows.append(builder.select(known, row, ir.Constant(row.type, 0)))
+        return cgutils.pack_array(builder, rows)
+
+    return types.UniTuple(memory.dtype, _LANES)(memory, places, touched, end), emit
 
 
 def _gather(combine: str | None, arguments: tuple[types.Type, ...]):
@@ -219,19 +251,15 @@ def scatter_both(typing, body, i, j, buffer, first, second, place):
 
 
 @intrinsic
-def squared_gap(typing, sphere, i, j, margin):
-    """‖x_j − x_i‖² − (r_i + r_j + margin)² of two rows (x, y, z, r), m²; negative where they are closer."""
+def squared_gap(typing, sphere, i, j):
+    """‖x_j − x_i‖² − (r_i + r_j)² of two rows (x, y, z, r), m²; negative where the spheres overlap."""
 
     def emit(context, builder, signature, values):
         writer, double = _Writer(context, builder, signature, values), ir.DoubleType()
         quad = ir.VectorType(double, _LANES)
         first, second = writer.load(writer.row(0, 1)), writer.load(writer.row(0, 2))
-        zero = ir.Constant(quad, [0.0] * _LANES)
-        wide = context.cast(builder, values[3], signature.args[3], types.float64)
-        beyond = builder.insert_element(zero, wide, ir.Constant(ir.IntType(32), 3))
         # Differences of the coordinates and the sum of the radii at once.
         gap = builder.fadd(second, builder.fmul(first, ir.Constant(quad, [-1.0, -1.0, -1.0, 1.0])))
-        gap = builder.fadd(gap, beyond)
         gap = builder.fmul(builder.fmul(gap, gap), ir.Constant(quad, [1.0, 1.0, 1.0, -1.0]))
         low, high = (
             builder.shuffle_vector(gap, gap, ir.Constant(ir.VectorType(ir.IntType(32), 2), places))
@@ -240,7 +268,7 @@ def squared_gap(typing, sphere, i, j, margin):
         pair = builder.fadd(low, high)
         return builder.fadd(*(builder.extract_element(pair, ir.Constant(ir.IntType(32), k)) for k in (0, 1)))
 
-    return types.float64(sphere, i, j, margin), emit
+    return types.float64(sphere, i, j), emit
 
 
 @intrinsic

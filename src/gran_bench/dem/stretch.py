@@ -14,15 +14,18 @@ import numpy as np
 
 from gran_bench.dem.barrier import meet
 from gran_bench.dem.contact_blocks import BLOCK, fill_law, fill_sizes, pair_forces
-from gran_bench.dem.contact_list import INNER_SHARE, closer, largest_displacement
-from gran_bench.dem.kernel import entry, kernel
+from gran_bench.dem.contact_list import INNER_SHARE, largest_displacement, prune
+from gran_bench.dem.kernel import entry, kernel, shared
 from gran_bench.dem.rows import kick_row, move_row, twist_row
 from gran_bench.dem.wall_contacts import wall_forces
 
 # What threads tell each other: places of a thread's row.
-FASTEST, CULPRIT, SINCE_PRUNING, SINCE_SEARCH = range(4)
-# Places of a thread's progress.
-EVALUATION, DONE = range(2)
+PACE, CULPRIT, SINCE_PRUNING, SINCE_SEARCH = range(4)
+# Places of a thread's progress: the evaluation whose forces come next, the completed steps, and one more than the
+# number of pairs and of walls that the last evaluation found touching.
+EVALUATION, DONE, PAIRS, WALLS = range(4)
+# Rows of a thread's inner list: place of each pair in the outer one, its particles, its row of history.
+NEAR, NEAR_I, NEAR_J, NEAR_MEMORY = range(4)
 # What the loop comes back with, beside a row that diverged.
 FINISHED, SEARCH = -1, -2
 
@@ -31,9 +34,9 @@ FINISHED, SEARCH = -1, -2
 def march(
     thread, threads, gate, bounds, reach, told, progress, position, linear, angular,
     order, sphere, velocity, spin, ahead, material, force, torque,
-    pair_i, pair_j, start, slot, moment, touched, wall_i, wall_w, wall_start, wall_slot, wall_moment, wall_touched,
-    everyone, near, active, wall_active, geometry, searched_at, pruned_at, near_start, buffer, wall_buffer,
-    pair_laws, wall_laws, walls, gravity, period, skin, dt, fastest_allowed, tangential, rolling, unequal, full_radius,
+    pair_i, pair_j, start, memory, slot, moment, wall_i, wall_w, wall_memory, wall_start, wall_slot, wall_moment,
+    margin, searched_at, pruned_at, inner_list, touching, wall_touching, geometry, near_start, buffer, wall_buffer,
+    pair_laws, wall_laws, walls, gravity, period, dt, fastest_allowed, tangential, rolling, unequal, full_radius,
 ):  # fmt: skip
     """One thread's share of the steps from new lists to where the next ones are needed, or to the stretch's end.
 
@@ -45,20 +48,23 @@ def march(
         gate: of barrier.py.
         bounds, reach: ``(C + 1,)`` first particle of each chunk; ``(C,)`` end of what its pairs touch.
         told: ``(threads, ≥ 4)`` what threads tell each other.
-        progress: ``(2,)`` number of the evaluation whose forces come next, and of the completed steps.
+        progress: ``(4,)`` see above.
         position, linear, angular: ``(N, 3)`` position, velocity and spin at the end, written here.
         order: ``(N,)`` particle of each row.
         sphere, velocity, spin, ahead, material: rows in that order and two spare ones.
         force, torque: ``(C, N + 2, 4)`` zeros where the stretch begins.
-        pair_i, …, wall_touched: of :func:`search.search`, from these positions.
-        everyone, near, active: ``(≥ M,)``, ``(≥ M,)``, ``(≥ M + 4,)`` 0 … M − 1 for M pairs with the spare one, room.
-        wall_active, geometry: ``(≥ M + 4,)``, ``(≥ M + 4, 4)`` room for M wall contacts.
-        searched_at, pruned_at: ``(n, 4)`` rows of these positions, and room for others.
-        near_start: ``(chunks + 1,)`` zeros.
+        pair_i, …, margin: of :func:`search.search`, from these positions. Histories come twice: an evaluation
+            reads the one of the last and writes the other.
+        searched_at, pruned_at: ``(N, 4)`` rows of these positions, and room for others.
+        inner_list: ``(4, ≥ M + 2)`` for M pairs; room, but for place 0, which is the spare pair.
+        touching: ``(2, ≥ M + 5)`` room for the places of touching pairs in even and odd evaluations.
+        wall_touching, geometry: ``(2, ≥ M + 5)``, ``(≥ M + 5, 4)`` room alike for M wall contacts; those of the last
+            evaluation are there.
+        near_start: ``(chunks + 1,)`` ones.
         buffer, wall_buffer: ``(BUFFER_SIZE,)`` zeros of the dtype that the contact laws are computed in.
         pair_laws, wall_laws: ``(S, S, 5)``, ``(S, W, 5)``.
         walls: ``(steps + 1, W, 21)`` poses.
-        gravity, period, skin, dt: SI.
+        gravity, period, dt: SI.
         fastest_allowed: m²/s², beyond which a particle diverges.
         tangential, rolling: what the scene needs.
         unequal: whether sizes differ.
@@ -67,74 +73,95 @@ def march(
     Returns:
         The row that diverged, ``FINISHED`` or ``SEARCH``.
     """
-    steps, inner, several = len(walls) - 1, INNER_SHARE * skin, len(pair_laws) > 1
+    steps, several = len(walls) - 1, len(pair_laws) > 1
     chunk, stop = thread * (len(bounds) - 1) // threads, (thread + 1) * (len(bounds) - 1) // threads
     begin, end = bounds[chunk], bounds[stop]
+    near, near_i, near_j = inner_list[NEAR], inner_list[NEAR_I], inner_list[NEAR_J]
+    near_memory = inner_list[NEAR_MEMORY]
     for lane in range(BLOCK):
         fill_sizes(buffer, lane, sphere[0, 3], sphere[0, 3], 2.0 * velocity[0, 3])
         fill_law(buffer, lane, pair_laws[0, 0])
     evaluation, culprit, travelled = progress[EVALUATION], np.int64(FINISHED), np.inf
+    for p in range(1, len(wall_memory)):
+        wall_touching[(evaluation - 1) % 2, wall_memory[p]] = p
+    # What the lists brought may lie in any row.
+    remembered, walls_remembered, pairs = slot.shape[1], wall_slot.shape[1], np.int64(1)
     while True:
-        if travelled > 0.5 * inner:
-            found = 0
-            for c in range(chunk, stop):
-                low, high = start[bounds[c] - begin], start[bounds[c + 1] - begin]
-                found += closer(sphere, pair_i, pair_j, everyone[low:high], inner, period, near[found:])
-                near_start[c - chunk + 1] = found
-                reach[c] = _end_of_reach(pair_j, near, near_start[c - chunk], found, bounds[c + 1])
-            for i in range(begin, end):
+        old, new = (evaluation - 1) % 2, evaluation % 2
+        if travelled > INNER_SHARE:
+            # The outer list knows the rows of history only while the inner one is made.
+            for row in range(1, pairs):
+                memory[near[touching[old, row]]] = row
+            for i in range(begin, len(margin)):
                 for k in range(3):
-                    pruned_at[i - begin, k] = sphere[i, k]
+                    pruned_at[i, k] = sphere[i, k]
+                pruned_at[i, 3] = sphere[i, 3] + INNER_SHARE * margin[i]
+            for c in range(chunk, stop):
+                low, high = np.int64(start[bounds[c] - begin]), np.int64(start[bounds[c + 1] - begin])
+                first = near_start[c - chunk]
+                last = prune(
+                    pruned_at, pair_i, pair_j, memory, low, high, period, near, near_i, near_j, near_memory, first
+                )
+                near_start[c - chunk + 1] = last
+                reach[c] = _end_of_reach(near_j, first, last, bounds[c + 1])
+            for q in range(1, near_start[stop - chunk]):
+                touching[old, near_memory[q]] = q
+                memory[near[q]] = 0
             travelled = 0.0
         span = 0.0 if evaluation == 1 else dt
+        pairs, wall_contacts = np.int64(1), np.int64(1)
         for c in range(chunk, stop):
-            pair_forces(
-                sphere, velocity, spin, ahead, material, force[c], torque[c], pair_i, pair_j,
-                near, near_start[c - chunk], near_start[c - chunk + 1], slot, moment, touched, evaluation,
-                active, buffer, pair_laws, period, tangential, rolling, unequal, several, full_radius, span,
+            pairs = pair_forces(
+                sphere, velocity, spin, ahead, material, force[c], torque[c], near_i, near_j, near_memory,
+                near_start[c - chunk], near_start[c - chunk + 1], touching[old], remembered, touching[new], pairs,
+                slot[old], slot[new], moment[old], moment[new],
+                buffer, pair_laws, period, tangential, rolling, unequal, several, full_radius, span,
             )  # fmt: skip
-            wall_forces(
-                sphere, velocity, spin, ahead, material, force[c], torque[c], wall_i, wall_w,
-                wall_start[(c - chunk) * len(walls[0]) :], wall_slot, wall_moment, wall_touched, evaluation,
-                wall_active, geometry, wall_buffer, wall_laws, walls[evaluation - 1], tangential, rolling, full_radius,
-                span,
+            wall_contacts = wall_forces(
+                sphere, velocity, spin, ahead, material, force[c], torque[c], wall_i, wall_w, wall_memory,
+                wall_start[(c - chunk) * len(walls[0]) :], wall_touching[old], walls_remembered,
+                wall_touching[new], wall_contacts, geometry,
+                wall_slot[old], wall_slot[new], wall_moment[old], wall_moment[new],
+                wall_buffer, wall_laws, walls[evaluation - 1], tangential, rolling, full_radius, span,
             )  # fmt: skip
+        remembered, walls_remembered = pairs, wall_contacts
+        progress[PAIRS], progress[WALLS] = pairs, wall_contacts
         meet(gate, threads)
         if steps == 0:
             break
         evaluation += 1
-        last = evaluation == steps + 2
-        _take_over(force, torque, bounds, reach, chunk, stop, tangential)
-        told[thread, FASTEST], told[thread, CULPRIT] = _kick(
-            velocity, spin, ahead, force, torque, bounds, chunk, stop, gravity,
-            0.5 * dt if evaluation == 2 or last else dt, 0.0 if last else 0.5 * dt, tangential, fastest_allowed,
+        last_one = evaluation == steps + 2
+        take_over(force, torque, bounds, reach, chunk, stop, tangential)
+        told[thread, PACE], told[thread, CULPRIT] = kick(
+            velocity, spin, ahead, force, torque, margin, bounds, chunk, stop, gravity,
+            0.5 * dt if evaluation == 2 or last_one else dt, 0.0 if last_one else 0.5 * dt, tangential, fastest_allowed,
         )  # fmt: skip
-        drifts = not last and told[thread, CULPRIT] < 0.0
+        drifts = not last_one and told[thread, CULPRIT] < 0.0
         if drifts:
             _drift(sphere, velocity, begin, end, dt)
         meet(gate, threads)
-        fastest = 0.0
+        pace = 0.0
         for other in range(threads):
-            fastest = max(fastest, told[other, FASTEST])
+            pace = max(pace, told[other, PACE])
             if culprit < 0:
                 culprit = np.int64(told[other, CULPRIT])
         if culprit >= 0 and drifts:
             _drift(sphere, velocity, begin, end, -dt)
-        if culprit >= 0 or last:
+        if culprit >= 0 or last_one:
             break
         progress[DONE] += 1
-        # The path of the fastest bounds all displacements at no cost; only when it leaves the reach of the
-        # inner list is the true displacement looked at.
-        travelled += dt * math.sqrt(fastest)
-        if travelled > 0.5 * inner:
-            told[thread, SINCE_PRUNING] = largest_displacement(sphere, pruned_at, begin, end)
-            told[thread, SINCE_SEARCH] = largest_displacement(sphere, searched_at, begin, end)
+        # The path of whoever is fastest for its margin bounds all displacements at no cost; only when it leaves the
+        # reach of the inner list are the true displacements looked at.
+        travelled += dt * math.sqrt(pace)
+        if travelled > INNER_SHARE:
+            told[thread, SINCE_PRUNING] = largest_displacement(sphere, pruned_at, margin, begin, end)
+            told[thread, SINCE_SEARCH] = largest_displacement(sphere, searched_at, margin, begin, end)
             meet(gate, threads)
             travelled, since_search = 0.0, 0.0
             for other in range(threads):
                 travelled = max(travelled, told[other, SINCE_PRUNING])
                 since_search = max(since_search, told[other, SINCE_SEARCH])
-            if travelled > 0.5 * inner and since_search > 0.5 * (skin - inner):
+            if travelled > INNER_SHARE and since_search > 1.0 - INNER_SHARE:
                 progress[EVALUATION] = evaluation
                 return np.int64(SEARCH)
     for row in range(begin, end):
@@ -147,15 +174,15 @@ def march(
 
 
 @kernel
-def _end_of_reach(pair_j, near, begin, end, furthest):
-    """One more than the last particle that these pairs touch, and at least ``furthest``."""
+def _end_of_reach(near_j, begin, end, furthest):
+    """One more than the last particle that pairs ``begin … end − 1`` touch, and at least ``furthest``."""
     for q in range(begin, end):
-        furthest = max(furthest, np.int64(pair_j[near[q]]) + 1)
+        furthest = max(furthest, np.int64(near_j[q]) + 1)
     return furthest
 
 
-@kernel
-def _take_over(force, torque, bounds, reach, chunk, stop, tangential):
+@shared
+def take_over(force, torque, bounds, reach, chunk, stop, tangential):
     """Moves what earlier chunks left for the particles of ``chunk … stop − 1`` to the loads of their own chunk."""
     for c in range(chunk, stop):
         for earlier in range(c):
@@ -165,25 +192,27 @@ def _take_over(force, torque, bounds, reach, chunk, stop, tangential):
                     move_row(torque[earlier], torque[c], i)
 
 
-@kernel
-def _kick(velocity, spin, ahead, force, torque, bounds, chunk, stop, gravity, dt, rest, tangential, fastest_allowed):
+@shared
+def kick(
+    velocity, spin, ahead, force, torque, margin, bounds, chunk, stop, gravity, dt, rest, tangential, fastest_allowed
+):  # fmt: skip
     """Velocities forward by dt, and in ``ahead`` what the same acceleration adds in the ``rest`` of the step.
 
-    Returns the largest squared speed and the first row that is too fast or not finite.
+    Returns the largest squared speed in margins, 1/s², and the first row that is too fast or not finite.
     """
-    fastest, culprit = 0.0, -1.0
+    pace, culprit = 0.0, -1.0
     gx, gy, gz = gravity[0], gravity[1], gravity[2]
     for c in range(chunk, stop):
         for i in range(bounds[c], bounds[c + 1]):
             kick_row(velocity, force[c], i, gx, gy, gz, dt, ahead, rest)
             squared = velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2
-            fastest = max(fastest, squared)
+            pace = max(pace, squared / (margin[i] * margin[i]))
             if not squared <= fastest_allowed and culprit < 0.0:
                 culprit = float(i)
         if tangential:
             for i in range(bounds[c], bounds[c + 1]):
                 twist_row(spin, torque[c], i, dt)
-    return fastest, culprit
+    return pace, culprit
 
 
 @kernel

@@ -37,60 +37,62 @@ from gran_bench.dem.contact_blocks import (
     WY,
     WZ,
     contact_laws,
+    contact_torques,
     fill_law,
-    forget,
-    surface_spins,
 )  # fmt: skip
 from gran_bench.dem.kernel import kernel
-from gran_bench.dem.rows import four_from, four_of, gather_rows, scatter_rows, scatter_sum
+from gran_bench.dem.rows import four_from, four_of, four_on, four_remembered, gather_rows, scatter_rows, scatter_sum
 from gran_bench.dem.wall_list import shape_of, toward_wall
 
 
 @kernel
 def wall_forces(
-    sphere, velocity, spin, ahead, material, force, torque, wall_i, wall_w, start, slot, moment, touched,
-    evaluation, active, geometry, buffer, laws, walls, tangential, rolling, full_radius, dt,
+    sphere, velocity, spin, ahead, material, force, torque, wall_i, wall_w, memory, start, touched, remembered, active,
+    contacts, geometry, old_slot, slot, old_moment, moment, buffer, laws, walls, tangential, rolling, full_radius, dt,
 ):  # fmt: skip
-    """Adds the forces and torques of the touching walls of a chunk and updates their slots.
+    """Adds the forces and torques of the touching walls of a chunk.
 
     Args:
-        wall_i, wall_w: ``(M + 1,)`` particle and wall of each contact in reach.
+        wall_i, wall_w: particle and wall of each contact in reach; place 0 is spare.
+        memory: row of history of each of them when it last touched, 0 for never.
         start: ``(W + 1,)`` place of the chunk's first contact with each wall, and of the end of the last.
-        active: ``(≥ M + 4,)`` scratch.
         geometry: ``(≥ M + 4, 4)`` scratch: direction and distance of the touching ones.
         laws: ``(S, W, 5)`` of each material with each wall.
         walls: ``(W, 21)`` poses of this evaluation.
         The others: as in :func:`contact_blocks.pair_forces`.
+
+    Returns:
+        ``contacts`` and the number of touching walls.
     """
-    touching = 0
+    found = contacts
     for w in range(len(walls)):
         shape = shape_of(walls, w)
         for p in range(start[w], start[w + 1]):
             i = wall_i[p]
             distance, nx, ny, nz = toward_wall(shape, sphere[i, 0], sphere[i, 1], sphere[i, 2])
-            geometry[touching, 0] = nx
-            geometry[touching, 1] = ny
-            geometry[touching, 2] = nz
-            geometry[touching, 3] = distance
-            active[touching] = p
-            touching += distance < sphere[i, 3]
-    for lane in range(touching, touching + 3):
-        active[lane] = len(wall_i) - 1
-    for first in range(0, touching, BLOCK):
-        contacts = min(BLOCK, touching - first)
-        size = (contacts + 3) // 4 * 4
+            geometry[found, 0] = nx
+            geometry[found, 1] = ny
+            geometry[found, 2] = nz
+            geometry[found, 3] = distance
+            active[found] = p
+            found += distance < sphere[i, 3]
+    for row in range(found, found + 3):
+        active[row] = 0
+    for first in range(contacts, found, BLOCK):
+        filled = min(BLOCK, found - first)
+        size = (filled + 3) // 4 * 4
         for k in range(0, size, 4):
             place = four_from(active, first + k)
-            body = four_of(wall_i, place)
-            gather_rows(buffer, OFFSET, k, geometry, (first + k, first + k + 1, first + k + 2, first + k + 3))
+            body, rows = four_of(wall_i, place), four_remembered(memory, place, touched, remembered)
+            gather_rows(buffer, OFFSET, k, geometry, four_on(first + k))
             gather_rows(buffer, VELOCITY, k, velocity, body)
             gather_rows(buffer, AHEAD, k, ahead, body)
             if tangential:
                 gather_rows(buffer, SPIN_SUM, k, spin, body)
-                gather_rows(buffer, SLOT, k, slot, place)
+                gather_rows(buffer, SLOT, k, old_slot, rows)
             if rolling:
-                gather_rows(buffer, MOMENT, k, moment, place)
-        for k in range(contacts):
+                gather_rows(buffer, MOMENT, k, old_moment, rows)
+        for k in range(filled):
             p = active[first + k]
             i, w = wall_i[p], wall_w[p]
             nx, ny, nz, distance = buffer[NX + k], buffer[NY + k], buffer[NZ + k], geometry[first + k, 3]
@@ -114,19 +116,21 @@ def wall_forces(
                 buffer[PX + k] = buffer[WX + k] - w0
                 buffer[PY + k] = buffer[WY + k] - w1
                 buffer[PZ + k] = buffer[WZ + k] - w2
-            if touched[p] != evaluation - 1:
-                forget(buffer, k, rolling)
-            touched[p] = evaluation
-        if tangential:
-            surface_spins(buffer, size)
-        contact_laws(buffer, size, tangential, rolling, False, dt)
+            memory[p] = first + k
+        for k in range(size if tangential else 0):
+            arm = buffer[ARM_1 + k]
+            buffer[WX + k] *= arm
+            buffer[WY + k] *= arm
+            buffer[WZ + k] *= arm
+        contact_laws(buffer, size, tangential, rolling, dt)
+        contact_torques(buffer, size)
         for k in range(0, size, 4):
-            place = four_from(active, first + k)
-            body = four_of(wall_i, place)
+            body, rows = four_of(wall_i, four_from(active, first + k)), four_on(first + k)
             scatter_sum(force, body, buffer, FORCE, k)
             if tangential:
                 scatter_sum(torque, body, buffer, TORQUE, k)
             if rolling:
                 scatter_sum(torque, body, buffer, MOMENT, k)
-                scatter_rows(moment, place, buffer, MOMENT, k)
-            scatter_rows(slot, place, buffer, SLOT, k)
+                scatter_rows(moment, rows, buffer, MOMENT, k)
+            scatter_rows(slot, rows, buffer, SLOT, k)
+    return found

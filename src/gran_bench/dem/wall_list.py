@@ -9,12 +9,11 @@ import math
 
 import numpy as np
 
-from gran_bench.dem.contact_list import no_memory, remind
-from gran_bench.dem.kernel import kernel, never, places
+from gran_bench.dem.kernel import entry, kernel, places, shared
 from gran_bench.dem.walls import ABSENT, CYLINDER, PATH, PLANE
 
 
-@kernel
+@shared
 def shape_of(walls, w):
     """Kind, point, direction and sizes of wall w of ``(W, 21)`` poses, as a tuple that stays in registers."""
     return (
@@ -23,7 +22,7 @@ def shape_of(walls, w):
     )  # fmt: skip
 
 
-@kernel
+@shared
 def toward_wall(shape, x, y, z):
     """Distance of a point from a wall, and the unit vector to it; the rules of :func:`walls.wall_contact`.
 
@@ -69,11 +68,9 @@ def _any_normal_to(ax, ay, az):
     return inverse * x, inverse * y, inverse * z
 
 
-@kernel
-def list_wall_contacts(
-    sphere, bounds, chunk, stop, walls, row, margin, known_first, known_second, known, evaluation, rolling
-):  # fmt: skip
-    """Particles of ``chunk … stop − 1`` and walls that may touch in the rest of a stretch, with what they remember.
+@entry(nogil=True)
+def list_wall_contacts(sphere, bounds, chunk, stop, walls, row, margin, known_first, known_wall):
+    """Particles of ``chunk … stop − 1`` and walls that may touch in the rest of a stretch, and whose history is whose.
 
     Args:
         sphere: ``(N + 2, 4)`` x, y, z, r, m.
@@ -81,41 +78,36 @@ def list_wall_contacts(
         chunk, stop: range of chunks.
         walls: ``(steps + 1, W, 21)`` poses.
         row: of the poses that belong to these positions.
-        margin: m that no particle moves further than while the list lives.
-        known_first, known_second, known, evaluation, rolling: as in :func:`contact_list.list_contacts`.
+        margin: ``(N,)`` m that no particle moves further than while the list lives.
+        known_first, known_wall: ``(C,)`` particle and wall that touch; their rows of history are 1 … C.
 
     Returns:
-        ``(M + 1,)`` particle and wall, chunk by chunk, wall by wall; ``(chunks W + 1,)`` place of the first contact of
-        each chunk and wall; ``(M + 1, 4)`` slots, ``(M + 1 or 1, 4)`` rolling moments and ``(M + 1,)`` number of the
-        evaluation that last touched. The last place is spare: the spare body N at the first wall.
+        ``(M + 1,)`` particle, wall and row of history, chunk by chunk, wall by wall; ``(chunks W + 1,)`` place of the
+        first contact of each chunk and wall. Place 0 is spare: the spare body N at the first wall.
     """
     begin, end, count = bounds[chunk], bounds[stop], walls.shape[1]
-    wall_i, wall_w = places((end - begin) * count + 1), places((end - begin) * count + 1)
+    wall_i, wall_w = places((end - begin) * count + 2), places((end - begin) * count + 2)
     start = np.zeros((stop - chunk) * count + 1, np.int64)
-    found = 0
+    wall_i[0], wall_w[0], start[0] = len(sphere) - 2, 0, 1
+    found = 1
     for c in range(chunk, stop):
         for w in range(count):
-            shape, reach = shape_of(walls[row], w), margin
+            shape, path = shape_of(walls[row], w), 0.0
             for later in range(row + 1, len(walls)):
-                reach += walls[later, w, PATH]
+                path += walls[later, w, PATH]
             for i in range(bounds[c], bounds[c + 1]):
                 wall_i[found], wall_w[found] = i, w
-                found += toward_wall(shape, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0] - sphere[i, 3] < reach
+                distance = toward_wall(shape, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
+                found += distance - sphere[i, 3] < margin[i] + path
             start[(c - chunk) * count + w + 1] = found
-    wall_i, wall_w = wall_i[: found + 1].copy(), wall_w[: found + 1].copy()
-    wall_i[found], wall_w[found] = len(sphere) - 2, 0
-    slot, moment, touched = no_memory(found + 1, rolling)
-    # Known wall contacts of each particle as a chain.
-    head, following = never(end - begin), never(len(known_first))
+    # Rows of history by particle and wall.
+    known, memory = places((end - begin) * count), places(found)
+    for place in range(len(known)):
+        known[place] = 0
     for c in range(len(known_first)):
-        i = known_first[c] - begin
-        if 0 <= i < end - begin and known_second[c] < 0:
-            following[c] = head[i]
-            head[i] = c
-    for p in range(found):
-        c = head[wall_i[p] - begin]
-        while c >= 0 and known_second[c] != -1 - np.int64(wall_w[p]):
-            c = following[c]
-        if c >= 0:
-            remind(slot, moment, touched, p, known, np.int64(c), evaluation, rolling)
-    return wall_i, wall_w, start, slot, moment, touched
+        if begin <= known_first[c] < end:
+            known[(known_first[c] - begin) * count + known_wall[c]] = c + 1
+    memory[0] = 0
+    for p in range(1, found):
+        memory[p] = known[(wall_i[p] - begin) * count + wall_w[p]]
+    return wall_i, wall_w, memory, start

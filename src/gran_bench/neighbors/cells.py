@@ -106,7 +106,7 @@ def bin_cells(sphere, edge, period):
     return order, start, cell_of_rank, cells
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def list_pairs(sphere, margin, period, begin=0, end=-1):
     """Half list of the pairs whose surfaces are closer than ``margin``: two ``(M,)`` uint32 arrays, first < second.
 
