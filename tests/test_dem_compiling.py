@@ -19,7 +19,7 @@ import json
 import numpy as np
 from gran_bench.config import ContainerConfig, DemConfig, FillingConfig, SceneConfig
 from gran_bench.dem import engine_numba
-from gran_bench.dem.compiling import LISTS
+from gran_bench.dem.compiling import LISTS, PIECES
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.walls import wall_poses
 from gran_bench.scene import build_scene
@@ -28,8 +28,7 @@ scene = build_scene(SceneConfig(container=ContainerConfig(diameter=0.3, length=0
 physics = Physics.of(scene, scene.filling.radius)
 for steps in (0, 3):
     engine_numba.advance(scene.fresh_filling(0), physics, 1e-4, wall_poses(scene, 0.0, 1e-4, steps))
-ENTRIES = (engine_numba.march, engine_numba.touching, *LISTS)
-print(json.dumps([[len(e.overloads), sum(e.stats.cache_hits.values())] for e in ENTRIES]))
+print(json.dumps([[len(e.overloads), sum(e.stats.cache_hits.values())] for e in (engine_numba.march, *PIECES, *LISTS)]))
 """
 
 
@@ -43,9 +42,12 @@ def python(*arguments: str, **settings: str) -> list[str]:
 
 def test_the_process_beside_compiles_just_what_the_engine_asks_for(tmp_path):
     cache = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_NUM_THREADS": "2"}
-    loop, touching, *lists = json.loads(python("-c", FIRST_USE, **cache)[-1])
-    assert loop == touching == [1, 0], "one version of each, compiled by the caller"
-    assert lists == [[1, 1]] * 2, "one version of each, found on disk"
+    loop, *found = json.loads(python("-c", FIRST_USE, **cache)[-1])
+    assert loop == [1, 0], "one version, compiled by the caller"
+    lists = found[len(compiling.PIECES) :]
+    assert lists == [[1, 1]] * len(compiling.LISTS), "one version of each, found on disk"
+    # Pieces of the loop are looked for on disk as it is compiled; whoever of the two is first compiles them.
+    assert [versions for versions, _ in found[: len(compiling.PIECES)]] == [1] * len(compiling.PIECES)
 
 
 @pytest.fixture
@@ -68,21 +70,21 @@ def beside(monkeypatch, code: str) -> list[subprocess.Popen]:
 
 def test_a_process_that_hangs_is_ended(monkeypatch, nothing_on_disk):
     started = beside(monkeypatch, "import time; time.sleep(600)")
-    with compiling.lists_compiled_beside(march):
+    with compiling.compiled_beside():
         pass
     assert started[0].returncode not in (None, 0)
 
 
 def test_a_process_that_fails_is_nobodys_trouble(monkeypatch, nothing_on_disk):
     started = beside(monkeypatch, "raise SystemExit(3)")
-    with compiling.lists_compiled_beside(march):
+    with compiling.compiled_beside():
         started[0].wait()
     assert started[0].returncode == 3
 
 
 def test_none_is_left_when_the_caller_is_interrupted(monkeypatch, nothing_on_disk):
     started = beside(monkeypatch, "import time; time.sleep(600)")
-    with pytest.raises(KeyboardInterrupt), compiling.lists_compiled_beside(march):
+    with pytest.raises(KeyboardInterrupt), compiling.compiled_beside():
         raise KeyboardInterrupt
     assert started[0].returncode not in (None, 0)
 
@@ -90,20 +92,20 @@ def test_none_is_left_when_the_caller_is_interrupted(monkeypatch, nothing_on_dis
 def test_no_process_starts_on_one_core(monkeypatch, nothing_on_disk):
     started = beside(monkeypatch, "")
     monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", 1)
-    with compiling.lists_compiled_beside(march):
+    with compiling.compiled_beside():
         assert started == []
 
 
 def test_no_process_starts_where_anything_is_compiled(monkeypatch, nothing_on_disk):
     started = beside(monkeypatch, "")
     monkeypatch.setattr(compiling, "on_disk", lambda entry: entry is march)
-    with compiling.lists_compiled_beside(march):
+    with compiling.compiled_beside():
         assert started == []
 
 
 def test_without_an_interpreter_to_start_the_caller_compiles_all(monkeypatch, nothing_on_disk):
     monkeypatch.setattr(sys, "executable", "/no/such/python")
-    with compiling.lists_compiled_beside(march):
+    with compiling.compiled_beside():
         pass
 
 
@@ -118,7 +120,7 @@ def test_what_is_compiled_is_found_on_disk(tmp_path):
 
 def test_the_process_beside_ends_with_its_caller(tmp_path):
     process = subprocess.Popen(
-        [sys.executable, "-m", "gran_bench.dem.compile_lists"],
+        [sys.executable, "-m", "gran_bench.dem.compile_beside"],
         stdin=subprocess.PIPE,
         env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
     )

@@ -83,13 +83,25 @@ def test_columns_become_rows(body, buffer):
     assert np.array_equal(body, expected)
 
 
-def test_a_squared_gap_is_negative_where_spheres_are_closer_than_the_margin(body):
-    gap = njit(lambda sphere, i, j, margin: rows.squared_gap(sphere, i, j, margin))
+def test_a_squared_gap_is_negative_where_spheres_overlap(body):
+    gap = njit(lambda sphere, i, j: rows.squared_gap(sphere, i, j))
     sphere = np.abs(body)
     for i, j in zip(FIRST_BODY, SECOND_BODY, strict=True):
         distance = np.linalg.norm(sphere[i, :3] - sphere[j, :3])
-        expected = distance**2 - (sphere[i, 3] + sphere[j, 3] + 0.1) ** 2
-        assert gap(sphere, i, j, 0.1) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+        expected = distance**2 - (sphere[i, 3] + sphere[j, 3]) ** 2
+        assert gap(sphere, i, j) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+def test_a_contact_remembers_its_last_evaluation_alone():
+    @njit
+    def remembered(memory, places, touched, end):
+        return rows.four_remembered(memory, rows.four_from(places, 0), touched, end)
+
+    memory = np.array([0, 3, 1, 2, 4, 5], np.uint32)  # row in which each place last touched, 0 for never
+    touched = np.array([0, 2, 4, 1, 4, 5], np.uint32)  # place of each row
+    # Place 1 is still in its row; place 3 lost it to another; rows 4 and 5 are of an older evaluation.
+    assert remembered(memory, np.array([1, 3, 4, 5], np.uint32), touched, 4) == (3, 0, 0, 0)
+    assert remembered(memory, np.array([0, 2, 1, 5], np.uint32), touched, 6) == (0, 1, 3, 5)
 
 
 def test_a_kick_leaves_the_inverse_mass_and_empties_the_load(body):

@@ -112,6 +112,23 @@ def test_no_search_before_half_the_skin_is_crossed_is_bit_identical(skin):
     assert same(*(run(engine_numba.advance, scene, falling(scene), skin=s) for s in (None, skin)))
 
 
+@pytest.mark.parametrize("skin", [1e-4, 4e-3, 0.1])
+def test_what_rests_has_little_room_and_is_still_found_when_it_is_hit(skin):
+    # All but one are at rest when the first lists are made, and have the least margin.
+    scene = replace(scene_of(), gravity=(0.0, 0.0, 0.0))
+    state = scene.fresh_filling(0)
+    velocity = np.zeros((state.count, 3))
+    velocity[0] = (8.0, 3.0, 5.0)
+    state = replace(state, velocity=velocity)
+    walls = wall_poses(scene, 0.0, STEP, STEPS)
+    one, other = (engine_numba.advance(state, Physics.of(scene, 0.025, s), STEP, walls) for s in (None, skin))
+    assert same(one, other)
+    moved = np.linalg.norm(one.position - state.position, axis=1)
+    assert np.count_nonzero(moved > 1e-3) > 10, "several were hit"
+    reference = engine_numpy.advance(state, Physics.of(scene, 0.025), STEP, walls)
+    assert np.abs(reference.position - one.position).max() < 1e-10
+
+
 @pytest.mark.parametrize("skin", [2e-3, 0.02])
 def test_a_periodic_axis_is_bit_identical_for_any_skin_too(skin):
     scene = build_scene(

@@ -67,8 +67,9 @@ def fill_law(buffer, lane, law):
 
 @kernel
 def pair_forces(
-    sphere, velocity, spin, ahead, material, force, torque, near_i, near_j, memory, begin, end, touched,
-    remembered, active, contacts, old_slot, slot, old_moment, moment, buffer, laws, period, tangential, rolling, unequal, several, full_radius, dt,
+    sphere, velocity, spin, ahead, material, force, torque, near_i, near_j, memory, begin, end, touched, remembered,
+    active, contacts, old_slot, slot, old_moment, moment, buffer, laws, period, tangential, rolling, unequal, several,
+    full_radius, dt,
 ):  # fmt: skip
     """Adds the forces and torques of the touching pairs among places ``begin … end − 1`` of an inner list.
 
@@ -259,7 +260,11 @@ def load_history(buffer, size, dt):
         smaller = min(buffer[BEFORE + k], buffer[DELTA + k])
         mean_radius = buffer[CONTACT_RADIUS + k] + math.sqrt(buffer[RS + k] * smaller)  # twice the mean
         load, drag = half_step * buffer[SHEAR + k] * mean_radius, buffer[DRAG + k]
-        hx, hy, hz = keep * buffer[HX + k] - load * sx, keep * buffer[HY + k] - load * sy, keep * buffer[HZ + k] - load * sz
+        hx, hy, hz = (
+            keep * buffer[HX + k] - load * sx,
+            keep * buffer[HY + k] - load * sy,
+            keep * buffer[HZ + k] - load * sz,
+        )
         buffer[HX + k], buffer[HY + k], buffer[HZ + k] = hx, hy, hz
         buffer[TX + k], buffer[TY + k], buffer[TZ + k] = hx - drag * sx, hy - drag * sy, hz - drag * sz
 

@@ -32,7 +32,7 @@ INNER_SHARE = 0.2
 LEAST_MARGIN = 0.2
 
 
-@entry(nogil=True)
+@entry
 def with_margins(sphere, velocity, skin):
     """Displacements that lists have room for: half the skin for the fastest particle, less for slower ones.
 
@@ -41,23 +41,25 @@ def with_margins(sphere, velocity, skin):
         skin: m.
 
     Returns:
-        ``(N,)`` margins, m; ``(N, 4)`` x, y, z and radius with margin, m.
+        ``(N,)`` margins m, m; ``(N,)`` 1/m², which displacements are held against; ``(N, 4)`` x, y, z and radius with
+        margin, m.
     """
     count = len(sphere) - 2
-    margin, reaching, fastest = np.empty(count), np.empty((count, 4)), 0.0
+    margin, inverse_square, reaching, fastest = np.empty(count), np.empty(count), np.empty((count, 4)), 0.0
     for i in range(count):
         margin[i] = math.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2)
         fastest = max(fastest, margin[i])
     for i in range(count):
         share = margin[i] / fastest if fastest > 0.0 else 1.0
         margin[i] = 0.5 * skin * (LEAST_MARGIN + (1.0 - LEAST_MARGIN) * share)
+        inverse_square[i] = 1.0 / (margin[i] * margin[i])
         for k in range(3):
             reaching[i, k] = sphere[i, k]
         reaching[i, 3] = sphere[i, 3] + margin[i]
-    return margin, reaching
+    return margin, inverse_square, reaching
 
 
-@entry(nogil=True)
+@entry
 def sorted_pairs(first, second, begin, end, count, known_first, known_second):
     """Pairs in the order of (first, second), and which row of history is whose.
 
@@ -163,10 +165,10 @@ def wrapped_gap(sphere, i, j, period):
 
 
 @shared
-def largest_displacement(sphere, reference, margin, begin, end):
-    """max ‖x − x_ref‖ / m over the particles ``begin … end − 1``; ``reference`` has their rows."""
+def largest_displacement(sphere, reference, inverse_square, begin, end):
+    """max ‖x − x_ref‖ / m over the particles ``begin … end − 1``; ``reference`` has their rows, 1/m² is given."""
     largest = 0.0
     for i in range(begin, end):
         dx, dy, dz = sphere[i, 0] - reference[i, 0], sphere[i, 1] - reference[i, 1], sphere[i, 2] - reference[i, 2]
-        largest = max(largest, (dx * dx + dy * dy + dz * dz) / (margin[i] * margin[i]))
+        largest = max(largest, (dx * dx + dy * dy + dz * dz) * inverse_square[i])
     return math.sqrt(largest)

@@ -139,9 +139,29 @@ class _Stretch:
 
     def compile(self) -> None:
         """Compiles what is called after lists are made, with arrays of their kinds in the place of them."""
-        row, place, number, histories = np.zeros((1, 4)), np.zeros(1, np.uint32), np.zeros(1, np.int64), np.zeros((2, 1, 4))
+        row, place, number, histories = (
+            np.zeros((1, 4)),
+            np.zeros(1, np.uint32),
+            np.zeros(1, np.int64),
+            np.zeros((2, 1, 4)),
+        )
         bodies = Bodies(number, row, row, row, row, np.zeros(1, np.uint8))
-        lists = Lists(place, place, place, place, histories, histories, place, place, place, number, histories, histories, np.zeros(1))
+        lists = Lists(
+            place,
+            place,
+            place,
+            place,
+            histories,
+            histories,
+            place,
+            place,
+            place,
+            number,
+            histories,
+            histories,
+            np.zeros(1),
+            np.zeros(1),
+        )
         arguments = self._of_march(0, np.zeros(4, np.int64), bodies, lists, self._room(row, 1, lists))
         march.compile(tuple(map(numba.typeof, arguments)))
 
@@ -154,7 +174,8 @@ class _Stretch:
         inner[NEAR_I, 0], inner[NEAR_J, 0] = (len(self._radius) + k for k in (0, 1))
         return (
             sphere.copy(), np.empty_like(sphere), inner, np.empty((2, pairs), np.uint32),
-            np.empty((2, walls), np.uint32), _zeros(walls, 4), np.ones(chunks + 1, np.int64), *_zeros(2, BUFFER_SIZE, dtype=precision),
+            np.empty((2, walls), np.uint32), _zeros(walls, 4), np.ones(chunks + 1, np.int64),
+            *_zeros(2, BUFFER_SIZE, dtype=precision),
         )  # fmt: skip
 
     def _of_march(self, thread: int, progress: np.ndarray, bodies: Bodies, lists: Lists, room: tuple) -> tuple:

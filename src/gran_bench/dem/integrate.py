@@ -22,7 +22,7 @@ from gran_bench.state import FloatArray
 
 # Verlet skin in diameters of the largest sphere: wide enough for tens of steps between searches, narrow enough that
 # pruning its list stays cheap.
-SKIN_DIAMETERS = 0.5
+SKIN_DIAMETERS = 0.8
 
 
 class Divergence(ArithmeticError):
@@ -54,7 +54,8 @@ class Physics:
         density: ``(S,)`` of the materials, kg/m³.
         gravity: ``(3,)`` m/s².
         period: length of the periodic y axis, m; 0 for none.
-        skin: m by which the neighbour list reaches beyond contact.
+        skin: m by which the neighbour list reaches beyond contact for the two fastest particles; for slower ones it is
+            less.
         tangential: whether friction, and with it spin, is computed.
         rolling: whether the rolling model is computed.
         threads: how many work together, where there are particles enough; changes no bit of the result.
@@ -81,7 +82,7 @@ class Physics:
         Args:
             scene: materials, walls, motion, gravity.
             largest_radius: of the particles, m.
-            skin: m; where None half a diameter of the largest sphere, or less if the period is short.
+            skin: m; where None 0.8 diameters of the largest sphere, or less if the period is short.
 
         Raises:
             ValueError: a skin that is not positive, a period that is too short, or a wall that cannot turn.

@@ -12,10 +12,8 @@ import numpy as np
 from gran_bench.dem.bodies import Known
 from gran_bench.dem.contact_list import sorted_pairs, with_margins
 from gran_bench.dem.wall_list import list_wall_contacts
-from gran_bench.neighbors import list_pairs
+from gran_bench.neighbors import IndexArray, list_pairs
 from gran_bench.state import FloatArray
-
-IndexArray = np.ndarray
 
 
 class Lists(NamedTuple):
@@ -31,7 +29,7 @@ class Lists(NamedTuple):
             spare.
         wall_start: ``(chunks W + 1,)`` place of the first contact of each chunk and wall.
         wall_slot, wall_moment: as of the pairs.
-        margin: ``(N,)`` how far each particle may move until new lists are needed, m.
+        margin, inverse_square: ``(N,)`` how far each particle may move until new lists are needed, m, and 1/m².
     """
 
     pair_i: IndexArray
@@ -47,6 +45,7 @@ class Lists(NamedTuple):
     wall_slot: FloatArray
     wall_moment: FloatArray
     margin: FloatArray
+    inverse_square: FloatArray
 
 
 def search(
@@ -78,7 +77,7 @@ def search(
     count, before, begin, end = len(sphere) - 2, evaluation - 1, int(bounds[chunk]), int(bounds[stop])
     pairs, on_walls = known
     # All threads come here between the same two steps, so they find the same margins.
-    margin, reaching = with_margins(sphere, velocity, skin)
+    margin, inverse_square, reaching = with_margins(sphere, velocity, skin)
     first, second = list_pairs(reaching, 0.0, period, begin, end)
     pair_i, pair_j, start, memory = sorted_pairs(first, second, begin, end, count, pairs.first, pairs.second)
     wall_i, wall_w, wall_memory, wall_start = list_wall_contacts(
@@ -87,7 +86,7 @@ def search(
     return Lists(
         pair_i, pair_j, start, memory, *_history(pairs, len(pair_i), before, rolling),
         wall_i, wall_w, wall_memory, wall_start, *_history(on_walls, len(wall_memory), before, rolling),
-        margin,
+        margin, inverse_square,
     )  # fmt: skip
 
 

@@ -30,13 +30,14 @@ NEAR, NEAR_I, NEAR_J, NEAR_MEMORY = range(4)
 FINISHED, SEARCH = -1, -2
 
 
-@entry(nogil=True)
+@entry
 def march(
     thread, threads, gate, bounds, reach, told, progress, position, linear, angular,
     order, sphere, velocity, spin, ahead, material, force, torque,
     pair_i, pair_j, start, memory, slot, moment, wall_i, wall_w, wall_memory, wall_start, wall_slot, wall_moment,
-    margin, searched_at, pruned_at, inner_list, touching, wall_touching, geometry, near_start, buffer, wall_buffer,
-    pair_laws, wall_laws, walls, gravity, period, dt, fastest_allowed, tangential, rolling, unequal, full_radius,
+    margin, inverse_square, searched_at, pruned_at, inner_list, touching, wall_touching, geometry, near_start,
+    buffer, wall_buffer, pair_laws, wall_laws, walls, gravity, period, dt, fastest_allowed, tangential, rolling,
+    unequal, full_radius,
 ):  # fmt: skip
     """One thread's share of the steps from new lists to where the next ones are needed, or to the stretch's end.
 
@@ -53,7 +54,7 @@ def march(
         order: ``(N,)`` particle of each row.
         sphere, velocity, spin, ahead, material: rows in that order and two spare ones.
         force, torque: ``(C, N + 2, 4)`` zeros where the stretch begins.
-        pair_i, …, margin: of :func:`search.search`, from these positions. Histories come twice: an evaluation
+        pair_i, …, inverse_square: of :func:`search.search`, from these positions. Histories come twice: an evaluation
             reads the one of the last and writes the other.
         searched_at, pruned_at: ``(N, 4)`` rows of these positions, and room for others.
         inner_list: ``(4, ≥ M + 2)`` for M pairs; room, but for place 0, which is the spare pair.
@@ -76,8 +77,7 @@ def march(
     steps, several = len(walls) - 1, len(pair_laws) > 1
     chunk, stop = thread * (len(bounds) - 1) // threads, (thread + 1) * (len(bounds) - 1) // threads
     begin, end = bounds[chunk], bounds[stop]
-    near, near_i, near_j = inner_list[NEAR], inner_list[NEAR_I], inner_list[NEAR_J]
-    near_memory = inner_list[NEAR_MEMORY]
+    near_i, near_j, near_memory = inner_list[NEAR_I], inner_list[NEAR_J], inner_list[NEAR_MEMORY]
     for lane in range(BLOCK):
         fill_sizes(buffer, lane, sphere[0, 3], sphere[0, 3], 2.0 * velocity[0, 3])
         fill_law(buffer, lane, pair_laws[0, 0])
@@ -89,24 +89,10 @@ def march(
     while True:
         old, new = (evaluation - 1) % 2, evaluation % 2
         if travelled > INNER_SHARE:
-            # The outer list knows the rows of history only while the inner one is made.
-            for row in range(1, pairs):
-                memory[near[touching[old, row]]] = row
-            for i in range(begin, len(margin)):
-                for k in range(3):
-                    pruned_at[i, k] = sphere[i, k]
-                pruned_at[i, 3] = sphere[i, 3] + INNER_SHARE * margin[i]
-            for c in range(chunk, stop):
-                low, high = np.int64(start[bounds[c] - begin]), np.int64(start[bounds[c + 1] - begin])
-                first = near_start[c - chunk]
-                last = prune(
-                    pruned_at, pair_i, pair_j, memory, low, high, period, near, near_i, near_j, near_memory, first
-                )
-                near_start[c - chunk + 1] = last
-                reach[c] = _end_of_reach(near_j, first, last, bounds[c + 1])
-            for q in range(1, near_start[stop - chunk]):
-                touching[old, near_memory[q]] = q
-                memory[near[q]] = 0
+            _prune_chunks(
+                sphere, margin, pruned_at, bounds, reach, chunk, stop, start, pair_i, pair_j, memory, inner_list,
+                near_start, touching[old], pairs, period,
+            )  # fmt: skip
             travelled = 0.0
         span = 0.0 if evaluation == 1 else dt
         pairs, wall_contacts = np.int64(1), np.int64(1)
@@ -133,7 +119,7 @@ def march(
         last_one = evaluation == steps + 2
         take_over(force, torque, bounds, reach, chunk, stop, tangential)
         told[thread, PACE], told[thread, CULPRIT] = kick(
-            velocity, spin, ahead, force, torque, margin, bounds, chunk, stop, gravity,
+            velocity, spin, ahead, force, torque, inverse_square, bounds, chunk, stop, gravity,
             0.5 * dt if evaluation == 2 or last_one else dt, 0.0 if last_one else 0.5 * dt, tangential, fastest_allowed,
         )  # fmt: skip
         drifts = not last_one and told[thread, CULPRIT] < 0.0
@@ -154,8 +140,8 @@ def march(
         # reach of the inner list are the true displacements looked at.
         travelled += dt * math.sqrt(pace)
         if travelled > INNER_SHARE:
-            told[thread, SINCE_PRUNING] = largest_displacement(sphere, pruned_at, margin, begin, end)
-            told[thread, SINCE_SEARCH] = largest_displacement(sphere, searched_at, margin, begin, end)
+            told[thread, SINCE_PRUNING] = largest_displacement(sphere, pruned_at, inverse_square, begin, end)
+            told[thread, SINCE_SEARCH] = largest_displacement(sphere, searched_at, inverse_square, begin, end)
             meet(gate, threads)
             travelled, since_search = 0.0, 0.0
             for other in range(threads):
@@ -171,6 +157,39 @@ def march(
         if period > 0.0:
             position[i, 1] = _wrapped(position[i, 1], period)
     return culprit
+
+
+@kernel
+def _prune_chunks(
+    sphere, margin, pruned_at, bounds, reach, chunk, stop, start, pair_i, pair_j, memory, inner_list, near_start,
+    touched, rows, period,
+):  # fmt: skip
+    """Makes the inner list of chunks ``chunk … stop − 1`` anew; ``touched`` then has the new places of its pairs.
+
+    Args:
+        touched: place in the old inner list of the pair of each row of history.
+        rows: end of the rows that are in it; those that came with the outer list are known to it.
+        The others: as in :func:`march`.
+    """
+    begin = bounds[chunk]
+    near, near_i, near_j = inner_list[NEAR], inner_list[NEAR_I], inner_list[NEAR_J]
+    near_memory = inner_list[NEAR_MEMORY]
+    # The outer list knows the rows of history only while the inner one is made.
+    for row in range(1, rows):
+        memory[near[touched[row]]] = row
+    for i in range(begin, len(margin)):
+        for k in range(3):
+            pruned_at[i, k] = sphere[i, k]
+        pruned_at[i, 3] = sphere[i, 3] + INNER_SHARE * margin[i]
+    for c in range(chunk, stop):
+        low, high = np.int64(start[bounds[c] - begin]), np.int64(start[bounds[c + 1] - begin])
+        first = near_start[c - chunk]
+        last = prune(pruned_at, pair_i, pair_j, memory, low, high, period, near, near_i, near_j, near_memory, first)
+        near_start[c - chunk + 1] = last
+        reach[c] = _end_of_reach(near_j, first, last, bounds[c + 1])
+    for q in range(1, near_start[stop - chunk]):
+        touched[near_memory[q]] = q
+        memory[near[q]] = 0
 
 
 @kernel
@@ -194,7 +213,8 @@ def take_over(force, torque, bounds, reach, chunk, stop, tangential):
 
 @shared
 def kick(
-    velocity, spin, ahead, force, torque, margin, bounds, chunk, stop, gravity, dt, rest, tangential, fastest_allowed
+    velocity, spin, ahead, force, torque, inverse_square, bounds, chunk, stop, gravity, dt, rest, tangential,
+    fastest_allowed,
 ):  # fmt: skip
     """Velocities forward by dt, and in ``ahead`` what the same acceleration adds in the ``rest`` of the step.
 
@@ -206,7 +226,7 @@ def kick(
         for i in range(bounds[c], bounds[c + 1]):
             kick_row(velocity, force[c], i, gx, gy, gz, dt, ahead, rest)
             squared = velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2
-            pace = max(pace, squared / (margin[i] * margin[i]))
+            pace = max(pace, squared * inverse_square[i])
             if not squared <= fastest_allowed and culprit < 0.0:
                 culprit = float(i)
         if tangential:

@@ -68,7 +68,7 @@ def _any_normal_to(ax, ay, az):
     return inverse * x, inverse * y, inverse * z
 
 
-@entry(nogil=True)
+@entry
 def list_wall_contacts(sphere, bounds, chunk, stop, walls, row, margin, known_first, known_wall):
     """Particles of ``chunk … stop − 1`` and walls that may touch in the rest of a stretch, and whose history is whose.
 

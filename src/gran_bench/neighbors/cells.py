@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from gran_bench.neighbors.kernel import entry, kernel
 from gran_bench.neighbors.lanes import LANES, clear_lowest, lowest_lane, near_lanes
 from gran_bench.neighbors.tree import IndexArray, check_period, wrapped
 from gran_bench.state import FloatArray
@@ -51,7 +51,7 @@ def cell_neighbors(
     return _list_neighbors(wrapped(np.concatenate((query, source)), period), len(query), reach, period)
 
 
-@njit(cache=True, error_model="numpy")
+@entry
 def bin_cells(sphere, edge, period):
     """Counting sort of N centres into cells of at least ``edge`` m, x running fastest.
 
@@ -106,7 +106,7 @@ def bin_cells(sphere, edge, period):
     return order, start, cell_of_rank, cells
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@entry
 def list_pairs(sphere, margin, period, begin=0, end=-1):
     """Half list of the pairs whose surfaces are closer than ``margin``: two ``(M,)`` uint32 arrays, first < second.
 
@@ -166,7 +166,7 @@ def list_pairs(sphere, margin, period, begin=0, end=-1):
     return first[:found].copy(), second[:found].copy()
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _half_shell(cell, cells, start, period, run_begin, run_end):
     """The runs of ranks that a cell may meet: itself and the 13 of its 26 neighbours that come after it.
 
@@ -194,7 +194,7 @@ def _half_shell(cell, cells, start, period, run_begin, run_end):
     return met
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _any_between(order, run_begin, run_end, begin, end):
     """Whether one of the particles of the five runs is in ``begin … end − 1``."""
     for run in range(5):
@@ -204,7 +204,7 @@ def _any_between(order, run_begin, run_end, begin, end):
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@entry
 def _list_neighbors(point, query_count, reach, period):
     """Query and source index of every hit, of ``(Q + S, 3)`` points of which the first Q ask."""
     order, start, cell_of_rank, cells = bin_cells(point, reach, period)
@@ -243,7 +243,7 @@ def _list_neighbors(point, query_count, reach, period):
     return query[:found].copy(), source[:found].copy()
 
 
-@njit(cache=True)
+@kernel
 def _enlarged(array, room):
     larger = np.empty(room, array.dtype)
     for k in range(len(array)):  # a slice would take longer to compile than all the rest
