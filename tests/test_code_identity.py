@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from gran_bench.code_identity import (
     training_code,
 )
 from gran_bench.config import MODEL_SCHEMAS
+from gran_bench.source_digest import EQUAL_CODE, source_digest
 
 
 @pytest.fixture
@@ -43,6 +46,32 @@ def edited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.undo()
     code_identity._taken.clear()
     code_identity._tree.cache_clear()
+
+
+def test_code_that_was_shown_to_give_the_bits_of_older_code_goes_by_its_hash(edited):
+    older, edit = edited
+    solver = source_digest(("dem",))
+    newer = edit("dem/contact.py", "FASTER = True")
+    assert newer != older
+    assert source_digest(("dem",)) != solver
+    table = Path(gran_bench.__file__).parent / EQUAL_CODE
+    table.write_text(json.dumps({"older": {source_digest(("dem",)): solver}, "shown": []}))
+    assert source_digest(("dem",)) == solver
+    # An edit that nobody has compared is new code again.
+    edit("dem/contact.py", "FASTER = False")
+    assert source_digest(("dem",)) != solver
+
+
+def test_the_table_of_equal_code_says_how_each_of_its_lines_was_shown():
+    table = json.loads((Path(gran_bench.__file__).parent / EQUAL_CODE).read_text("utf-8"))
+    assert set(table) == {"older", "shown"}
+    assert all(re.fullmatch("[0-9a-f]{64}", digest) for pair in table["older"].items() for digest in pair)
+    assert not set(table["older"]) & set(table["older"].values()), "older code has its own name"
+    for shown in table["shown"]:
+        assert shown["command"].startswith("python benchmarks/equal_bits.py ")
+        assert shown["commit"]
+        assert shown["hardware"]
+    assert bool(table["shown"]) == bool(table["older"])
 
 
 def test_every_model_has_its_source():

@@ -17,6 +17,7 @@ from test_run_summary import SCENE, broken, flowing, summary_of
 from test_sweep import lost, run
 
 from gran_bench.code_identity import modules_behind
+from gran_bench.front_page import age
 from gran_bench.front_page.advice import benchmark_advice, run_advice
 from gran_bench.front_page.age import Age, age_of, today, unknown_age, without_today
 from gran_bench.front_page.command import report_command
@@ -129,6 +130,33 @@ def test_a_record_is_stale_where_code_that_made_it_differs_from_its_commit():
     if git("ls-tree", "--name-only", first, "src/gran_bench/dem/simulate.py"):
         pytest.skip("a shallow history")
     assert "dem" in age_of(origin(first, "dem.simulate")).changed
+
+
+def test_what_came_out_of_a_solver_that_gives_the_same_bits_is_not_stale_but_its_times_are(monkeypatch):
+    head = git("rev-parse", "--short=12", "HEAD").strip()
+    if not head:
+        pytest.skip("no history")
+    monkeypatch.setattr(age, "_code_differs", lambda commit, name: "/dem/" in name)
+    monkeypatch.setattr(age, "_git", lambda *words: changed_since(*words))
+    result = origin(head, "dem.simulate")
+    for same, stale in ((True, False), (False, True)):
+        monkeypatch.setattr(age, "_same_bits", lambda commit, names, same=same: same)
+        assert age_of(result).stale is stale
+        assert age_of(replace(result, about_code=True)).stale
+
+
+def changed_since(*words: str) -> str:
+    """What git would say if all files had changed."""
+    files = git("ls-files", "src/gran_bench")
+    return files if words[0] in ("ls-tree", "diff") else "2026-11-22"
+
+
+def test_the_solver_of_this_commit_gives_its_own_bits():
+    names = git("ls-files", "src/gran_bench").split("\n")
+    if not any(names):
+        pytest.skip("no history")
+    if not git("status", "--porcelain", "--", "src"):
+        assert age._same_bits("HEAD", names)
 
 
 def test_a_commit_that_the_history_does_not_have_says_so():

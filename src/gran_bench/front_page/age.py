@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import re
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import gran_bench
 from gran_bench.code_identity import modules_behind
 from gran_bench.front_page.records import Origin
-from gran_bench.source_digest import bare_code
+from gran_bench.source_digest import bare_code, digest_of, source_digest
 
+# Rooms of the solver: their code may differ and give the same bits (source_digest.py).
+SOLVER = ("dem", "neighbors", "scene")
 OPEN, CLOSE = "<!--today-->", "<!--/today-->"
 STALE = "**STALE**"
 # Rooms in a reader's words; others go by their name.
@@ -87,6 +89,8 @@ def age_of(origin: Origin) -> Age:
         name = f"src/gran_bench/{module.replace('.', '/')}.py"
         if name not in names or (name in differing and _code_differs(commit, name)):
             changed.add(module.partition(".")[0])
+    if not origin.about_code and changed.intersection(SOLVER) and _same_bits(commit, names):
+        changed.difference_update(SOLVER)
     return Age(date.strip(), tuple(sorted(changed)))
 
 
@@ -104,6 +108,19 @@ def _code_differs(commit: str, name: str) -> bool:
     """Whether a file's code differs today from a commit's; comments, docstrings and layout don't count."""
     before = _git("show", f"{commit}:{name}")
     return before is None or bare_code(before) != bare_code((_folder() / name).read_text("utf-8"))
+
+
+def _same_bits(commit: str, names: Sequence[str]) -> bool:
+    """Whether the solver of today gives the bits of a commit's, whose files have these names."""
+    below = "src/gran_bench/"
+    files = [
+        name
+        for room in SOLVER
+        for name in sorted(names, key=lambda name: PurePosixPath(name))
+        if name.startswith(f"{below}{room}/") and name.endswith(".py")
+    ]
+    sources = [(name.removeprefix(below), _git("show", f"{commit}:{name}") or "") for name in files]
+    return digest_of(sources) == source_digest(SOLVER)
 
 
 def _folder() -> Path:

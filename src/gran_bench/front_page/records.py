@@ -50,6 +50,8 @@ class Origin:
         command, commit, hardware: that made it; empty where nothing says so.
         roots: the modules that made it, as `code_identity.modules_behind` takes them.
         note: what else has to be said; empty where nothing has.
+        about_code: whether it tells of the code itself, its times and failures, and not of what comes out alone: then
+            it is old after a rewriting that changes no bit, too.
     """
 
     record: str
@@ -59,6 +61,7 @@ class Origin:
     hardware: str
     roots: tuple[str, ...]
     note: str = ""
+    about_code: bool = False
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ def read_records(root: Path) -> Records:
         *_verification_origin(verification),
         *_table_origins(root),
         *(
-            _origin(benchmark_of(place), "benchmark/README.md", found["provenance"], COMPARING)
+            _origin(benchmark_of(place), "benchmark/README.md", found["provenance"], COMPARING, about_code=True)
             for place, found in benchmarks.items()
         ),
         *(origin for name, counted in sweeps.items() for origin in _sweep_origins(root, name, counted)),
@@ -151,7 +154,7 @@ def _run_origins(runs: Mapping[str, dict[str, Any]]) -> Iterator[Origin]:
         source = MODEL_SOURCES[summary["model"]["name"]]
         page, training = f"{name}/README.md", summary["training"]
         yield _origin(training_of(name), page, training, (*TRAINING, source))
-        yield _origin(judgement_of(name), page, summary["provenance"], (*JUDGED, source))
+        yield _origin(judgement_of(name), page, summary["provenance"], (*JUDGED, source), about_code=True)
 
 
 def _table_origins(root: Path) -> Iterator[Origin]:
@@ -163,7 +166,8 @@ def _table_origins(root: Path) -> Iterator[Origin]:
     ):
         if (root / path).exists():
             # An origin of another table with the same name counts as none.
-            yield _origin(path.with_suffix("").as_posix(), page, read_origin(root / path) or {}, roots)
+            made = read_origin(root / path) or {}
+            yield _origin(path.with_suffix("").as_posix(), page, made, roots, about_code=path in (LAMMPS, STRESS))
 
 
 def _sweep_origins(root: Path, name: str, runs: list[RunFile]) -> Iterator[Origin]:
@@ -181,6 +185,8 @@ def _sweep_origins(root: Path, name: str, runs: list[RunFile]) -> Iterator[Origi
         yield _origin(name, f"sweeps/{name}/README.md", made, (*TRAINING, *NETWORKS, *JUDGED), note)
 
 
-def _origin(record: str, page: str, made: Mapping[str, str], roots: tuple[str, ...], note: str = "") -> Origin:
+def _origin(
+    record: str, page: str, made: Mapping[str, str], roots: tuple[str, ...], note: str = "", about_code: bool = False
+) -> Origin:
     command, commit, hardware = (made.get(name, "") for name in ("command", "commit", "hardware"))
-    return Origin(record, page, command, commit, hardware, roots, note)
+    return Origin(record, page, command, commit, hardware, roots, note, about_code)
