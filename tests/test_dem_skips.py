@@ -13,9 +13,10 @@ from gran_bench.dem.integrate import Physics
 from gran_bench.dem.simulate import simulate
 from gran_bench.dem.walls import wall_poses
 from gran_bench.scene import Disc, Plane, Scene, Sizes, build_scene
-from gran_bench.state import ParticleState
+from gran_bench.state import ContactHistory, ParticleState
 
 STEP, STEPS = 2e-4, 150
+MOVING = ("position", "velocity", "angular_velocity")
 ENGINES = pytest.mark.parametrize("advance", [engine_numba.advance, engine_numpy.advance], ids=["numba", "numpy"])
 
 
@@ -51,7 +52,7 @@ def run(advance, scene: Scene, state: ParticleState, **changes: object) -> Parti
 
 def same(one: ParticleState, other: ParticleState) -> bool:
     """Whether two states are bit for bit the same."""
-    return all(np.array_equal(getattr(one, n), getattr(other, n)) for n in ("position", "velocity", "angular_velocity"))
+    return all(np.array_equal(getattr(one, n), getattr(other, n)) for n in MOVING)
 
 
 @ENGINES
@@ -127,6 +128,34 @@ def test_what_rests_has_little_room_and_is_still_found_when_it_is_hit(skin):
     assert np.count_nonzero(moved > 1e-3) > 10, "several were hit"
     reference = engine_numpy.advance(state, Physics.of(scene, 0.025), STEP, walls)
     assert np.abs(reference.position - one.position).max() < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("large_at", "small_at", "speed", "gap", "approach", "skin"),
+    [
+        (-0.12966, -0.18958, 2.978, 1.0e-4, 0.05, 0.0057),
+        (-0.12998, -0.18989, 0.993, 6.0e-5, 0.017, 0.00179),
+        (-0.12911, -0.18895, 5.015, 5.0e-5, 0.084, 0.01062),
+    ],
+)
+def test_a_pair_that_parts_within_a_step_takes_nobodys_history(large_at, small_at, speed, gap, approach, skin):
+    # A small sphere bounces between an end cap and a large one, so fast that in one step it leaves the reach of the
+    # inner list, and comes back, while two large ones touch, spinning. The step is a sixth of the contact time.
+    scene = build_scene(SceneConfig(name="cap", container=ContainerConfig(length=0.4), filling=FillingConfig(count=10)))
+    scene, step, large, small = replace(scene, gravity=(0.0, 0.0, 0.0)), 3.362e-4, 0.05, 0.01
+    state = ParticleState(
+        np.array([[0.0, large_at, 0.0], [-0.25, 0.0, 2 * large + gap], [0.0, small_at, 0.0], [-0.25, 0.0, 0.0]]),
+        np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -approach], [0.0, -speed, 0.0], [0.0, 0.0, approach]]),
+        np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 5.0], [30.0, 0.0, 0.0], [50.0, 10.0, 0.0]]),
+        np.array([large, large, small, large]),
+        0.0,
+        ContactHistory.empty(),
+    )
+    walls = wall_poses(scene, 0.0, step, 10)
+    narrow, wide = (
+        engine_numba.advance(state, Physics.of(scene, large, width), step, walls) for width in (skin, 1.6 * large)
+    )
+    assert np.array_equal(narrow.angular_velocity, wide.angular_velocity)
 
 
 @pytest.mark.parametrize("skin", [2e-3, 0.02])

@@ -13,7 +13,7 @@ from gran_bench.dem.integrate import Divergence, Physics
 from gran_bench.dem.simulate import simulate
 from gran_bench.dem.walls import wall_poses
 from gran_bench.scene import Scene, build_scene
-from gran_bench.state import ParticleState
+from gran_bench.state import ContactHistory, ParticleState
 
 STEP, STEPS = 2e-4, 100
 FIELDS = ("position", "velocity", "angular_velocity")
@@ -85,6 +85,25 @@ def test_divergence_is_found_by_whichever_thread_has_it(scene, threads):
         run(scene, replace(state, velocity=velocity), threads)
     assert (caught.value.particle, caught.value.steps) == (250, 0)
     assert caught.value.position == pytest.approx(state.position, abs=1e-15)  # where the step began
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3, 4])
+def test_divergence_is_found_in_whatever_step_there_are(scene, steps, monkeypatch):
+    # Nothing is read of the contacts of an evaluation that was not reached: room that is not cleared shows it.
+    empty = np.empty
+
+    def littered(*arguments, **options):
+        array = empty(*arguments, **options)
+        array.view(np.uint8).fill(255)
+        return array
+
+    monkeypatch.setattr(np, "empty", littered)
+    state = replace(run(scene, moving(scene), 1), history=ContactHistory.empty())
+    velocity = state.velocity.copy()
+    velocity[7] = (1e4, 0.0, 0.0)
+    physics, walls = Physics.of(scene, 0.025), wall_poses(scene, 0.0, STEP, steps)
+    with pytest.raises(Divergence):
+        engine_numba.advance(replace(state, velocity=velocity), physics, STEP, walls)
 
 
 def test_the_number_of_chunks_depends_on_the_particles_alone(monkeypatch):

@@ -17,6 +17,7 @@ from gran_bench.dem.bodies import Known, bodies_in_order
 from gran_bench.dem.contact_list import largest_displacement
 from gran_bench.dem.search import search
 from gran_bench.dem.stretch import kick, take_over
+from gran_bench.dem.wall_list import shape_of, toward_wall
 from gran_bench.dem.walls import COLUMNS
 
 
@@ -31,6 +32,8 @@ def compile_share() -> None:
     )
     rows, loads, numbers, margin = bodies.sphere, np.zeros((1, 4, 4)), np.array([0, 2]), np.ones(2)
     for piece, *arguments in (
+        (shape_of, rows, 0),
+        (toward_wall, (0.0,) * 11, 0.0, 0.0, 0.0),
         (kick, rows, rows, rows, loads, loads, margin, numbers, 0, 1, np.zeros(3), 0.1, 0.1, True, 1.0),
         (take_over, loads, loads, numbers, numbers, 0, 1, True),
         (largest_displacement, rows, rows, margin, 0, 2),

@@ -72,7 +72,8 @@ def sorted_pairs(first, second, begin, end, count, known_first, known_second):
         known_first, known_second: ``(C,)`` pairs that touch; their rows are 1 … C.
 
     Returns:
-        ``(M,)`` first and second, ``(end − begin + 1,)`` place of each first's first pair, ``(M,)`` row of history.
+        ``(M,)`` first and second, ``(end − begin + 2,)`` place of each first's first pair and of the end of the last's,
+        ``(M,)`` row of history.
     """
     pairs = len(first)
     by_second, start = places(pairs), np.zeros(count - begin + 1, np.uint32)

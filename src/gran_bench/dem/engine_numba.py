@@ -127,6 +127,8 @@ class _Stretch:
             )  # fmt: skip
             room = self._room(sphere, stop - chunk, lists)
             culprit = int(march(*self._of_march(thread, progress, self.bodies, lists, room)))
+            if culprit >= 0:
+                return culprit, int(progress[DONE]), known  # which nobody asks for
             inner, pairs, on_walls = room[2:5]
             searches = culprit == SEARCH
             last = int(progress[EVALUATION]) - 1 if searches else len(self._walls)

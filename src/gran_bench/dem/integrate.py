@@ -23,6 +23,8 @@ from gran_bench.state import FloatArray
 # Verlet skin in diameters of the largest sphere: wide enough for tens of steps between searches, narrow enough that
 # pruning its list stays cheap.
 SKIN_DIAMETERS = 0.8
+# What a short period must leave of it.
+LEAST_SKIN_DIAMETERS = 0.05
 
 
 class Divergence(ArithmeticError):
@@ -55,7 +57,7 @@ class Physics:
         gravity: ``(3,)`` m/s².
         period: length of the periodic y axis, m; 0 for none.
         skin: m by which the neighbour list reaches beyond contact for the two fastest particles; for slower ones it is
-            less.
+            less (contact_list.py).
         tangential: whether friction, and with it spin, is computed.
         rolling: whether the rolling model is computed.
         threads: how many work together, where there are particles enough; changes no bit of the result.
@@ -90,8 +92,10 @@ class Physics:
         if skin is None:
             skin = SKIN_DIAMETERS * 2.0 * largest_radius
             if scene.period:
-                # At least a tenth of that: a period that leaves no more is refused below.
-                skin = max(0.1 * skin, min(skin, 0.5 * scene.period - 2.0 * largest_radius))
+                # A period that leaves less is refused below.
+                skin = max(
+                    LEAST_SKIN_DIAMETERS * 2.0 * largest_radius, min(skin, 0.5 * scene.period - 2.0 * largest_radius)
+                )
         if not (np.isfinite(skin) and skin > 0):
             raise ValueError(f"dem.skin={skin:g} is impossible; choose a value > 0 m, or null")
         check_period(scene.period, 2.0 * largest_radius + skin)

@@ -21,12 +21,12 @@ class Lists(NamedTuple):
 
     Attributes:
         pair_i, pair_j: ``(M,)`` pairs, first < second, in the order of (first, second).
-        start: ``(n + 1,)`` place of the first pair of each first.
+        start: ``(n + 2,)`` place of the first pair of each of n firsts, and of the end of the last.
         memory: ``(M,)`` row of history of each pair; 0 for none.
         slot, moment: ``(2, ≥ M + 5, 4)`` histories of even and odd evaluations: elastic tangential force and overlap,
             rolling moment (one row where there is no rolling).
-        wall_i, wall_w, wall_memory: ``(M + 1,)`` particle, wall and row of history of each wall contact; place 0 is
-            spare.
+        wall_i, wall_w, wall_memory: ``(≥ M + 1,)`` particle and wall, ``(M + 1,)`` row of history of each wall contact;
+            place 0 is spare.
         wall_start: ``(chunks W + 1,)`` place of the first contact of each chunk and wall.
         wall_slot, wall_moment: as of the pairs.
         margin, inverse_square: ``(N,)`` how far each particle may move until new lists are needed, m, and 1/m².

@@ -59,8 +59,7 @@ def march(
         searched_at, pruned_at: ``(N, 4)`` rows of these positions, and room for others.
         inner_list: ``(4, ≥ M + 2)`` for M pairs; room, but for place 0, which is the spare pair.
         touching: ``(2, ≥ M + 5)`` room for the places of touching pairs in even and odd evaluations.
-        wall_touching, geometry: ``(2, ≥ M + 5)``, ``(≥ M + 5, 4)`` room alike for M wall contacts; those of the last
-            evaluation are there.
+        wall_touching, geometry: ``(2, ≥ M + 5)``, ``(≥ M + 5, 4)`` room alike for M wall contacts.
         near_start: ``(chunks + 1,)`` ones.
         buffer, wall_buffer: ``(BUFFER_SIZE,)`` zeros of the dtype that the contact laws are computed in.
         pair_laws, wall_laws: ``(S, S, 5)``, ``(S, W, 5)``.
@@ -189,7 +188,7 @@ def _prune_chunks(
         reach[c] = _end_of_reach(near_j, first, last, bounds[c + 1])
     for q in range(1, near_start[stop - chunk]):
         touched[near_memory[q]] = q
-        memory[near[q]] = 0
+    memory[:] = 0  # also of pairs that touched and are out of reach: they forget
 
 
 @kernel

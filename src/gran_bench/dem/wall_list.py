@@ -82,8 +82,8 @@ def list_wall_contacts(sphere, bounds, chunk, stop, walls, row, margin, known_fi
         known_first, known_wall: ``(C,)`` particle and wall that touch; their rows of history are 1 … C.
 
     Returns:
-        ``(M + 1,)`` particle, wall and row of history, chunk by chunk, wall by wall; ``(chunks W + 1,)`` place of the
-        first contact of each chunk and wall. Place 0 is spare: the spare body N at the first wall.
+        ``(≥ M + 1,)`` particle and wall, chunk by chunk, wall by wall; ``(M + 1,)`` row of history; ``(chunks W + 1,)``
+        place of the first contact of each chunk and wall. Place 0 is spare: the spare body N at the first wall.
     """
     begin, end, count = bounds[chunk], bounds[stop], walls.shape[1]
     wall_i, wall_w = places((end - begin) * count + 2), places((end - begin) * count + 2)
@@ -105,7 +105,7 @@ def list_wall_contacts(sphere, bounds, chunk, stop, walls, row, margin, known_fi
     for place in range(len(known)):
         known[place] = 0
     for c in range(len(known_first)):
-        if begin <= known_first[c] < end:
+        if begin <= known_first[c] < end and known_wall[c] < count:
             known[(known_first[c] - begin) * count + known_wall[c]] = c + 1
     memory[0] = 0
     for p in range(1, found):
