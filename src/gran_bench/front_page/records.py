@@ -146,7 +146,7 @@ def benchmark_of(place: str) -> str:
 
 def _verification_origin(found: dict[str, Any] | None) -> Iterator[Origin]:
     if found is not None:
-        yield _origin("verification", "verification/README.md", found["provenance"], VERIFIED)
+        yield _origin("verification", "verification/README.md", found["provenance"], VERIFIED, about_code=True)
 
 
 def _run_origins(runs: Mapping[str, dict[str, Any]]) -> Iterator[Origin]:
