@@ -53,6 +53,7 @@ def main() -> None:
     threading.Thread(target=end_with_the_caller, daemon=True).start()
     gc.disable()  # as the caller does, for the same reason
     compile_share()
+    os._exit(0)  # not the usual way, which cannot end while a thread reads
 
 
 if __name__ == "__main__":
