@@ -4,7 +4,7 @@
 
 Data, runs and records are named by a hash of the code that made them, so a rewriting of the fast engine puts all of
 them out of date, even where it changes no bit of a trajectory. This runs both versions on the same machine, each in a
-process and with a cache of kernels of its own, through every branch of the engine (equal_bits_runs.py), and compares
+process and with a cache of kernels of its own, through scenes that use all its parts (equal_bits_runs.py), and compares
 positions, velocities, spins and contact histories bit by bit. With ``--keep`` and no difference, the hashes of today's
 code are written beside the older ones into ``src/gran_bench/equal_code.json``. That is refused where a file differs
 that these runs do not speak for: scenes, time steps, checks, the reference engine.
@@ -23,7 +23,7 @@ import tempfile
 from pathlib import Path
 
 TABLE = Path("src/gran_bench/equal_code.json")
-# Files whose every branch is run; any other of these rooms must be the same.
+# Files that the runs speak for; any other of these rooms must be the same.
 ROOMS = ("dem", "neighbors", "scene")
 COMPARED = {
     *("dem/barrier.py", "dem/bodies.py", "dem/compile_beside.py", "dem/compile_lists.py", "dem/compiling.py"),

@@ -1,4 +1,4 @@
-"""Runs through every branch of the fast engine, and a hash of every bit that each goes through (equal_bits.py).
+"""Runs through all parts of the fast engine, and a hash of every bit that each goes through (equal_bits.py).
 
 Written for the interfaces that an older version has too: `engine_numba.advance`, `simulate`, `cell_pairs`.
 """
