@@ -7,7 +7,7 @@ them out of date, even where it changes no bit of a trajectory. This runs both v
 process and with a cache of kernels of its own, through scenes that use all its parts (equal_bits_runs.py), and compares
 positions, velocities, spins and contact histories bit by bit. With ``--keep`` and no difference, the hashes of today's
 code are written beside the older ones into ``src/gran_bench/equal_code.json``. That is refused where a file differs
-that these runs do not speak for: scenes, time steps, checks, the reference engine.
+that these runs do not speak for: scenes, time steps, checks.
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ TABLE = Path("src/gran_bench/equal_code.json")
 ROOMS = ("dem", "neighbors", "scene")
 COMPARED = {
     *("dem/barrier.py", "dem/bodies.py", "dem/compile_beside.py", "dem/compile_lists.py", "dem/compiling.py"),
-    *("dem/contact_blocks.py", "dem/contact_list.py", "dem/engine_numba.py", "dem/frame.py", "dem/integrate.py"),
-    *("dem/kernel.py", "dem/rows.py", "dem/search.py", "dem/stretch.py", "dem/wall_contacts.py", "dem/wall_list.py"),
-    *("neighbors/cells.py", "neighbors/kernel.py", "neighbors/lanes.py"),
+    *("dem/contact.py", "dem/contact_blocks.py", "dem/contact_list.py", "dem/engine_numba.py", "dem/engine_numpy.py"),
+    *("dem/frame.py", "dem/integrate.py", "dem/kernel.py", "dem/rows.py", "dem/search.py", "dem/stretch.py"),
+    *("dem/wall_contacts.py", "dem/wall_list.py", "neighbors/cells.py", "neighbors/kernel.py", "neighbors/lanes.py"),
+    *("neighbors/tree.py", "scene/sizes.py"),
 }
 
 

@@ -1,6 +1,6 @@
-"""Runs through all parts of the fast engine, and a hash of every bit that each goes through (equal_bits.py).
+"""Runs through all parts of the engines, and a hash of every bit that each goes through (equal_bits.py).
 
-Written for the interfaces that an older version has too: `engine_numba.advance`, `simulate`, `cell_pairs`.
+Written for the interfaces that an older version has too: `advance` of both engines, `simulate`, `cell_pairs`.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ def _runs() -> Iterator[tuple[str, Iterator[tuple]]]:
             yield "drum, two threads", _frames(scene, threads=2)
             yield "drum, narrow skin", _frames(scene, skin=0.004)
             yield "drum, wide skin on two threads", _frames(scene, skin=0.05, threads=2)
+        if name.startswith(("all", "lognormal")):
+            yield f"{name}, by the reference", _by_the_reference(scene)
         if name.startswith("all"):
             yield f"{name}, skin of a step", _frames(scene, skin=1e-4)
             yield f"{name}, sixteen chunks on two threads", _frames(scene, chunks=(2, 4, 8, 16), threads=2)
@@ -61,19 +63,22 @@ def _scenes() -> dict[str, object]:
         "one size": {},
         "frictionless": {"friction": 0.0},
         "rolling": {"rolling_friction": 0.1},
-        "sizes": {"sizes": True},
-        "sizes and materials": {"sizes": True, "materials": True},
-        "all": {"sizes": True, "materials": True, "rolling_friction": 0.1},
+        "sizes": {"sizes": "uniform"},
+        "sizes and materials": {"sizes": "uniform", "materials": True},
+        "lognormal sizes": {"sizes": "lognormal", "friction": 0.2, "restitution": 0.8},
+        "all": {"sizes": "uniform", "materials": True, "rolling_friction": 0.1},
     }
     for kind, choice in kinds.items():
-        sizes, materials = choice.pop("sizes", False), choice.pop("materials", False)
+        sizes, materials = choice.pop("sizes", ""), choice.pop("materials", False)
         for periodic in (False, True):
             scene = SceneConfig(
                 name="case",
                 container=ContainerConfig(diameter=0.6 if sizes else 1.0, length=0.25, periodic_axis=periodic),
                 filling=FillingConfig(
                     count=90 if sizes else 300,
-                    sizes=SizesConfig(kind="uniform", spread=0.3) if sizes else SizesConfig(),
+                    sizes=SizesConfig(kind=sizes, spread=0.3 if sizes == "uniform" else 0.15)
+                    if sizes
+                    else SizesConfig(),
                     second_fraction=0.4 if materials else 0.0,
                 ),
                 material=MaterialConfig(**choice),
@@ -93,14 +98,31 @@ def _frames(scene: object, chunks: tuple = (), **changes: object) -> Iterator[tu
     from gran_bench.dem.walls import wall_poses
 
     usual, physics = engine_numba.CHUNK_SIZES, replace(Physics.of(scene, scene.filling.radius), **changes)
-    rng, state = np.random.default_rng(1), scene.fresh_filling(0)
-    shape = (state.count, 3)
-    state = replace(state, velocity=rng.normal(0, 1, shape), angular_velocity=rng.normal(0, 20, shape))
+    state = _flying(scene)
     for _ in range(8):
         engine_numba.CHUNK_SIZES = chunks or usual
         state = engine_numba.advance(state, physics, STEP, wall_poses(scene, state.time, STEP, 100))
         engine_numba.CHUNK_SIZES = usual
         yield _arrays(state)
+
+
+def _by_the_reference(scene: object) -> Iterator[tuple]:
+    """Two frames of such a filling by the engine that is there to be read."""
+    from gran_bench.dem import engine_numpy
+    from gran_bench.dem.integrate import Physics
+    from gran_bench.dem.walls import wall_poses
+
+    physics, state = Physics.of(scene, scene.filling.radius), _flying(scene)
+    for _ in range(2):
+        state = engine_numpy.advance(state, physics, STEP, wall_poses(scene, state.time, STEP, 100))
+        yield _arrays(state)
+
+
+def _flying(scene: object) -> object:
+    """A filling with velocities and spins at random."""
+    rng, state = np.random.default_rng(1), scene.fresh_filling(0)
+    shape = (state.count, 3)
+    return replace(state, velocity=rng.normal(0, 1, shape), angular_velocity=rng.normal(0, 20, shape))
 
 
 def _shaken(scene: object) -> object:
@@ -164,11 +186,12 @@ def _simulated(name: str) -> Iterator[tuple]:
 
 
 def _neighbors(period: float) -> Iterator[tuple]:
-    from gran_bench.neighbors import cell_neighbors, cell_pairs
+    from gran_bench.neighbors import cell_neighbors, cell_pairs, tree_neighbors, tree_pairs
 
     rng = np.random.default_rng(2)
     place, other = rng.uniform(-0.25, 0.25, (500, 3)), rng.uniform(-0.25, 0.25, (300, 3))
     query, source = cell_neighbors(place, other, 0.09, period)
+    yield tree_pairs(place, 0.07, period), *tree_neighbors(place, other, 0.09, period)
     yield cell_pairs(place, 0.07, period), query, source
 
 

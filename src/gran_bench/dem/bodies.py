@@ -79,13 +79,14 @@ class Bodies(NamedTuple):
     """Particles as rows, and two spare ones, which fill lanes that a block of contacts does not need.
 
     Attributes:
-        order: ``(N,)`` particle of each row.
+        order, row: ``(N,)`` particle of each row, row of each particle.
         sphere, velocity, spin: ``(N + 2, 4)`` rows (x, y, z, r), (v, 1/m), (ω, 1/I).
         ahead: ``(N + 2, 4)`` zeros.
         material: ``(N + 2,)`` index.
     """
 
     order: np.ndarray
+    row: np.ndarray
     sphere: FloatArray
     velocity: FloatArray
     spin: FloatArray
@@ -130,7 +131,17 @@ def bodies_in_order(
     rates[count:], spins[count:] = (0.0, 0.0, 0.0, rates[0, 3]), (0.0, 0.0, 0.0, spins[0, 3])
     materials = np.zeros(count + 2, np.uint8)
     materials[:count] = material[order]
-    return Bodies(order, sphere, rates, spins, np.zeros((count + 2, 4)), materials)
+    row = np.empty(count, np.int64)
+    row[order] = np.arange(count)
+    return Bodies(order, row, sphere, rates, spins, np.zeros((count + 2, 4)), materials)
+
+
+def as_given(bodies: Bodies) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Position, velocity and spin, ``(N, 3)`` each, of the particles in the order in which they were given."""
+    position, velocity, spin = (
+        rows.take(bodies.row, axis=0)[:, :3].copy() for rows in (bodies.sphere, bodies.velocity, bodies.spin)
+    )
+    return position, velocity, spin
 
 
 def _rows(vector: FloatArray, scalar: FloatArray, order: np.ndarray) -> FloatArray:

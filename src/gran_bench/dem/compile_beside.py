@@ -13,34 +13,38 @@ import threading
 import numpy as np
 from numba import typeof
 
-from gran_bench.dem.bodies import Known, bodies_in_order
+from gran_bench.dem.bodies import Known
+from gran_bench.dem.contact_blocks import BUFFER_SIZE, contact_laws
 from gran_bench.dem.contact_list import largest_displacement
 from gran_bench.dem.search import search
 from gran_bench.dem.stretch import kick, take_over
-from gran_bench.dem.wall_list import shape_of, toward_wall
+from gran_bench.dem.wall_contacts import wall_forces
 from gran_bench.dem.walls import COLUMNS
 
 
 def compile_share() -> None:
-    """Makes the lists of two spheres with arrays of the kinds that the engine has; the rest is compiled for such kinds.
+    """Compiles pieces of the loop, in the order in which the caller comes to them, and then what makes lists.
 
-    The pieces of the loop come before what the caller does not need, so that they are there when it comes to them.
+    For arrays of the kinds that the engine has; the lists are made of two spheres.
     """
-    place, nothing = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.zeros(0, np.int64)
-    bodies = bodies_in_order(
-        place, np.zeros((2, 3)), np.zeros((2, 3)), np.full(2, 0.5), np.zeros(2, np.uint8), np.ones(1), 0.0
-    )
-    rows, loads, numbers, margin = bodies.sphere, np.zeros((1, 4, 4)), np.array([0, 2]), np.ones(2)
+    rows, loads, numbers, margin = np.ones((4, 4)), np.zeros((1, 4, 4)), np.array([0, 2]), np.ones(2)
+    bodies, load = (rows, rows, rows, rows, np.zeros(4, np.uint8)), (loads[0], loads[0])
+    places, buffer = np.zeros(2, np.uint32), np.zeros(BUFFER_SIZE)
+    histories, needs = (rows, rows, rows, rows), (True, True)
     for piece, *arguments in (
-        (shape_of, rows, 0),
-        (toward_wall, (0.0,) * 11, 0.0, 0.0, 0.0),
+        (contact_laws, buffer, 0, *needs, 0.1),
+        (
+            wall_forces, *bodies, *load, places, places, places, numbers, places, 1, places, 1, rows, *histories,
+            buffer, loads, rows, *needs, True, 0.1,
+        ),
         (kick, rows, rows, rows, loads, loads, margin, numbers, 0, 1, np.zeros(3), 0.1, 0.1, True, 1.0),
         (take_over, loads, loads, numbers, numbers, 0, 1, True),
         (largest_displacement, rows, rows, margin, 0, 2),
-    ):
+    ):  # fmt: skip
         piece.compile(tuple(map(typeof, arguments)))
+    nothing = np.zeros(0, np.int64)
     none = Known(nothing, nothing, np.zeros((0, 4)), np.zeros((0, 4)))
-    search(rows, bodies.velocity, numbers, 0, 1, np.zeros((1, 1, COLUMNS)), 1, 0.1, 0.0, (none, none), False)
+    search(rows, rows, numbers, 0, 1, np.zeros((1, 1, COLUMNS)), 1, 0.1, 0.0, (none, none), False)
 
 
 def main() -> None:

@@ -19,14 +19,15 @@ from pathlib import Path
 import numba
 
 import gran_bench
-from gran_bench.dem.contact_list import largest_displacement, sorted_pairs, with_margins
+from gran_bench.dem.contact_blocks import contact_laws
+from gran_bench.dem.contact_list import fill_margins, largest_displacement, sort_pairs
 from gran_bench.dem.stretch import kick, march, take_over
-from gran_bench.dem.wall_list import list_wall_contacts, shape_of, toward_wall
-from gran_bench.neighbors import bin_cells, list_pairs
+from gran_bench.dem.wall_contacts import wall_forces
+from gran_bench.neighbors.cells import find_pairs
 
 # What the process beside compiles (compile_beside.py).
-PIECES = (kick, take_over, largest_displacement, shape_of, toward_wall)
-LISTS = (bin_cells, list_pairs, sorted_pairs, with_margins, list_wall_contacts)
+PIECES = (contact_laws, wall_forces, kick, take_over, largest_displacement)
+LISTS = (fill_margins, find_pairs, sort_pairs)
 # How much longer than the caller's own share its share may take: more, and it hangs.
 PATIENCE = 3.0
 

@@ -26,8 +26,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 
 from gran_bench.scene import Material
 from gran_bench.state import FloatArray
@@ -179,6 +177,8 @@ def restitution_of(damping: float) -> float:
 
     Source: Antypov & Elliott (2011), EPL 94, 50004, eq. 8, whose closed form of α(e) holds with the tail.
     """
+    from scipy.integrate import solve_ivp  # a tenth of a second to load, which a process that only compiles can spare
+
     if damping == 0.0:
         return 1.0
 
@@ -212,6 +212,8 @@ def damping_coefficient(restitution: float) -> float:
         raise ValueError(f"restitution={restitution:g} is impossible; choose a value in (0, 1]")
     if restitution == 1.0:
         return 0.0
+    from scipy.optimize import brentq  # as above
+
     upper = 1.0
     while restitution_of(upper) > restitution:
         upper *= 2.0

@@ -13,7 +13,7 @@ import numpy as np
 
 from gran_bench.dem.contact import PREDICTION_FADE
 from gran_bench.dem.contact_list import overlapping
-from gran_bench.dem.kernel import kernel
+from gran_bench.dem.kernel import kernel, shared
 from gran_bench.dem.rows import (
     BLOCK,
     four_from,
@@ -27,6 +27,7 @@ from gran_bench.dem.rows import (
     scatter_opposite,
     scatter_rows,
 )
+from gran_bench.state import FloatArray
 
 # Columns in groups of four, as rows.py moves them.
 OFFSET, VELOCITY, AHEAD, SPIN_SUM, SPIN_DIFFERENCE, SLOT, FORCE, TORQUE, TORQUE_2, MOMENT = range(0, 40, 4)
@@ -50,12 +51,17 @@ RESCALE = 54 * BLOCK  # squared factor of the history that is turned
 BUFFER_SIZE = 55 * BLOCK
 
 
-@kernel
-def fill_sizes(buffer, lane, r1, r2, inverse_mass):
-    """Reach, skew, R* and m* of the contact of radii r₁ and r₂ into one lane; 1/m* is given."""
-    buffer[REACH + lane], buffer[SKEW + lane] = r1 + r2, (r1 - r2) * (r1 + r2)
-    buffer[RS + lane] = r1 * r2 / (r1 + r2)
-    buffer[MS + lane], buffer[INVERSE_MS + lane] = 1.0 / inverse_mass, inverse_mass
+def block_buffer(buffer: FloatArray, radius: float, inverse_mass: float, law: FloatArray) -> FloatArray:
+    """A buffer with the constants of the contacts of equal spheres of one material.
+
+    Args:
+        buffer: ``(BUFFER_SIZE,)`` of the dtype that the contact laws are computed in.
+        radius, inverse_mass: r, m, and 1/m of the spheres.
+        law: (4/3 E*, 8 G*, α, μ, μ_r).
+    """
+    sizes = (2.0 * radius, 0.0, radius * radius / (2.0 * radius), 1.0 / (2.0 * inverse_mass), 2.0 * inverse_mass)
+    buffer.reshape(-1, BLOCK)[REACH // BLOCK : ROLLING // BLOCK + 1] = np.array((*sizes, *law))[:, None]
+    return buffer
 
 
 @kernel
@@ -123,7 +129,10 @@ def pair_forces(
         if unequal:
             for k in range(size):
                 a, b = near_i[active[first + k]], near_j[active[first + k]]
-                fill_sizes(buffer, k, sphere[a, 3], sphere[b, 3], velocity[a, 3] + velocity[b, 3])
+                r1, r2, inverse_mass = sphere[a, 3], sphere[b, 3], velocity[a, 3] + velocity[b, 3]
+                buffer[REACH + k], buffer[SKEW + k] = r1 + r2, (r1 - r2) * (r1 + r2)
+                buffer[RS + k] = r1 * r2 / (r1 + r2)
+                buffer[MS + k], buffer[INVERSE_MS + k] = 1.0 / inverse_mass, inverse_mass
         if several:
             for k in range(size):
                 a, b = near_i[active[first + k]], near_j[active[first + k]]
@@ -336,7 +345,7 @@ def second_torques(buffer, size):
         )
 
 
-@kernel
+@shared
 def contact_laws(buffer, size, tangential, rolling, dt):
     """What the contacts of a block do: force on the first, n × f_t, rolling moment, and what they remember."""
     normal_law(buffer, size, dt)

@@ -22,9 +22,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gran_bench.dem.kernel import entry, kernel, places, shared
+from gran_bench.dem.kernel import entry, kernel, shared
 from gran_bench.dem.rows import squared_gap
+from gran_bench.neighbors import IndexArray
+from gran_bench.state import FloatArray
+
+PairArray = NDArray[np.uint32]
 
 # σ, what the inner list reaches beyond touch as a share of the margins.
 INNER_SHARE = 0.2
@@ -32,8 +37,7 @@ INNER_SHARE = 0.2
 LEAST_MARGIN = 0.2
 
 
-@entry
-def with_margins(sphere, velocity, skin):
+def with_margins(sphere: FloatArray, velocity: FloatArray, skin: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Displacements that lists have room for: half the skin for the fastest particle, less for slower ones.
 
     Args:
@@ -44,26 +48,35 @@ def with_margins(sphere, velocity, skin):
         ``(N,)`` margins m, m; ``(N,)`` 1/m², which displacements are held against; ``(N, 4)`` x, y, z and radius with
         margin, m.
     """
-    count = len(sphere) - 2
-    margin, inverse_square, reaching, fastest = np.empty(count), np.empty(count), np.empty((count, 4)), 0.0
-    for i in range(count):
-        margin[i] = math.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2)
-        fastest = max(fastest, margin[i])
-    for i in range(count):
-        share = margin[i] / fastest if fastest > 0.0 else 1.0
-        margin[i] = 0.5 * skin * (LEAST_MARGIN + (1.0 - LEAST_MARGIN) * share)
-        inverse_square[i] = 1.0 / (margin[i] * margin[i])
-        for k in range(3):
-            reaching[i, k] = sphere[i, k]
-        reaching[i, 3] = sphere[i, 3] + margin[i]
+    margin, inverse_square, reaching = np.empty(len(sphere) - 2), np.empty(len(sphere) - 2), sphere[:-2].copy()
+    fill_margins(velocity, skin, margin, inverse_square, reaching)
     return margin, inverse_square, reaching
 
 
 @entry
-def sorted_pairs(first, second, begin, end, count, known_first, known_second):
-    """Pairs in the order of (first, second), and which row of history is whose.
+def fill_margins(velocity, skin, margin, inverse_square, reaching):
+    """Fills the margins, their inverse squares and the radii of ``reaching``, which come as those of the spheres."""
+    fastest = 0.0
+    for i in range(len(margin)):
+        margin[i] = math.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2)
+        fastest = max(fastest, margin[i])
+    for i in range(len(margin)):
+        share = margin[i] / fastest if fastest > 0.0 else 1.0
+        margin[i] = 0.5 * skin * (LEAST_MARGIN + (1.0 - LEAST_MARGIN) * share)
+        inverse_square[i] = 1.0 / (margin[i] * margin[i])
+        reaching[i, 3] += margin[i]
 
-    A counting sort by second, then one by first, which keeps the order among equals.
+
+def sorted_pairs(
+    first: PairArray,
+    second: PairArray,
+    begin: int,
+    end: int,
+    count: int,
+    known_first: IndexArray,
+    known_second: IndexArray,
+) -> tuple[PairArray, PairArray, PairArray, PairArray]:
+    """Pairs in the order of (first, second), and which row of history is whose.
 
     Args:
         first, second: ``(M,)`` pairs, first < second.
@@ -75,35 +88,46 @@ def sorted_pairs(first, second, begin, end, count, known_first, known_second):
         ``(M,)`` first and second, ``(end − begin + 2,)`` place of each first's first pair and of the end of the last's,
         ``(M,)`` row of history.
     """
-    pairs = len(first)
-    by_second, start = places(pairs), np.zeros(count - begin + 1, np.uint32)
+    by_second, pair_i, pair_j = np.empty((3, len(first)), np.uint32)
+    memory, start = np.zeros(len(first), np.uint32), np.zeros(end - begin + 2, np.uint32)
+    of_second = np.zeros(count - begin + 1, np.uint32)
+    sort_pairs(
+        first, second, begin, known_first, known_second, of_second, by_second, start, pair_i, pair_j, memory
+    )  # fmt: skip
+    return pair_i, pair_j, start, memory
+
+
+@entry
+def sort_pairs(
+    first, second, begin, known_first, known_second, of_second, by_second, start, pair_i, pair_j, memory
+):  # fmt: skip
+    """A counting sort by second, then one by first, which keeps the order among equals.
+
+    Fills ``start``, ``pair_i``, ``pair_j`` and ``memory`` of :func:`sorted_pairs`; all but the pairs come as zeros.
+    """
+    pairs, firsts = len(first), len(start) - 2
     for p in range(pairs):
-        start[second[p] - begin + 1] += 1
-    for row in range(count - begin):
-        start[row + 1] += start[row]
+        of_second[second[p] - begin + 1] += 1
+        start[first[p] - begin + 2] += 1  # shifted by one, so that filling it leaves it where it should be
+    for row in range(1, len(of_second)):
+        of_second[row] += of_second[row - 1]
+    for row in range(2, len(start)):
+        start[row] += start[row - 1]
     for p in range(pairs):
         row = second[p] - begin
-        by_second[start[row]] = p
-        start[row] += 1
-    start = np.zeros(end - begin + 2, np.uint32)  # shifted by one, so that filling it leaves it where it should be
-    for p in range(pairs):
-        start[first[p] - begin + 2] += 1
-    for row in range(end - begin):
-        start[row + 2] += start[row + 1]
-    pair_i, pair_j, memory = places(pairs), places(pairs), places(pairs)
+        by_second[of_second[row]] = p
+        of_second[row] += 1
     for q in range(pairs):
         p = by_second[q]
         row = first[p] - begin + 1
         pair_i[start[row]], pair_j[start[row]] = first[p], second[p]
         start[row] += 1
-        memory[q] = 0
     for c in range(len(known_first)):
         row = known_first[c] - begin
-        if 0 <= row < end - begin:
+        if 0 <= row < firsts:
             for p in range(start[row], start[row + 1]):
                 if pair_j[p] == known_second[c]:
                     memory[p] = c + 1
-    return pair_i, pair_j, start, memory
 
 
 @kernel

@@ -25,12 +25,13 @@ import numba
 import numpy as np
 
 from gran_bench.dem import barrier
-from gran_bench.dem.bodies import Bodies, Known, bodies_in_order, contact_history, known_contacts
+from gran_bench.dem.bodies import Bodies, Known, as_given, bodies_in_order, contact_history, known_contacts
 from gran_bench.dem.compiling import compiled_beside
-from gran_bench.dem.contact_blocks import BUFFER_SIZE
-from gran_bench.dem.integrate import Divergence, Physics
+from gran_bench.dem.contact_blocks import BUFFER_SIZE, block_buffer
+from gran_bench.dem.integrate import Divergence, Physics, into_period
 from gran_bench.dem.search import Lists, search, touching
 from gran_bench.dem.stretch import DONE, EVALUATION, NEAR_I, NEAR_J, PAIRS, SEARCH, WALLS, march
+from gran_bench.dem.wall_list import list_near
 from gran_bench.state import FloatArray, ParticleState
 
 # Particles from which on a bed is cut into 2, 4, 8, 16 chunks: each large beside what lies at its rim.
@@ -65,11 +66,14 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
     stretch = _Stretch(state, physics, time_step, walls)
     if not march.overloads:
         with compiled_beside():
+            stretch.begin()
             stretch.compile()
-    stretch.begin()
+    else:
+        stretch.begin()
     results = run_together(stretch.run, stretch.threads, stretch.gate)
     culprit, done, _ = results[0]
-    position, velocity, spin = stretch.moving
+    position, velocity, spin = as_given(stretch.bodies)
+    position = into_period(position, float(physics.period))
     if culprit >= 0:
         raise Divergence(int(stretch.bodies.order[culprit]), done, position, velocity, spin)
     contacts = contact_history([touched for *_, touched in results], stretch.bodies.order)
@@ -86,10 +90,10 @@ class _Stretch:
     """
 
     def __init__(self, state: ParticleState, physics: Physics, time_step: float, walls: FloatArray) -> None:
-        self.moving = tuple(
-            np.array(array, np.float64) for array in (state.position, state.velocity, state.angular_velocity)
+        self._moving = tuple(
+            np.asarray(array, np.float64) for array in (state.position, state.velocity, state.angular_velocity)
         )
-        self._radius, self._material = np.array(state.radius, np.float64), np.array(state.material, np.uint8)
+        self._radius, self._material = np.asarray(state.radius, np.float64), np.asarray(state.material, np.uint8)
         self._history = state.history
         self._physics, self._walls = physics, np.array(walls, np.float64, order="C")
         self._bounds = chunk_bounds(state.count)
@@ -106,13 +110,11 @@ class _Stretch:
 
     def begin(self) -> None:
         """Sorts the bodies."""
-        physics, count = self._physics, len(self._radius)
+        physics = self._physics
         self.bodies = bodies_in_order(
-            *self.moving, self._radius, self._material, physics.density, float(physics.period)
+            *self._moving, self._radius, self._material, physics.density, float(physics.period)
         )
-        row = np.empty(count, np.int64)
-        row[self.bodies.order] = np.arange(count)
-        self._known = known_contacts(self._history, row, physics.rolling)
+        self._known = known_contacts(self._history, self.bodies.row, physics.rolling)
 
     def run(self, thread: int) -> tuple[int, int, tuple[Known, Known]]:
         """One thread's share: the row that diverged or −1, the completed steps, the touching contacts by row."""
@@ -125,7 +127,7 @@ class _Stretch:
                 sphere, velocity, bounds, chunk, stop, self._walls, int(progress[EVALUATION]), physics.skin,
                 float(physics.period), known, physics.rolling,
             )  # fmt: skip
-            room = self._room(sphere, stop - chunk, lists)
+            room = self._room(sphere, velocity, stop - chunk, lists, int(progress[EVALUATION]) - 1)
             culprit = int(march(*self._of_march(thread, progress, self.bodies, lists, room)))
             if culprit >= 0:
                 return culprit, int(progress[DONE]), known  # which nobody asks for
@@ -141,48 +143,39 @@ class _Stretch:
 
     def compile(self) -> None:
         """Compiles what is called after lists are made, with arrays of their kinds in the place of them."""
-        row, place, number, histories = (
-            np.zeros((1, 4)),
-            np.zeros(1, np.uint32),
-            np.zeros(1, np.int64),
-            np.zeros((2, 1, 4)),
-        )
-        bodies = Bodies(number, row, row, row, row, np.zeros(1, np.uint8))
+        row, place, number = np.ones((1, 4)), np.zeros(1, np.uint32), np.zeros(1, np.int64)
+        histories, margin = np.zeros((2, 1, 4)), np.zeros(1)
+        bodies = Bodies(number, number, row, row, row, row, np.zeros(1, np.uint8))
         lists = Lists(
-            place,
-            place,
-            place,
-            place,
-            histories,
-            histories,
-            place,
-            place,
-            place,
-            number,
-            histories,
-            histories,
-            np.zeros(1),
-            np.zeros(1),
+            *(place, place, place, place, histories, histories),
+            *(place, place, place, number, histories, histories),
+            *(margin, margin),
         )
-        arguments = self._of_march(0, np.zeros(4, np.int64), bodies, lists, self._room(row, 1, lists))
+        arguments = self._of_march(0, np.zeros(4, np.int64), bodies, lists, self._room(row, row, 1, lists, 0))
+        # What the loop shares with the lists comes first: meanwhile, the process beside gets ahead.
+        near = row, number, 0, 1, row, margin, margin, place[None], place, place, place, number
+        list_near.compile(tuple(map(numba.typeof, near)))
         march.compile(tuple(map(numba.typeof, arguments)))
 
-    def _room(self, sphere: FloatArray, chunks: int, lists: Lists) -> tuple:
-        """What a thread with so many chunks keeps while its lists live."""
+    def _room(self, sphere: FloatArray, velocity: FloatArray, chunks: int, lists: Lists, evaluation: int) -> tuple:
+        """What a thread with so many chunks keeps while its lists live; they know what touched in ``evaluation``."""
         precision = np.float32 if self._physics.single_precision else np.float64
         pairs, walls = lists.slot.shape[1], lists.wall_slot.shape[1]
         inner = np.empty((4, pairs), np.uint32)
         inner[:, 0] = 0
         inner[NEAR_I, 0], inner[NEAR_J, 0] = (len(self._radius) + k for k in (0, 1))
+        on_walls = np.empty((2, walls), np.uint32)
+        on_walls[evaluation % 2, lists.wall_memory] = np.arange(len(lists.wall_memory))
+        constants = sphere[0, 3], velocity[0, 3], self._physics.pair_laws[0, 0]
         return (
-            sphere.copy(), np.empty_like(sphere), inner, np.empty((2, pairs), np.uint32),
-            np.empty((2, walls), np.uint32), _zeros(walls, 4), np.ones(chunks + 1, np.int64),
-            *_zeros(2, BUFFER_SIZE, dtype=precision),
+            sphere.copy(), np.empty_like(sphere), inner, np.empty((2, pairs), np.uint32), on_walls, _zeros(walls, 4),
+            np.ones(chunks + 1, np.int64),
+            *(block_buffer(buffer, *constants) for buffer in _zeros(2, BUFFER_SIZE, dtype=precision)),
         )  # fmt: skip
 
     def _of_march(self, thread: int, progress: np.ndarray, bodies: Bodies, lists: Lists, room: tuple) -> tuple:
         return (
-            thread, self.threads, *self._shared, progress, *self.moving, *bodies, *self._loads, *lists, *room,
+            thread, self.threads, *self._shared, progress, *bodies[2:], *self._loads, *lists, *room,
             *self._constants,
         )  # fmt: skip
 

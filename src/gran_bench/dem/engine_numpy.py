@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gran_bench.dem.contact import ContactForce, ContactLaw, contact_force, sphere_mass
-from gran_bench.dem.integrate import Divergence, Physics
+from gran_bench.dem.integrate import Divergence, Physics, into_period
 from gran_bench.dem.rolling import rolling_moment
 from gran_bench.dem.walls import SPIN, surface_velocity, wall_contact
 from gran_bench.neighbors import nearest_image, tree_pairs
@@ -66,7 +66,7 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
     if steps:
         _check_speeds(bodies, fastest, steps)
     return ParticleState(
-        _wrapped(bodies.position, physics.period),
+        into_period(bodies.position, physics.period),
         bodies.velocity,
         bodies.spin,
         state.radius,
@@ -88,13 +88,6 @@ def _check_speeds(bodies: _Bodies, fastest: float, steps: int) -> None:
     wild = np.flatnonzero(~(np.linalg.norm(bodies.velocity, axis=1) <= fastest))
     if len(wild):
         raise Divergence(int(wild[0]), steps, bodies.position, bodies.velocity, bodies.spin)
-
-
-def _wrapped(position: FloatArray, period: float) -> FloatArray:
-    if period > 0:
-        position[:, 1] -= period * np.floor(position[:, 1] / period + 0.5)
-        position[position[:, 1] >= 0.5 * period, 1] -= period
-    return position
 
 
 def _loads(bodies: _Bodies, physics: Physics, time_step: float, walls: FloatArray) -> tuple[FloatArray, FloatArray]:

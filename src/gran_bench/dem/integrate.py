@@ -114,6 +114,21 @@ class Physics:
         )
 
 
+def into_period(position: FloatArray, period: float) -> FloatArray:
+    """Positions with y brought into [−L/2, L/2) in place, ``(N, 3)`` m; those inside keep every bit.
+
+    Args:
+        position: ``(N, 3)`` m.
+        period: L, m; 0 for none.
+    """
+    if period > 0.0:
+        y = position[:, 1]
+        outside = np.flatnonzero(~((-0.5 * period <= y) & (y < 0.5 * period)))
+        moved = y[outside] - period * np.floor(y[outside] / period + 0.5)
+        y[outside] = np.where(moved >= 0.5 * period, moved - period, moved)
+    return position
+
+
 def pair_law(scene: Scene, first: int, second: int) -> ContactLaw:
     """The law of contacts between particles of two of the scene's materials."""
     coefficients = scene.coefficients(first, second)

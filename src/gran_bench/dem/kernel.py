@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from gran_bench import neighbors
 from gran_bench.neighbors.kernel import cached, kernel
 
@@ -16,10 +14,4 @@ entry = cached(*_ROOMS, nogil=True)
 # is on disk.
 shared = cached(*_ROOMS, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
-__all__ = ["entry", "kernel", "places", "shared"]
-
-
-@kernel
-def places(count):
-    """Room for so many particles, pairs or places, not cleared."""
-    return np.empty(np.int64(count), np.uint32)
+__all__ = ["entry", "kernel", "shared"]

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from gran_bench.dem.barrier import meet
-from gran_bench.dem.contact_blocks import BLOCK, fill_law, fill_sizes, pair_forces
+from gran_bench.dem.contact_blocks import pair_forces
 from gran_bench.dem.contact_list import INNER_SHARE, largest_displacement, prune
 from gran_bench.dem.kernel import entry, kernel, shared
 from gran_bench.dem.rows import kick_row, move_row, twist_row
@@ -32,8 +32,7 @@ FINISHED, SEARCH = -1, -2
 
 @entry
 def march(
-    thread, threads, gate, bounds, reach, told, progress, position, linear, angular,
-    order, sphere, velocity, spin, ahead, material, force, torque,
+    thread, threads, gate, bounds, reach, told, progress, sphere, velocity, spin, ahead, material, force, torque,
     pair_i, pair_j, start, memory, slot, moment, wall_i, wall_w, wall_memory, wall_start, wall_slot, wall_moment,
     margin, inverse_square, searched_at, pruned_at, inner_list, touching, wall_touching, geometry, near_start,
     buffer, wall_buffer, pair_laws, wall_laws, walls, gravity, period, dt, fastest_allowed, tangential, rolling,
@@ -42,7 +41,7 @@ def march(
     """One thread's share of the steps from new lists to where the next ones are needed, or to the stretch's end.
 
     Evaluation 1 is of the state itself and loads no history. Number steps + 1 is the last of the stretch; after it
-    comes half a kick. Positions are wrapped only where the stretch ends, so that displacements stay true in between.
+    comes half a kick.
 
     Args:
         thread, threads: which of how many.
@@ -50,18 +49,17 @@ def march(
         bounds, reach: ``(C + 1,)`` first particle of each chunk; ``(C,)`` end of what its pairs touch.
         told: ``(threads, ≥ 4)`` what threads tell each other.
         progress: ``(4,)`` see above.
-        position, linear, angular: ``(N, 3)`` position, velocity and spin at the end, written here.
-        order: ``(N,)`` particle of each row.
-        sphere, velocity, spin, ahead, material: rows in that order and two spare ones.
+        sphere, velocity, spin, ahead, material: rows of the bodies and two spare ones; they hold the state at the end.
         force, torque: ``(C, N + 2, 4)`` zeros where the stretch begins.
         pair_i, …, inverse_square: of :func:`search.search`, from these positions. Histories come twice: an evaluation
             reads the one of the last and writes the other.
         searched_at, pruned_at: ``(N, 4)`` rows of these positions, and room for others.
         inner_list: ``(4, ≥ M + 2)`` for M pairs; room, but for place 0, which is the spare pair.
         touching: ``(2, ≥ M + 5)`` room for the places of touching pairs in even and odd evaluations.
-        wall_touching, geometry: ``(2, ≥ M + 5)``, ``(≥ M + 5, 4)`` room alike for M wall contacts.
+        wall_touching, geometry: ``(2, ≥ M + 5)``, ``(≥ M + 5, 4)`` room alike for M wall contacts; the places of those
+            that remember something are there.
         near_start: ``(chunks + 1,)`` ones.
-        buffer, wall_buffer: ``(BUFFER_SIZE,)`` zeros of the dtype that the contact laws are computed in.
+        buffer, wall_buffer: of :func:`contact_blocks.block_buffer`.
         pair_laws, wall_laws: ``(S, S, 5)``, ``(S, W, 5)``.
         walls: ``(steps + 1, W, 21)`` poses.
         gravity, period, dt: SI.
@@ -77,12 +75,7 @@ def march(
     chunk, stop = thread * (len(bounds) - 1) // threads, (thread + 1) * (len(bounds) - 1) // threads
     begin, end = bounds[chunk], bounds[stop]
     near_i, near_j, near_memory = inner_list[NEAR_I], inner_list[NEAR_J], inner_list[NEAR_MEMORY]
-    for lane in range(BLOCK):
-        fill_sizes(buffer, lane, sphere[0, 3], sphere[0, 3], 2.0 * velocity[0, 3])
-        fill_law(buffer, lane, pair_laws[0, 0])
     evaluation, culprit, travelled = progress[EVALUATION], np.int64(FINISHED), np.inf
-    for p in range(1, len(wall_memory)):
-        wall_touching[(evaluation - 1) % 2, wall_memory[p]] = p
     # What the lists brought may lie in any row.
     remembered, walls_remembered, pairs = slot.shape[1], wall_slot.shape[1], np.int64(1)
     while True:
@@ -149,12 +142,6 @@ def march(
             if travelled > INNER_SHARE and since_search > 1.0 - INNER_SHARE:
                 progress[EVALUATION] = evaluation
                 return np.int64(SEARCH)
-    for row in range(begin, end):
-        i = order[row]
-        for k in range(3):
-            position[i, k], linear[i, k], angular[i, k] = sphere[row, k], velocity[row, k], spin[row, k]
-        if period > 0.0:
-            position[i, 1] = _wrapped(position[i, 1], period)
     return culprit
 
 
@@ -240,13 +227,3 @@ def _drift(sphere, velocity, begin, end, dt):
         sphere[i, 0] += dt * velocity[i, 0]
         sphere[i, 1] += dt * velocity[i, 1]
         sphere[i, 2] += dt * velocity[i, 2]
-
-
-@kernel
-def _wrapped(y, period):
-    """y in [−L/2, L/2)."""
-    if not -0.5 * period <= y < 0.5 * period:
-        y -= period * math.floor(y / period + 0.5)
-        if y >= 0.5 * period:
-            y -= period
-    return y

@@ -40,12 +40,12 @@ from gran_bench.dem.contact_blocks import (
     contact_torques,
     fill_law,
 )  # fmt: skip
-from gran_bench.dem.kernel import kernel
+from gran_bench.dem.kernel import shared
 from gran_bench.dem.rows import four_from, four_of, four_on, four_remembered, gather_rows, scatter_rows, scatter_sum
 from gran_bench.dem.wall_list import shape_of, toward_wall
 
 
-@kernel
+@shared
 def wall_forces(
     sphere, velocity, spin, ahead, material, force, torque, wall_i, wall_w, memory, start, touched, remembered, active,
     contacts, geometry, old_slot, slot, old_moment, moment, buffer, laws, walls, tangential, rolling, full_radius, dt,

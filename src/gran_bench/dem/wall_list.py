@@ -9,8 +9,10 @@ import math
 
 import numpy as np
 
-from gran_bench.dem.kernel import entry, kernel, places, shared
+from gran_bench.dem.kernel import entry, kernel, shared
 from gran_bench.dem.walls import ABSENT, CYLINDER, PATH, PLANE
+from gran_bench.neighbors import IndexArray
+from gran_bench.state import FloatArray
 
 
 @shared
@@ -68,8 +70,17 @@ def _any_normal_to(ax, ay, az):
     return inverse * x, inverse * y, inverse * z
 
 
-@entry
-def list_wall_contacts(sphere, bounds, chunk, stop, walls, row, margin, known_first, known_wall):
+def list_wall_contacts(
+    sphere: FloatArray,
+    bounds: IndexArray,
+    chunk: int,
+    stop: int,
+    walls: FloatArray,
+    row: int,
+    margin: FloatArray,
+    known_first: IndexArray,
+    known_wall: IndexArray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, IndexArray]:
     """Particles of ``chunk … stop − 1`` and walls that may touch in the rest of a stretch, and whose history is whose.
 
     Args:
@@ -85,29 +96,37 @@ def list_wall_contacts(sphere, bounds, chunk, stop, walls, row, margin, known_fi
         ``(≥ M + 1,)`` particle and wall, chunk by chunk, wall by wall; ``(M + 1,)`` row of history; ``(chunks W + 1,)``
         place of the first contact of each chunk and wall. Place 0 is spare: the spare body N at the first wall.
     """
-    begin, end, count = bounds[chunk], bounds[stop], walls.shape[1]
-    wall_i, wall_w = places((end - begin) * count + 2), places((end - begin) * count + 2)
-    start = np.zeros((stop - chunk) * count + 1, np.int64)
-    wall_i[0], wall_w[0], start[0] = len(sphere) - 2, 0, 1
-    found = 1
-    for c in range(chunk, stop):
-        for w in range(count):
-            shape, path = shape_of(walls[row], w), 0.0
-            for later in range(row + 1, len(walls)):
-                path += walls[later, w, PATH]
-            for i in range(bounds[c], bounds[c + 1]):
-                wall_i[found], wall_w[found] = i, w
-                distance = toward_wall(shape, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
-                found += distance - sphere[i, 3] < margin[i] + path
-            start[(c - chunk) * count + w + 1] = found
+    begin, end, count = int(bounds[chunk]), int(bounds[stop]), walls.shape[1]
     # Rows of history by particle and wall.
-    known, memory = places((end - begin) * count), places(found)
-    for place in range(len(known)):
-        known[place] = 0
-    for c in range(len(known_first)):
-        if begin <= known_first[c] < end and known_wall[c] < count:
-            known[(known_first[c] - begin) * count + known_wall[c]] = c + 1
-    memory[0] = 0
-    for p in range(1, found):
-        memory[p] = known[(wall_i[p] - begin) * count + wall_w[p]]
-    return wall_i, wall_w, memory, start
+    known = np.zeros((end - begin, count), np.uint32)
+    here = np.flatnonzero((begin <= known_first) & (known_first < end) & (known_wall < count))
+    known[known_first[here] - begin, known_wall[here]] = here + 1
+    paths = walls[row + 1 :, :, PATH].sum(axis=0)
+    wall_i, wall_w, memory = (np.empty((end - begin) * count + 2, np.uint32) for _ in range(3))
+    wall_i[0], wall_w[0], memory[0] = len(sphere) - 2, 0, 0
+    start = np.empty((stop - chunk) * count + 1, np.int64)
+    list_near(sphere, bounds, chunk, stop, walls[row], paths, margin, known, wall_i, wall_w, memory, start)
+    return wall_i, wall_w, memory[: start[-1]], start
+
+
+@entry
+def list_near(sphere, bounds, chunk, stop, walls, paths, margin, known, wall_i, wall_w, memory, start):
+    """Fills ``wall_i``, ``wall_w``, ``memory`` and ``start`` of :func:`list_wall_contacts`, which allocates them.
+
+    Args:
+        walls: ``(W, 21)`` poses that belong to these positions.
+        paths: ``(W,)`` how far each wall goes in the rest of the stretch, m.
+        known: ``(n, W)`` row of history of each of the n particles with each wall, 0 for none.
+        The others: of :func:`list_wall_contacts`.
+    """
+    begin, place, found = bounds[chunk], 0, 1
+    start[0] = found
+    for c in range(chunk, stop):
+        for w in range(len(walls)):
+            shape = shape_of(walls, w)
+            for i in range(bounds[c], bounds[c + 1]):
+                wall_i[found], wall_w[found], memory[found] = i, w, known[i - begin, w]
+                distance = toward_wall(shape, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
+                found += distance - sphere[i, 3] < margin[i] + paths[w]
+            place += 1
+            start[place] = found

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gran_bench.neighbors.kernel import entry, kernel
 from gran_bench.neighbors.lanes import LANES, clear_lowest, lowest_lane, near_lanes
 from gran_bench.neighbors.tree import IndexArray, check_period, wrapped
 from gran_bench.state import FloatArray
+
+# Places of the progress of a list that is being filled: what is looked at next, how much was found before it.
+NEXT, FOUND = range(2)
 
 
 def cell_pairs(position: FloatArray, reach: float, period: float = 0.0) -> IndexArray:
@@ -48,46 +53,66 @@ def cell_neighbors(
     check_period(period, reach)
     if len(query) == 0 or len(source) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    return _list_neighbors(wrapped(np.concatenate((query, source)), period), len(query), reach, period)
+    point = wrapped(np.concatenate((query, source)), period)
+    binned = order, *_ = bin_cells(point, reach, period)
+    rank_of = np.empty(len(point), np.int64)
+    rank_of[order] = np.arange(len(point))
+    return _filled(
+        np.int64, 32 * len(query),
+        lambda *lists: find_neighbors(point, point[order], rank_of[: len(query)], reach, period, *binned, *lists),
+    )  # fmt: skip
+
+
+def bin_cells(sphere: FloatArray, edge: float, period: float) -> tuple[IndexArray, IndexArray, IndexArray, IndexArray]:
+    """Counting sort of N centres into cells of at least ``edge`` m, x running fastest.
+
+    Args:
+        sphere: ``(N, ≥ 3)`` x, y, z, m; N ≥ 1.
+        edge: m.
+        period: length of the periodic y axis, m; 0 for none.
+
+    Returns:
+        The ``(N,)`` particle of each rank, the ``(C + 1,)`` first rank of each cell, the ``(N,)`` cell of each rank,
+        and the ``(3,)`` numbers of cells along x, y and z.
+
+    Raises:
+        ValueError: a coordinate that is not finite.
+    """
+    count, (low, width, cells) = len(sphere), _grid(sphere, edge, period)
+    order, cell_of, cell_of_rank = np.empty((3, count), np.int64)
+    start = np.zeros(math.prod(cells.tolist()) + 2, np.int64)
+    sort_into_cells(sphere, low, width, cells, period, cell_of, start, order, cell_of_rank)
+    return order, start[:-1], cell_of_rank, cells
+
+
+def _grid(sphere: FloatArray, edge: float, period: float) -> tuple[FloatArray, FloatArray, IndexArray]:
+    """Lowest corner, width and number of the cells along x, y and z."""
+    low = [float(sphere[:, axis].min()) for axis in range(3)]
+    high = [float(sphere[:, axis].max()) for axis in range(3)]
+    if not all(map(math.isfinite, (*low, *high))):
+        raise ValueError("a coordinate is not finite; neighbours are defined for finite positions alone")
+    if period > 0.0:
+        high[1] = low[1] + period  # one period holds all, wherever it starts
+    span = [top - bottom for top, bottom in zip(high, low, strict=True)]
+    # A few particles far out must not make more cells than particles can fill.
+    budget, scale = 4 * len(sphere) + 4096, edge
+    while math.prod(max(1, math.floor(side / scale)) for side in span) > budget:
+        scale *= 1.3
+    cells = [max(1, int(side / scale)) for side in span]
+    width = [side / number if side > 0.0 else 1.0 for side, number in zip(span, cells, strict=True)]
+    if period > 0.0 and cells[1] < 3:
+        # Two cells would meet on both sides; one cell leaves the images to the distance.
+        cells[1], width[1] = 1, period
+    return np.array(low), np.array(width), np.array(cells)
 
 
 @entry
-def bin_cells(sphere, edge, period):
-    """Counting sort of N centres into cells of at least ``edge`` m, x running fastest.
+def sort_into_cells(sphere, low, width, cells, period, cell_of, start, order, cell_of_rank):
+    """Fills ``cell_of``, ``start``, ``order`` and ``cell_of_rank`` of :func:`bin_cells`; ``start`` comes as zeros.
 
-    Returns the ``(N,)`` particle of each rank, the ``(C + 1,)`` first rank of each cell, the ``(N,)`` cell of each
-    rank, and the numbers of cells along x, y and z.
+    One place more than ``start`` needs lets filling the cells leave it where it should be.
     """
-    count = len(sphere)
-    low, high = np.empty(3), np.empty(3)
-    for axis in range(3):
-        low[axis], high[axis] = sphere[0, axis], sphere[0, axis]
-    for i in range(count):
-        for axis in range(3):
-            low[axis] = min(low[axis], sphere[i, axis])
-            high[axis] = max(high[axis], sphere[i, axis])
-    if period > 0.0:
-        high[1] = low[1] + period  # one period holds all, wherever it starts
-    # A few particles far out must not make more cells than particles can fill.
-    budget = 4 * count + 4096
-    cells, width = np.empty(3, np.int64), np.empty(3)
-    scale = edge
-    while True:
-        total = 1.0
-        for axis in range(3):
-            total *= max(1.0, math.floor((high[axis] - low[axis]) / scale))
-        if total <= budget:
-            break
-        scale *= 1.3
-    for axis in range(3):
-        span = high[axis] - low[axis]
-        cells[axis] = max(1, int(span / scale))
-        width[axis] = span / cells[axis] if span > 0.0 else 1.0
-    if period > 0.0 and cells[1] < 3:
-        cells[1] = 1  # two cells would meet on both sides; one cell leaves the images to the distance
-        width[1] = period
-    cell_of, start = np.empty(count, np.int64), np.zeros(cells[0] * cells[1] * cells[2] + 1, np.int64)
-    for i in range(count):
+    for i in range(len(sphere)):
         x = min(cells[0] - 1, int((sphere[i, 0] - low[0]) / width[0]))
         along = sphere[i, 1] - low[1]
         if period > 0.0:
@@ -95,58 +120,83 @@ def bin_cells(sphere, edge, period):
         y = min(cells[1] - 1, int(along / width[1]))
         z = min(cells[2] - 1, int((sphere[i, 2] - low[2]) / width[2]))
         cell_of[i] = (z * cells[1] + y) * cells[0] + x
-        start[cell_of[i] + 1] += 1
-    for c in range(len(start) - 1):
-        start[c + 1] += start[c]
-    order, cell_of_rank, fill = np.empty(count, np.int64), np.empty(count, np.int64), start[:-1].copy()
-    for i in range(count):
-        rank = fill[cell_of[i]]
-        fill[cell_of[i]] += 1
-        order[rank], cell_of_rank[rank] = i, cell_of[i]
-    return order, start, cell_of_rank, cells
+        start[cell_of[i] + 2] += 1
+    for c in range(2, len(start)):
+        start[c] += start[c - 1]
+    for i in range(len(sphere)):
+        cell = cell_of[i]
+        rank = start[cell + 1]
+        start[cell + 1] += 1
+        order[rank], cell_of_rank[rank] = i, cell
 
 
-@entry
-def list_pairs(sphere, margin, period, begin=0, end=-1):
-    """Half list of the pairs whose surfaces are closer than ``margin``: two ``(M,)`` uint32 arrays, first < second.
+def list_pairs(
+    sphere: FloatArray, margin: float, period: float, begin: int = 0, end: int = -1
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Half list of the pairs whose surfaces are closer than ``margin``: two ``(M,)`` arrays, first < second.
 
     Args:
         sphere: ``(N, 4)`` x, y, z and radius, m; radius 0 makes ``margin`` the distance of centres.
         margin: m.
         period: length of the periodic y axis, m; 0 for none.
         begin, end: only pairs whose first is in ``begin … end − 1``; all where ``end`` is negative.
+
+    Raises:
+        ValueError: a coordinate that is not finite.
     """
     count = len(sphere)
-    stop = count if end < 0 else end
     if count < 2:
         return np.empty(0, np.uint32), np.empty(0, np.uint32)
-    largest = 0.0
-    for i in range(count):
-        largest = max(largest, sphere[i, 3])
-    order, start, _, cells = bin_cells(sphere, 2.0 * largest + margin, period)
+    order, start, _, cells = bin_cells(sphere, 2.0 * float(sphere[:, 3].max()) + margin, period)
+    stop, ranked, runs = count if end < 0 else end, np.empty((4, count + LANES)), np.empty((2, 5), np.int64)
+    return _filled(
+        np.uint32, 8 * count + 64,
+        lambda *lists: find_pairs(sphere, margin, period, begin, stop, order, start, cells, *ranked, runs, *lists),
+    )  # fmt: skip
+
+
+def _filled(dtype: type, room: int, fill: Callable[..., int]) -> tuple[np.ndarray, np.ndarray]:
+    """Two arrays of what ``fill`` finds; it is called again, with more room, as long as it says how much it lacks."""
+    progress, first, second = np.zeros(2, np.int64), np.empty(room, dtype), np.empty(room, dtype)
+    while lack := fill(progress, first, second):
+        first, second = (np.resize(part, 2 * (len(part) + lack)) for part in (first, second))
+    found = progress[FOUND]
+    return first[:found].copy(), second[:found].copy()
+
+
+@entry
+def find_pairs(
+    sphere, margin, period, begin, stop, order, start, cells, x, y, z, r, runs, progress, first, second
+):  # fmt: skip
+    """Goes on filling ``first`` and ``second``; returns the room that it lacks, 0 once all are found.
+
+    Args:
+        order, start, cells: of :func:`bin_cells`.
+        x, y, z, r: ``(N + LANES,)`` scratch.
+        runs: ``(2, 5)`` scratch.
+        progress: ``(2,)`` next cell, pairs found; zeros at first.
+        The others: of :func:`list_pairs`.
+    """
     # In the order of the cells, so that what a cell may meet is a few runs of neighbours in memory, held against one
     # particle in SIMD. The last lanes of a run may lie beyond the last particle.
-    x, y, z, r = np.empty(count + LANES), np.empty(count + LANES), np.empty(count + LANES), np.empty(count + LANES)
-    for rank in range(count + LANES):
-        i = order[min(rank, count - 1)]
+    for rank in range(len(x)):
+        i = order[min(rank, len(order) - 1)]
         x[rank] = sphere[i, 0]
         y[rank] = sphere[i, 1]
         z[rank] = sphere[i, 2]
         r[rank] = sphere[i, 3]
     inverse_period = 1.0 / period if period > 0.0 else 0.0
-    first, second = np.empty(8 * count + 64, np.uint32), np.empty(8 * count + 64, np.uint32)
-    run_begin, run_end = np.empty(5, np.int64), np.empty(5, np.int64)
-    found = 0
-    for cell in range(len(start) - 1):
+    found, run_begin, run_end = progress[FOUND], runs[0], runs[1]
+    for cell in range(progress[NEXT], len(start) - 1):
         own = start[cell + 1] - start[cell]
         if own == 0:
             continue
         met = _half_shell(cell, cells, start, period, run_begin, run_end)
-        if stop - begin < count and not _any_between(order, run_begin, run_end, begin, stop):
+        if stop - begin < len(order) and not _any_between(order, run_begin, run_end, begin, stop):
             continue
         if found + own * met >= len(first):
-            room = 2 * (len(first) + own * met)
-            first, second = _enlarged(first, room), _enlarged(second, room)
+            progress[NEXT], progress[FOUND] = cell, found
+            return own * met
         for a in range(start[cell], start[cell + 1]):
             i = order[a]
             for run in range(5):
@@ -163,7 +213,8 @@ def list_pairs(sphere, margin, period, begin=0, end=-1):
                         found += begin <= low < stop
                         hits = clear_lowest(hits)
                     b += LANES
-    return first[:found].copy(), second[:found].copy()
+    progress[FOUND] = found
+    return 0
 
 
 @kernel
@@ -205,17 +256,22 @@ def _any_between(order, run_begin, run_end, begin, end):
 
 
 @entry
-def _list_neighbors(point, query_count, reach, period):
-    """Query and source index of every hit, of ``(Q + S, 3)`` points of which the first Q ask."""
-    order, start, cell_of_rank, cells = bin_cells(point, reach, period)
-    rank_of, place = np.empty(len(point), np.int64), np.empty((len(point), 3))
-    for rank in range(len(point)):
-        rank_of[order[rank]] = rank
-        place[rank] = point[order[rank]]
+def find_neighbors(point, place, rank_of, reach, period, order, start, cell_of_rank, cells, progress, query, source):
+    """Goes on filling query and source index of every hit of Q + S points of which the first Q ask.
+
+    Returns the room that it lacks, 0 once all are found.
+
+    Args:
+        point, place: ``(Q + S, 3)`` as given, and by rank.
+        rank_of: ``(Q,)``.
+        order, start, cell_of_rank, cells: of :func:`bin_cells`.
+        progress: ``(2,)`` next query, hits found for those before it; zeros at first.
+        query, source: room.
+    """
     nx, ny, nz = cells[0], cells[1], cells[2]
-    query, source = np.empty(32 * query_count, np.int64), np.empty(32 * query_count, np.int64)
-    found = 0
-    for i in range(query_count):
+    found, query_count = progress[FOUND], len(rank_of)
+    for i in range(progress[NEXT], query_count):
+        progress[NEXT], progress[FOUND] = i, found
         cell = cell_of_rank[rank_of[i]]
         x, y, z = cell % nx, (cell // nx) % ny, cell // (nx * ny)
         left, right = max(0, x - 1), min(nx - 1, x + 1)
@@ -230,8 +286,7 @@ def _list_neighbors(point, query_count, reach, period):
             base = (layer * ny + line) * nx
             begin, end = start[base + left], start[base + right + 1]
             if found + end - begin > len(query):
-                room = 2 * (len(query) + end - begin)
-                query, source = _enlarged(query, room), _enlarged(source, room)
+                return end - begin
             for other in range(begin, end):
                 dx = place[other, 0] - point[i, 0]
                 dy = place[other, 1] - point[i, 1]
@@ -240,12 +295,5 @@ def _list_neighbors(point, query_count, reach, period):
                     dy -= period * np.rint(dy / period)
                 query[found], source[found] = i, order[other] - query_count
                 found += order[other] >= query_count and dx * dx + dy * dy + dz * dz < reach * reach
-    return query[:found].copy(), source[:found].copy()
-
-
-@kernel
-def _enlarged(array, room):
-    larger = np.empty(room, array.dtype)
-    for k in range(len(array)):  # a slice would take longer to compile than all the rest
-        larger[k] = array[k]
-    return larger
+    progress[FOUND] = found
+    return 0

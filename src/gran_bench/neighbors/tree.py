@@ -5,11 +5,15 @@ A period L > 0 makes the y axis periodic: y lives in [−L/2, L/2) and distances
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gran_bench.state import FloatArray
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 IndexArray = NDArray[np.int64]
 
@@ -91,6 +95,8 @@ def wrapped(position: FloatArray, period: float) -> FloatArray:
 
 
 def _tree(position: FloatArray, period: float, reach: float) -> cKDTree:
+    from scipy.spatial import cKDTree  # a third of a second to load, and only a reference needs it
+
     check_period(period, reach)
     if period == 0:
         return cKDTree(position)

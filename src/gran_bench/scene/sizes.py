@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri
 
 from gran_bench.scene.errors import SceneError
 from gran_bench.state import FloatArray
@@ -83,6 +82,8 @@ class Sizes:
         elif self.kind == "uniform":
             factors = 1.0 + self.spread * (2.0 * share - 1.0)
         else:
+            from scipy.special import ndtri  # a fifth of a second to load, and no other kind of sizes needs it
+
             low, high = (0.5 * math.erfc(-z / math.sqrt(2.0)) for z in (-CUT, CUT))
             factors = np.exp(self.spread * ndtri(low + (high - low) * share))
         return rng.permutation(factors)
