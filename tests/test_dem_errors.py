@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from gran_bench.config import ContainerConfig, DemConfig, FillingConfig, SceneConfig
-from gran_bench.dem.integrate import Physics
+from gran_bench.dem import engine_numba, engine_numpy
+from gran_bench.dem.integrate import Divergence, Physics
 from gran_bench.dem.simulate import SimulationError, settle, simulate
 from gran_bench.dem.time_step import TimeStepError
+from gran_bench.dem.walls import wall_poses
 from gran_bench.scene import Plane, Rotation, Scene, SceneError, build_scene
 from gran_bench.state import ContactHistory, ParticleState, StateError
 
@@ -218,3 +220,12 @@ def test_a_period_too_short_for_the_spheres_is_refused():
     )
     with pytest.raises(ValueError, match="shorter than twice the reach"):
         settle(thin, 0)
+
+
+@pytest.mark.parametrize("engine", [engine_numba, engine_numpy])
+def test_a_speed_whose_square_is_no_number_is_a_divergence(scene, engine):
+    rest = at((0.0, 0.0, 0.0), (0.0, 0.0, 0.2))
+    state = replace(rest, velocity=np.array([[0.0, 0.0, 0.0], [1e200, 0.0, 0.0]]))
+    with pytest.raises(Divergence) as caught, np.errstate(all="ignore"):
+        engine.advance(state, Physics.of(scene, 0.025), 1e-4, wall_poses(scene, 0.0, 1e-4, 3))
+    assert (caught.value.particle, caught.value.steps) == (1, 0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gran_bench.neighbors import cell_pairs, list_pairs, tree_neighbors, tree_pairs
+from gran_bench.neighbors import cell_neighbors, cell_pairs, cells, list_pairs, tree_neighbors, tree_pairs
 
 
 def brute_force(position, reach, period):
@@ -64,6 +64,30 @@ def test_all_points_in_one_place_are_all_pairs():
     # More pairs than the first guess of the list's room.
     position = np.full((60, 3), 0.25)
     assert len(cell_pairs(position, 0.1)) == 60 * 59 // 2
+
+
+@pytest.mark.parametrize("period", [0.0, 1.0])
+def test_a_list_that_starts_with_too_little_room_grows_and_goes_on_where_it_was(monkeypatch, period):
+    rng = np.random.default_rng(4)
+    position, query = rng.uniform(-0.5, 0.5, (300, 3)), rng.uniform(-0.5, 0.5, (60, 3))
+    expected = cell_pairs(position, 0.2, period), *cell_neighbors(query, position, 0.2, period)
+    filled, calls = cells._filled, []
+
+    def from_one_place(dtype, room, fill):
+        return filled(dtype, 1, lambda *lists: calls.append(0) or fill(*lists))
+
+    monkeypatch.setattr(cells, "_filled", from_one_place)
+    found = cell_pairs(position, 0.2, period), *cell_neighbors(query, position, 0.2, period)
+    assert len(calls) > 6
+    for wanted, got in zip(expected, found, strict=True):
+        assert np.array_equal(wanted, got)
+
+
+@pytest.mark.parametrize("place", [np.nan, np.inf, 1e308])
+def test_positions_without_a_finite_span_are_refused(place):
+    position = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, place], [-place, 0.0, 0.0]])
+    with pytest.raises(ValueError, match="must be finite"):
+        cell_pairs(position, 0.1)
 
 
 def test_the_half_list_counts_distances_between_surfaces():

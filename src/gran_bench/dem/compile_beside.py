@@ -22,14 +22,17 @@ from gran_bench.dem.wall_contacts import wall_forces
 from gran_bench.dem.walls import COLUMNS
 
 
-def compile_share() -> None:
-    """Compiles pieces of the loop, in the order in which the caller comes to them, and then what makes lists.
+def compile_share(precision: str = "float64") -> None:
+    """Compiles pieces of the loop, those that take longest first, and then what makes lists.
 
     For arrays of the kinds that the engine has; the lists are made of two spheres.
+
+    Args:
+        precision: dtype that the contact laws are computed in.
     """
     rows, loads, numbers, margin = np.ones((4, 4)), np.zeros((1, 4, 4)), np.array([0, 2]), np.ones(2)
     bodies, load = (rows, rows, rows, rows, np.zeros(4, np.uint8)), (loads[0], loads[0])
-    places, buffer = np.zeros(2, np.uint32), np.zeros(BUFFER_SIZE)
+    places, buffer = np.zeros(2, np.uint32), np.zeros(BUFFER_SIZE, precision)
     histories, needs = (rows, rows, rows, rows), (True, True)
     for piece, *arguments in (
         (contact_laws, buffer, 0, *needs, 0.1),
@@ -56,7 +59,7 @@ def main() -> None:
 
     threading.Thread(target=end_with_the_caller, daemon=True).start()
     gc.disable()  # as the caller does, for the same reason
-    compile_share()
+    compile_share(*sys.argv[1:])
     os._exit(0)  # not the usual way, which cannot end while a thread reads
 
 

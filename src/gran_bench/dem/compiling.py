@@ -1,9 +1,9 @@
 """The first compilation of the fast engine, shared by two processes.
 
 Numba compiles one function at a time in a process, but what it compiled lies on disk for all. So while the caller
-compiles the loop of steps, a process beside it compiles pieces of that loop that come late in it, and what makes the
-lists. Whatever keeps that process from its work (one core, no cache, no interpreter to start), the caller finds nothing
-on disk and compiles it all.
+compiles the loop of steps, a process beside it compiles pieces of that loop, and most of what makes the lists. Whatever
+keeps that process from its work (one core, no cache, no interpreter to start), the caller finds nothing on disk and
+compiles it all.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numba
+import numpy as np
 
 import gran_bench
 from gran_bench.dem.contact_blocks import contact_laws
@@ -39,14 +40,17 @@ def on_disk(entry: Callable) -> bool:
 
 
 @contextmanager
-def compiled_beside() -> Iterator[None]:
+def compiled_beside(precision: type) -> Iterator[None]:
     """While the body compiles the loop of steps, another process compiles what is in ``PIECES`` and ``LISTS``.
 
     Only where that is worth it: with two cores, and where nothing of the loop is on disk.
+
+    Args:
+        precision: dtype that the contact laws are computed in.
     """
     beside, began = None, time.perf_counter()
     if numba.config.NUMBA_NUM_THREADS > 1 and not any(map(on_disk, (march, *PIECES))):
-        beside = _started()
+        beside = _started(np.dtype(precision).name)
     try:
         yield
         if beside is not None:
@@ -60,12 +64,12 @@ def compiled_beside() -> Iterator[None]:
             beside.stdin.close()
 
 
-def _started() -> subprocess.Popen | None:
+def _started(precision: str) -> subprocess.Popen | None:
     sources = str(Path(gran_bench.__file__).parent.parent)
     paths = [sources, *filter(None, [os.environ.get("PYTHONPATH")])]
     try:
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", "gran_bench.dem.compile_beside"],
+            [sys.executable, "-P", "-m", "gran_bench.dem.compile_beside", precision],
             stdin=subprocess.PIPE,  # closed when the caller is gone, however it went
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

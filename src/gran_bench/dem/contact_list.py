@@ -103,7 +103,8 @@ def sort_pairs(
 ):  # fmt: skip
     """A counting sort by second, then one by first, which keeps the order among equals.
 
-    Fills ``start``, ``pair_i``, ``pair_j`` and ``memory`` of :func:`sorted_pairs`; all but the pairs come as zeros.
+    Fills ``start``, ``pair_i``, ``pair_j`` and ``memory`` of :func:`sorted_pairs`. ``start``, ``memory`` and
+    ``of_second``, the place of the next pair of each second, come as zeros.
     """
     pairs, firsts = len(first), len(start) - 2
     for p in range(pairs):

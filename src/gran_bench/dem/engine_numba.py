@@ -63,9 +63,14 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
     """
     if state.count == 0:
         return state
+    # Lists have room for displacements in proportion to speeds, so these must be numbers before any are made.
+    velocity = np.asarray(state.velocity, np.float64)
+    wild = np.flatnonzero(~np.isfinite(np.einsum("nk,nk->n", velocity, velocity)))
+    if len(wild):
+        raise Divergence(int(wild[0]), 0, state.position, state.velocity, state.angular_velocity)
     stretch = _Stretch(state, physics, time_step, walls)
     if not march.overloads:
-        with compiled_beside():
+        with compiled_beside(stretch.precision):
             stretch.begin()
             stretch.compile()
     else:
@@ -95,6 +100,7 @@ class _Stretch:
         )
         self._radius, self._material = np.asarray(state.radius, np.float64), np.asarray(state.material, np.uint8)
         self._history = state.history
+        self.precision = np.float32 if physics.single_precision else np.float64
         self._physics, self._walls = physics, np.array(walls, np.float64, order="C")
         self._bounds = chunk_bounds(state.count)
         chunks = len(self._bounds) - 1
@@ -142,7 +148,7 @@ class _Stretch:
                 return culprit, int(progress[DONE]), known
 
     def compile(self) -> None:
-        """Compiles what is called after lists are made, with arrays of their kinds in the place of them."""
+        """Compiles the loop of steps, and before it what it shares with the lists, with arrays of their kinds."""
         row, place, number = np.ones((1, 4)), np.zeros(1, np.uint32), np.zeros(1, np.int64)
         histories, margin = np.zeros((2, 1, 4)), np.zeros(1)
         bodies = Bodies(number, number, row, row, row, row, np.zeros(1, np.uint8))
@@ -152,14 +158,13 @@ class _Stretch:
             *(margin, margin),
         )
         arguments = self._of_march(0, np.zeros(4, np.int64), bodies, lists, self._room(row, row, 1, lists, 0))
-        # What the loop shares with the lists comes first: meanwhile, the process beside gets ahead.
+        # First what else needs a wall's distance: meanwhile, the process beside gets ahead.
         near = row, number, 0, 1, row, margin, margin, place[None], place, place, place, number
         list_near.compile(tuple(map(numba.typeof, near)))
         march.compile(tuple(map(numba.typeof, arguments)))
 
     def _room(self, sphere: FloatArray, velocity: FloatArray, chunks: int, lists: Lists, evaluation: int) -> tuple:
         """What a thread with so many chunks keeps while its lists live; they know what touched in ``evaluation``."""
-        precision = np.float32 if self._physics.single_precision else np.float64
         pairs, walls = lists.slot.shape[1], lists.wall_slot.shape[1]
         inner = np.empty((4, pairs), np.uint32)
         inner[:, 0] = 0
@@ -170,7 +175,7 @@ class _Stretch:
         return (
             sphere.copy(), np.empty_like(sphere), inner, np.empty((2, pairs), np.uint32), on_walls, _zeros(walls, 4),
             np.ones(chunks + 1, np.int64),
-            *(block_buffer(buffer, *constants) for buffer in _zeros(2, BUFFER_SIZE, dtype=precision)),
+            *(block_buffer(buffer, *constants) for buffer in _zeros(2, BUFFER_SIZE, dtype=self.precision)),
         )  # fmt: skip
 
     def _of_march(self, thread: int, progress: np.ndarray, bodies: Bodies, lists: Lists, room: tuple) -> tuple:

@@ -1,4 +1,4 @@
-"""How the pieces of the fast engine are jitted, and the arrays that they ask for."""
+"""How the pieces of the fast engine are jitted."""
 
 from __future__ import annotations
 

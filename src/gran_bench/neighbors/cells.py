@@ -76,7 +76,7 @@ def bin_cells(sphere: FloatArray, edge: float, period: float) -> tuple[IndexArra
         and the ``(3,)`` numbers of cells along x, y and z.
 
     Raises:
-        ValueError: a coordinate that is not finite.
+        ValueError: a coordinate or a size that is not finite, or a reach of nothing.
     """
     count, (low, width, cells) = len(sphere), _grid(sphere, edge, period)
     order, cell_of, cell_of_rank = np.empty((3, count), np.int64)
@@ -89,11 +89,13 @@ def _grid(sphere: FloatArray, edge: float, period: float) -> tuple[FloatArray, F
     """Lowest corner, width and number of the cells along x, y and z."""
     low = [float(sphere[:, axis].min()) for axis in range(3)]
     high = [float(sphere[:, axis].max()) for axis in range(3)]
-    if not all(map(math.isfinite, (*low, *high))):
-        raise ValueError("a coordinate is not finite; neighbours are defined for finite positions alone")
     if period > 0.0:
         high[1] = low[1] + period  # one period holds all, wherever it starts
     span = [top - bottom for top, bottom in zip(high, low, strict=True)]
+    if not (0.0 < edge < math.inf and all(math.isfinite(side / edge) for side in span)):
+        raise ValueError(
+            f"positions that span {span} m have no cells of {edge:g} m; all must be finite, and the reach above zero"
+        )
     # A few particles far out must not make more cells than particles can fill.
     budget, scale = 4 * len(sphere) + 4096, edge
     while math.prod(max(1, math.floor(side / scale)) for side in span) > budget:
@@ -142,7 +144,7 @@ def list_pairs(
         begin, end: only pairs whose first is in ``begin … end − 1``; all where ``end`` is negative.
 
     Raises:
-        ValueError: a coordinate that is not finite.
+        ValueError: a coordinate or a size that is not finite, or a reach of nothing.
     """
     count = len(sphere)
     if count < 2:
@@ -159,9 +161,17 @@ def _filled(dtype: type, room: int, fill: Callable[..., int]) -> tuple[np.ndarra
     """Two arrays of what ``fill`` finds; it is called again, with more room, as long as it says how much it lacks."""
     progress, first, second = np.zeros(2, np.int64), np.empty(room, dtype), np.empty(room, dtype)
     while lack := fill(progress, first, second):
-        first, second = (np.resize(part, 2 * (len(part) + lack)) for part in (first, second))
+        first, second = (_enlarged(part, 2 * (room + lack), progress[FOUND]) for part in (first, second))
+        room = len(first)
     found = progress[FOUND]
     return first[:found].copy(), second[:found].copy()
+
+
+def _enlarged(array: np.ndarray, room: int, kept: int) -> np.ndarray:
+    """More room; what is never touched costs nothing, however much a crowded cell asks for."""
+    larger = np.empty(room, array.dtype)
+    larger[:kept] = array[:kept]
+    return larger
 
 
 @entry
