@@ -26,16 +26,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
+from gran_bench.dem.prediction import PREDICTION_FADE
 from gran_bench.scene import Material
 from gran_bench.state import FloatArray
 
 # Contact time of an elastic Hertzian impact in units of δmax/v: 2.94 in every textbook, 4/5 √π Γ(2/5)/Γ(9/10) exactly.
 CONTACT_TIME_FACTOR = 0.8 * math.sqrt(math.pi) * math.gamma(0.4) / math.gamma(0.9)
-
-# A predicted velocity in the damping halves the step up to which damping is stable. So the prediction fades out as
-# the drag γΔt/m* of a contact nears a third, which three and more contacts of a sphere in a bed make one.
-PREDICTION_FADE = 3.0
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ def contact_force(
         effective_mass: ``(M,)`` m*, kg.
         velocity: ``(M, 3)`` of the first centre relative to the second centre (or to the wall's point), m/s.
         velocity_gain: ``(M, 3)`` what that velocity still gains until the end of the step, m/s; the damping of the
-            normal force counts it in, faded out by PREDICTION_FADE.
+            normal force counts it in (prediction.py).
         surface_spin: ``(M, 3)`` Σ lever arm × ω of both, m/s; its cross product with n adds to the slip.
         history: ``(M, 3)`` elastic tangential force on the first, N.
         overlap_before: ``(M,)`` overlap when it was stored, m; 0 for a new contact.
@@ -177,8 +176,6 @@ def restitution_of(damping: float) -> float:
 
     Source: Antypov & Elliott (2011), EPL 94, 50004, eq. 8, whose closed form of α(e) holds with the tail.
     """
-    from scipy.integrate import solve_ivp  # a tenth of a second to load, which a process that only compiles can spare
-
     if damping == 0.0:
         return 1.0
 
@@ -212,8 +209,6 @@ def damping_coefficient(restitution: float) -> float:
         raise ValueError(f"restitution={restitution:g} is impossible; choose a value in (0, 1]")
     if restitution == 1.0:
         return 0.0
-    from scipy.optimize import brentq  # as above
-
     upper = 1.0
     while restitution_of(upper) > restitution:
         upper *= 2.0

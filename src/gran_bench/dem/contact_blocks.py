@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
-from gran_bench.dem.contact import PREDICTION_FADE
 from gran_bench.dem.contact_list import overlapping
 from gran_bench.dem.kernel import kernel, shared
+from gran_bench.dem.prediction import PREDICTION_FADE
 from gran_bench.dem.rows import (
     BLOCK,
     four_from,
