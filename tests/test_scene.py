@@ -152,11 +152,11 @@ def test_shares_that_do_not_divide_are_given_to_the_largest_remainders():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"kind": "normal"}, "choose one, listed"),
+        ({"kind": "normal"}, "choose one or listed"),
         ({"kind": "listed"}, "give values > 0"),
         ({"kind": "listed", "factors": (1.0, 2.0), "fractions": (0.5, 0.4)}, "sum to 1"),
-        ({"kind": "listed", "factors": (1.0, -1.0), "fractions": (0.5, 0.5)}, "give values > 0"),
-        ({"kind": "uniform", "spread": 1.0}, r"in \(0, 1\)"),
+        ({"kind": "listed", "factors": (1.0, -1.0), "fractions": (0.5, 0.5)}, "choose a value > 0"),
+        ({"kind": "uniform", "spread": 1.0}, r"in \[0, 1\)"),
         ({"kind": "uniform"}, r"in \(0, 1\)"),
         ({"spread": 0.1}, "kind=uniform or lognormal"),
         ({"factors": (1.0,)}, "kind=listed"),

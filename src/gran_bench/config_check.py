@@ -6,20 +6,17 @@ model schemas and does not know the nearest right key; so the reading is done he
 
 from __future__ import annotations
 
-import types
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING as NO_DEFAULT
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from difflib import SequenceMatcher
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar
 
 from gran_bench.config import CONTAINER_SCHEMAS, MISSING, MODEL_SCHEMAS, SceneConfig
 from gran_bench.config_consistency import check_consistency
-from gran_bench.config_rules import ConfigError, hold_values
+from gran_bench.config_rules import ConfigError, checked, hints_of, is_optional, recheck, sections_of, shown
 
 Config = TypeVar("Config")
-
-TYPE_WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "a word"}
 
 
 def read_config(schema: type[Config], values: Mapping[str, Any]) -> Config:
@@ -32,7 +29,7 @@ def read_config(schema: type[Config], values: Mapping[str, Any]) -> Config:
     Raises:
         ConfigError: an unknown key (with the nearest right one), a wrong type, a missing or an illegal value.
     """
-    config = _read_section(schema, values, "", schema)
+    config = _read_section(schema, values, schema.place, schema)
     validate(config)
     return config
 
@@ -43,16 +40,16 @@ def validate(config: Any) -> None:
     Raises:
         ConfigError: names the dotted key, the value and what is legal.
     """
-    hold_values(config)
+    recheck(config)
     check_consistency(config)
 
 
 def dotted_keys(schema: type, path: str = "") -> Iterator[str]:
     """Every key of a schema in dotted form, sections included; a union gives the keys of all its members."""
-    for name, hint in get_type_hints(schema).items():
+    for name, hint in hints_of(schema).items():
         yield path + name
         seen: set[str] = set()
-        for member in _dataclasses_of(hint):
+        for member in sections_of(hint):
             new = [key for key in dotted_keys(member, f"{path}{name}.") if key not in seen]
             seen.update(new)
             yield from new
@@ -84,7 +81,7 @@ def unknown_key(key: str, value: Any, schema: type, present: list[str] | None = 
         schema: of the whole config.
         present: the keys that are legal in its place where that is known; None: all of the schema.
     """
-    everywhere = list(dotted_keys(schema))
+    everywhere = list(dotted_keys(schema, schema.place))
     keys = everywhere if present is None else present
     shown = f"{key}={value}"
     place, _, name = key.rpartition(".")
@@ -93,7 +90,7 @@ def unknown_key(key: str, value: Any, schema: type, present: list[str] | None = 
         ("scene.container", "scene.container.kind", CONTAINER_SCHEMAS),
     ):
         if place == section and key in everywhere:
-            owners = " or ".join(owner for owner, its in schemas.items() if name in get_type_hints(its))
+            owners = " or ".join(owner for owner, its in schemas.items() if name in hints_of(its))
             what = section.rpartition(".")[2]
             return ConfigError(f"{shown}: the chosen {what} has no such key; it belongs to {choice}={owners}")
     if key in everywhere:
@@ -101,21 +98,21 @@ def unknown_key(key: str, value: Any, schema: type, present: list[str] | None = 
     guess = nearest_key(key, keys) or nearest_key(key, everywhere)
     if guess is not None:
         return ConfigError(f"{shown}: no such key; did you mean {guess}?")
-    top = ", ".join(name for name in get_type_hints(schema))
+    top = ", ".join(name for name in hints_of(schema))
     return ConfigError(f"{shown}: no such key; the sections and keys are {top}")
 
 
 def _read_section(schema: type, values: Any, path: str, root: type) -> Any:
     if not isinstance(values, Mapping):
-        names = ", ".join(get_type_hints(schema))
-        raise ConfigError(f"{path[:-1]}={values} is no section; give it the keys {names}")
+        names = ", ".join(hints_of(schema))
+        raise ConfigError(f"{path[:-1] or 'the config'}={shown(values)} is no section; give it the keys {names}")
     if schema is SceneConfig:
         values = _with_whole_materials(values)
-    hints = get_type_hints(schema)
+    hints = hints_of(schema)
     for name in values:
         if name not in hints:
             raise unknown_key(f"{path}{name}", values[name], root, [path + hint for hint in hints])
-    given = {name: _read(hints[name], values[name], path + name, root) for name in values}
+    given = {name: _read(schema, name, values[name], path, root) for name in values}
     for entry in fields(schema):
         has_default = entry.default is not NO_DEFAULT or entry.default_factory is not NO_DEFAULT
         if (entry.name not in given and not has_default) or given.get(entry.name, entry.default) == MISSING:
@@ -132,27 +129,12 @@ def _with_whole_materials(scene: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**scene, **{name: {**material, **m} for name, m in further.items() if isinstance(m, Mapping)}}
 
 
-def _read(hint: Any, value: Any, key: str, root: type) -> Any:
-    members = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
-    if value is None and type(None) in members:
-        return None
-    sections = list(_dataclasses_of(hint))
-    if sections:
-        return _read_section(_section_of(sections, value, key), value, f"{key}.", root)
-    (kind,) = [member for member in members if member is not type(None)]
-    if get_origin(kind) is list:
-        if not isinstance(value, list | tuple):
-            raise ConfigError(f"{key}={value} is no list; write {key}=[{value}]")
-        if get_origin(get_args(kind)[0]) is list and any(not isinstance(row, list | tuple) for row in value):
-            raise ConfigError(f"{key}={value} is no list of vectors; write {key}=[[x, y, z]]")
-        return [_read(get_args(kind)[0], element, f"{key}[{i}]", root) for i, element in enumerate(value)]
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    # bool is an int to Python, but not to a person: only an exact type will do.
-    if type(value) is not kind:
-        shown = "null" if value is None else str(value).lower() if isinstance(value, bool) else value
-        raise ConfigError(f"{key}={shown} has the wrong type; give {TYPE_WORDS[kind]}")
-    return value
+def _read(schema: type, name: str, value: Any, path: str, root: type) -> Any:
+    hint, key = hints_of(schema)[name], path + name
+    sections = list(sections_of(hint))
+    if not sections or (value is None and is_optional(hint)):
+        return checked(schema, name, value, path)
+    return _read_section(_section_of(sections, value, key), value, f"{key}.", root)
 
 
 def _section_of(sections: list[type], value: Any, key: str) -> type:
@@ -169,8 +151,3 @@ def _section_of(sections: list[type], value: Any, key: str) -> type:
         meant = f"did you mean {guess}?" if guess else f"choose {' or '.join(schemas)}"
         raise ConfigError(f"{key}.{chooser}={name}: no such {what}; {meant}")
     return schemas[name]
-
-
-def _dataclasses_of(hint: Any) -> Iterator[type]:
-    members = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
-    yield from (member for member in members if is_dataclass(member))

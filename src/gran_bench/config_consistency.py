@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
+from typing import Any
 
 from gran_bench.config import (
     BenchmarkConfig,
@@ -16,7 +18,7 @@ from gran_bench.config import (
     TrainConfig,
 )
 from gran_bench.config_choices import check_choices
-from gran_bench.config_rules import ConfigError
+from gran_bench.config_rules import ConfigError, shown
 
 # What rooms further on can do, said here because a config is refused before they are loaded; a test holds them equal.
 FUSED_SIZES = (16, 4)  # model.hidden and model.channels that the contact network's kernel is compiled for
@@ -54,13 +56,44 @@ def _require(holds: bool, message: str) -> None:
 
 
 def _check_scene(scene: SceneConfig) -> None:
-    times, speeds, filling = scene.rotation.times, scene.rotation.speeds_rpm, scene.filling
-    _require(len(scene.gravity) == 3, f"scene.gravity={scene.gravity} is no vector; give three components, m/s²")
-    _require(
-        len(times) == len(speeds) > 0,
-        f"scene.rotation.speeds_rpm={speeds} does not match scene.rotation.times={times}; give one speed for each time",
+    filling = scene.filling
+    _require(len(scene.gravity) == 3, f"scene.gravity={scene.gravity} is no vector; give three components")
+    check_schedule(
+        scene.rotation.times, scene.rotation.speeds_rpm, "scene.rotation.speeds_rpm", "scene.rotation.times"
     )
-    _require(times == sorted(times), f"scene.rotation.times={times} goes back in time; sort it")
+    check_span(scene)
+    check_filling(filling)
+    if scene.container.kind != "none":
+        for name in ("diameter", "width", "length", "height", "orifice"):
+            room = getattr(scene.container, name, filling.diameter * 2.0)
+            _require(
+                filling.diameter < room,
+                f"scene.filling.diameter={filling.diameter:g} does not fit into scene.container.{name}={room:g}; "
+                "choose smaller spheres",
+            )
+    _check_materials(scene)
+
+
+def check_schedule(times: Sequence[float], rates: Sequence, rates_name: str, times_name: str) -> None:
+    """Refuse a schedule without knots, without one rate for each, or whose times go back.
+
+    Raises:
+        ConfigError: names the key, its values and the remedy.
+    """
+    times, rates = list(times), list(rates)
+    _require(
+        len(times) == len(rates) > 0,
+        f"{rates_name}={shown(rates)} does not match {times_name}={shown(times)}; give one speed for each time",
+    )
+    _require(times == sorted(times), f"{times_name}={shown(times)} goes back in time; sort it")
+
+
+def check_span(scene: Any) -> None:
+    """Refuse a scene, or the config of one, whose span is no whole number of frames.
+
+    Raises:
+        ConfigError: names the key, its value and the remedy.
+    """
     span = scene.end_time - scene.start_time
     _require(
         span > 0, f"scene.end_time={scene.end_time:g} is not after scene.start_time={scene.start_time:g}; choose more"
@@ -71,25 +104,20 @@ def _check_scene(scene: SceneConfig) -> None:
         f"scene.frame_interval={scene.frame_interval:g} does not divide the {span:g} s from scene.start_time to "
         "scene.end_time into whole frames; change one of the three",
     )
+
+
+def check_filling(filling: Any) -> None:
+    """Refuse a filling, or the config of one, whose spheres overlap or are not all placed.
+
+    Raises:
+        ConfigError: names the key, its value and the remedy.
+    """
     largest = (filling.lattice_spacing - 1.0) / 2.0
     _require(
         filling.jitter <= largest + 1e-12,
         f"scene.filling.jitter={filling.jitter:g} lets spheres overlap at a spacing of "
         f"{filling.lattice_spacing:g} diameters; choose at most {largest:.3g}",
     )
-    if scene.container.kind != "none":
-        for name in ("diameter", "width", "length", "height", "orifice"):
-            room = getattr(scene.container, name, filling.diameter * 2.0)
-            _require(
-                filling.diameter < room,
-                f"scene.filling.diameter={filling.diameter:g} does not fit into scene.container.{name}={room:g}; "
-                "choose smaller spheres",
-            )
-    _check_filling(scene)
-
-
-def _check_filling(scene: SceneConfig) -> None:
-    filling = scene.filling
     for name in ("positions", "velocities", "spins"):
         rows = getattr(filling, name)
         _require(
@@ -97,6 +125,10 @@ def _check_filling(scene: SceneConfig) -> None:
             f"scene.filling.{name} does not give three numbers for each of scene.filling.count={filling.count} "
             "spheres; give them, or [] for none",
         )
+
+
+def _check_materials(scene: SceneConfig) -> None:
+    filling = scene.filling
     _require(
         scene.second_material is not None or filling.second_fraction == 0,
         f"scene.filling.second_fraction={filling.second_fraction:g} needs a second material; describe it "

@@ -1,40 +1,21 @@
-"""Which values each config key may take by itself; `config_consistency` says which fit together."""
+"""What a config key may hold, and sections that hold every value against its key.
+
+The same table serves the command line, a config that is made in Python, and the parts of a scene.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Any
+import os
+import sys
+import types
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
-from gran_bench.config import (
-    BenchmarkConfig,
-    BoundaryConfig,
-    BoxConfig,
-    CconvModelConfig,
-    ContactModelConfig,
-    ContainerConfig,
-    DatasetConfig,
-    DemConfig,
-    EvaluateConfig,
-    FillingConfig,
-    GenerateConfig,
-    HopperConfig,
-    JudgeConfig,
-    LossConfig,
-    MaterialConfig,
-    MixedConfig,
-    OptimConfig,
-    ProfileConfig,
-    RolloutConfig,
-    RotationConfig,
-    SceneConfig,
-    SizesConfig,
-    StressConfig,
-    TrackingConfig,
-    TrainConfig,
-    TrainerConfig,
-    UiConfig,
-)
+TYPE_WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "a word"}
+LONGEST_SHOWN = 80  # characters of a refused value
 
 
 class ConfigError(ValueError):
@@ -55,14 +36,14 @@ class Range:
         """Whether ``value`` is a finite number of the interval."""
         above = value > self.low if self.open_low else value >= self.low
         below = value < self.high if self.open_high else value <= self.high
-        return math.isfinite(value) and above and below
+        return abs(value) < math.inf and above and below
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
         if math.isinf(self.high):
             if math.isinf(self.low):
                 return f"a finite value{unit and ' in' + unit}"
-            return f"a finite value {'>' if self.open_low else '≥'} {self.low:g}{unit}"
+            return f"a value {'>' if self.open_low else '≥'} {self.low:g}{unit}"
         left, right = "(" if self.open_low else "[", ")" if self.open_high else "]"
         return f"a value in {left}{self.low:g}, {self.high:g}{right}{unit}"
 
@@ -81,31 +62,7 @@ class OneOf:
         return " or ".join(self.words)
 
 
-@dataclass(frozen=True)
-class Text:
-    """Any word but the empty one."""
-
-    def holds(self, value: str) -> bool:
-        """Whether ``value`` says anything."""
-        return bool(value.strip())
-
-    def __str__(self) -> str:
-        return "a word"
-
-
-@dataclass(frozen=True)
-class Switch:
-    """true or false: the type is the whole rule."""
-
-    def holds(self, value: bool) -> bool:
-        """Always: the type was checked on reading."""
-        return isinstance(value, bool)
-
-    def __str__(self) -> str:
-        return "true or false"
-
-
-Rule = Range | OneOf | Text | Switch
+Rule = Range | OneOf
 
 
 def positive(unit: str = "") -> Range:
@@ -118,249 +75,153 @@ def at_least(low: float, unit: str = "") -> Range:
     return Range(low, unit=unit)
 
 
-FRACTION = Range(0.0, 1.0)
-BACKEND = OneOf(("fused", "torch"))
-FRAME_WEIGHTS = OneOf(("uniform", "discounted", "inverse", "rising"))
-
-# The rule of a list holds for each of its elements; null, where the schema allows it, needs none.
-RULES: dict[type, dict[str, Rule]] = {
-    MaterialConfig: {
-        "youngs_modulus": positive("Pa"),
-        "poisson_ratio": Range(-1.0, 0.5, open_low=True, open_high=True),
-        "density": positive("kg/m³"),
-        "restitution": Range(0.0, 1.0, open_low=True),
-        "friction": at_least(0),
-        "rolling_friction": at_least(0),
-    },
-    ContainerConfig: {
-        "kind": OneOf(("drum", "none")),
-        "diameter": positive("m"),
-        "length": positive("m"),
-        "periodic_axis": Switch(),
-    },
-    BoxConfig: {
-        "kind": OneOf(("box",)),
-        "width": positive("m"),
-        "length": positive("m"),
-        "height": positive("m"),
-    },
-    HopperConfig: {
-        "kind": OneOf(("hopper",)),
-        "diameter": positive("m"),
-        "height": positive("m"),
-        "half_angle_deg": Range(0.0, 90.0, open_low=True, open_high=True, unit="degrees"),
-        "orifice": positive("m"),
-        "outlet_depth": positive("m"),
-    },
-    SizesConfig: {
-        "kind": OneOf(("one", "listed", "uniform", "lognormal")),
-        "factors": positive(),
-        "fractions": FRACTION,
-        "spread": Range(0.0, 1.0, open_high=True),
-    },
-    MixedConfig: {
-        "restitution": Range(0.0, 1.0, open_low=True),
-        "friction": at_least(0),
-        "rolling_friction": at_least(0),
-    },
-    FillingConfig: {
-        "count": at_least(0),
-        "diameter": positive("m"),
-        "lattice_spacing": at_least(1, "diameters"),
-        "jitter": at_least(0, "diameters"),
-        "settled_speed": positive("m/s"),
-        "longest_settling": positive("s"),
-        "settles": Switch(),
-        "second_fraction": FRACTION,
-        "positions": Range(unit="m"),
-        "velocities": Range(unit="m/s"),
-        "spins": Range(unit="rad/s"),
-        "expansion": Range(unit="1/s"),
-    },
-    RotationConfig: {"times": Range(unit="s"), "speeds_rpm": Range(unit="rpm")},
-    SceneConfig: {
-        "name": Text(),
-        "gravity": Range(unit="m/s²"),
-        "start_time": at_least(0, "s"),
-        "end_time": positive("s"),
-        "frame_interval": positive("s"),
-    },
-    DemConfig: {
-        "engine": OneOf(("numba", "numpy")),
-        "time_step": positive("s"),
-        "skin": positive("m"),
-        "threads": at_least(1),
-        "precision": OneOf(("float64", "float32")),
-        "slip": OneOf(("contact_point", "full_radius")),
-        "allow_unsafe_step": Switch(),
-    },
-    DatasetConfig: {
-        "root": Text(),
-        "training_speeds_rpm": at_least(0, "rpm"),
-        "validation_speeds_rpm": at_least(0, "rpm"),
-        "holdout_speeds_rpm": at_least(0, "rpm"),
-        "packing_seed": at_least(0),
-        "unseen_packing_seed": at_least(0),
-        "replicas": at_least(2),  # a floor is a mean over pairs of replicas
-        "workers": at_least(1),
-    },
-    ContactModelConfig: {
-        "name": OneOf(("contact",)),
-        "iterations": at_least(1),
-        "hidden": at_least(1),
-        "channels": at_least(1),
-        "radius": positive("m"),
-        "wall_reach": positive("m"),
-        "memory": Switch(),
-        "velocity": OneOf(("mean", "instantaneous")),
-        "backend": BACKEND,
-    },
-    CconvModelConfig: {
-        "name": OneOf(("ccnn", "radial")),
-        "kernel": OneOf(("lattice", "radial")),
-        "kernel_size": at_least(2),
-        "width": at_least(2),
-        "layers": at_least(1),
-        "radius": positive("m"),
-        "constant_input": Switch(),
-        "residual": Switch(),
-        "output_scale": positive("m per frame²"),
-        "update": OneOf(("mean", "trapezoid")),
-        "backend": BACKEND,
-    },
-    BoundaryConfig: {
-        "kind": OneOf(("none", "spheres", "analytic", "own")),
-        "spacing": positive("diameters"),
-        "normal": Switch(),
-        "velocity": Switch(),
-    },
-    LossConfig: {
-        "position_l2": at_least(0),
-        "position_mse": at_least(0),
-        "huber": at_least(0),
-        "velocity": at_least(0),
-        "acceleration": at_least(0),
-        "spin": at_least(0),
-        "overlap": at_least(0),
-        "momentum": at_least(0),
-        "cell_displacement": at_least(0),
-        "center_of_mass": at_least(0),
-        "energy": at_least(0),
-        "speed_distribution": at_least(0),
-        "frame_weights": FRAME_WEIGHTS,
-        "spin_frame_weights": FRAME_WEIGHTS,
-        "discount": Range(0.0, 1.0, open_low=True),
-    },
-    RolloutConfig: {
-        "frames": at_least(1),
-        "final_frames": at_least(1),
-        "final_from": FRACTION,
-        "growth": OneOf(("jump", "linear")),
-        "gradient_through_time": Switch(),
-        "noise": at_least(0, "m"),
-        "independent_noise": Switch(),
-        "mirror": Switch(),
-    },
-    OptimConfig: {
-        "learning_rate": positive(),
-        "final_learning_rate": positive(),
-        "schedule": OneOf(("steps", "cosine", "constant")),
-        "decay_steps": at_least(1),
-        "warmup_steps": at_least(0),
-        "accumulate": at_least(1),
-        "gradient_clip": positive(),
-        "weight_average": Range(0.0, 1.0, open_high=True),
-    },
-    TrainerConfig: {
-        "budget": OneOf(("steps", "time")),
-        "steps": at_least(1),
-        "minutes": positive("minutes"),
-        "checkpoint_every": positive("s"),
-        "checkpoint_steps": at_least(1),
-        "log_every": at_least(1),
-        "startup_fraction": FRACTION,
-        "startup_seconds": positive("s"),
-    },
-    JudgeConfig: {
-        "speeds_rpm": at_least(0, "rpm"),
-        "unseen_packing": Switch(),
-        "short_horizon_starts": at_least(1),
-        "gif": Switch(),
-    },
-    TrackingConfig: {
-        "experiment": Text(),
-        "root": Text(),
-        "folder": Text(),
-        "sweep": Text(),
-        "parent": Text(),
-        "enabled": Switch(),
-    },
-    TrainConfig: {
-        "experiment": Text(),
-        "seed": at_least(0),
-        "device": OneOf(("auto", "cpu", "cuda")),
-        "threads": at_least(1),
-    },
-    GenerateConfig: {},
-    EvaluateConfig: {"checkpoint": Text(), "device": OneOf(("auto", "cpu", "cuda"))},
-    ProfileConfig: {
-        "name": Text(),
-        "rounds": at_least(1),
-        "judged_rounds": at_least(1),
-        "step_multiples": positive("automatic steps"),
-        "single_multiples": positive("automatic steps"),
-        "soft_moduli": positive("Pa"),
-        "soft_multiples": positive("automatic steps"),
-        "numpy_frames": at_least(0),
-        "stiffness": positive("Pa"),
-        "counts": at_least(1),
-        "study_frames": at_least(1),
-        "study_rounds": at_least(1),
-    },
-    BenchmarkConfig: {"models": Text(), "seed": at_least(0), "measure": Switch(), "root": Text()},
-    UiConfig: {"port": Range(1, 65535)},
-    StressConfig: {
-        "profile": OneOf(("full", "short")),
-        "cases": Text(),
-        "case_list": Text(),
-        "checkpoint": Text(),
-        "also": Text(),
-        "workers": at_least(1),
-        "patience": positive("s"),
-        "output": Text(),
-    },
-}
+def between(low: float, high: float, unit: str = "") -> Range:
+    """From ``low`` to ``high`` without the ends, in ``unit``."""
+    return Range(low, high, open_low=True, open_high=True, unit=unit)
 
 
-def hold_values(config: Any, path: str = "") -> None:
-    """Hold every value of a config, or of a section of it, against its own rule.
+def one_of(*words: str) -> OneOf:
+    """One of the words."""
+    return OneOf(words)
 
-    Args:
-        config: a dataclass of ``gran_bench.config``.
-        path: dotted, of the section, with a dot at its end.
+
+def key(default: Any, rule: Rule) -> Any:
+    """A key of a section: its default and its rule. The rule of a list holds for each of its elements."""
+    if isinstance(default, list):
+        return field(default_factory=default.copy, metadata={"rule": rule})
+    return field(default=default, metadata={"rule": rule})
+
+
+class Section:
+    """A section of a config: what is put into a key is held against the key's type and rule at once.
+
+    A word without a rule may be any but the empty one. Tuples, arrays and NumPy's numbers become lists and plain
+    numbers, so that a config made in Python is the one that a command line would have made.
 
     Raises:
         ConfigError: names the dotted key, the value and what is legal.
     """
-    rules = RULES.get(type(config), {})
+
+    place = ""  # where the section stands in a whole config, dotted, with a dot at its end
+
+    def __init_subclass__(cls, place: str = "") -> None:
+        super().__init_subclass__()
+        cls.place = place and f"{place}."
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, checked(type(self), name, value))
+
+
+def checked(schema: type[Section], name: str, value: Any, place: str | None = None) -> Any:
+    """``value`` as the key ``name`` of a section holds it.
+
+    Args:
+        schema: the section's class, which has the rule.
+        name: of the key.
+        value: to hold against it.
+        place: of the section, dotted, with a dot at its end; None: where sections of its class stand.
+
+    Raises:
+        ConfigError: an unknown key, a wrong type or a value outside the rule.
+    """
+    dotted, hints = (schema.place if place is None else place) + name, hints_of(schema)
+    if name not in hints:
+        raise ConfigError(f"{dotted}={shown(value)}: no such key; the keys are {', '.join(hints)}")
+    return checked_value(hints[name], schema.__dataclass_fields__[name].metadata.get("rule"), value, dotted)
+
+
+def checked_value(hint: Any, rule: Rule | None, value: Any, dotted: str) -> Any:
+    """``value`` as a key of type ``hint`` holds it.
+
+    Args:
+        hint: bool, int, float, str, a list or a tuple of them, or classes; perhaps or None.
+        rule: of a number or a word, or of each in a list; a number without a rule is finite.
+        value: to hold against both.
+        dotted: the key's name for the message.
+
+    Raises:
+        ConfigError: a wrong type or a value outside the rule.
+    """
+    if value is None and is_optional(hint):
+        return None
+    or_null = ", or null" if is_optional(hint) else ""
+    kinds = tuple(member for member in members_of(hint) if member is not type(None))
+    kind = kinds[0]
+    if not _is_list(kind) and kind not in TYPE_WORDS:
+        if not isinstance(value, kinds):
+            wanted = " or ".join(each.__name__ for each in kinds)
+            raise ConfigError(f"{dotted}={shown(value)} has the wrong type; give a {wanted}{or_null}")
+        return value
+    if hasattr(value, "tolist"):  # of NumPy or torch
+        value = value.tolist()
+    if _is_list(kind):
+        return _checked_list(kind, rule, value, dotted)
+    if kind is float and type(value) is int:
+        value = float(value) if abs(value) <= sys.float_info.max else math.copysign(math.inf, value)
+    elif kind is str and isinstance(value, os.PathLike):
+        value = os.fspath(value)
+    # bool is an int to Python, but not to a person: only an exact type will do.
+    if type(value) is not kind:
+        raise ConfigError(f"{dotted}={shown(value)} has the wrong type; give {TYPE_WORDS[kind]}{or_null}")
+    if rule is None and kind in (int, float):
+        rule = Range()
+    if not (rule.holds(value) if rule else kind is not str or value.strip()):
+        raise ConfigError(f"{dotted}={shown(value)} is impossible; choose {rule or TYPE_WORDS[kind]}{or_null}")
+    return value
+
+
+def _is_list(hint: Any) -> bool:
+    return get_origin(hint) in (list, tuple)
+
+
+def _checked_list(kind: Any, rule: Rule | None, value: Any, dotted: str) -> Any:
+    """A list or a tuple; a tuple of a given length is a vector (x, y, z)."""
+    elements = get_args(kind)
+    if not isinstance(value, list | tuple):
+        raise ConfigError(f"{dotted}={shown(value)} is no list; write {dotted}=[{shown(value)}]")
+    if _is_list(elements[0]) and not all(isinstance(row, list | tuple) or hasattr(row, "tolist") for row in value):
+        raise ConfigError(f"{dotted}={shown(value)} is no list of vectors; write {dotted}=[[x, y, z]]")
+    if get_origin(kind) is tuple and elements[-1] is not ... and len(value) != len(elements):
+        raise ConfigError(f"{dotted}={shown(list(value))} is no vector; give three components")
+    return get_origin(kind)(checked_value(elements[0], rule, each, f"{dotted}[{i}]") for i, each in enumerate(value))
+
+
+def recheck(config: Section) -> None:
+    """Hold every value of a config against its key again: a list may have been changed in place.
+
+    Raises:
+        ConfigError: names the dotted key, the value and what is legal.
+    """
     for entry in fields(config):
-        key, value = path + entry.name, getattr(config, entry.name)
+        value = getattr(config, entry.name)
+        setattr(config, entry.name, value)
         if is_dataclass(value):
-            hold_values(value, f"{key}.")
-        elif isinstance(value, list):
-            _hold_list(rules[entry.name], key, value)
-        elif value is not None and entry.name in rules:
-            _hold(rules[entry.name], key, value)
+            recheck(value)
 
 
-def _hold_list(rule: Rule, key: str, values: list) -> None:
-    for i, element in enumerate(values):
-        if isinstance(element, list):
-            _hold_list(rule, f"{key}[{i}]", element)
-        else:
-            _hold(rule, f"{key}[{i}]", element)
+hints_of = functools.cache(get_type_hints)
 
 
-def _hold(rule: Rule, key: str, value: Any) -> None:
-    if not rule.holds(value):
-        raise ConfigError(f"{key}={value} is impossible; choose {rule}")
+def members_of(hint: Any) -> tuple[Any, ...]:
+    """The types of a union; of any other type, itself alone."""
+    return get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+
+
+def is_optional(hint: Any) -> bool:
+    """Whether null will do."""
+    return type(None) in members_of(hint)
+
+
+def sections_of(hint: Any) -> Iterator[type[Section]]:
+    """The sections that a key of this type may hold; none where it holds values."""
+    yield from (member for member in members_of(hint) if is_dataclass(member))
+
+
+def shown(value: Any) -> str:
+    """A value as a command line has it, in one line that is not too long."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = " ".join(str(value).removesuffix(".0").split() if isinstance(value, float) else str(value).split())
+    return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 1]}…"

@@ -63,16 +63,10 @@ def build_filling(config: FillingConfig) -> Filling:
 
 def _container(config: ContainerConfig | BoxConfig | HopperConfig, start_time: float) -> dict:
     """Walls, and where in them the spheres start, as fields of a scene."""
-    for name in ("diameter", "width", "length", "height", "orifice"):
-        value = getattr(config, name, 1.0)
-        if not (math.isfinite(value) and value > 0):
-            raise SceneError(f"scene.container.{name}={value:g} is impossible; choose a value > 0 m")
     if isinstance(config, BoxConfig):
         return _box(config)
     if isinstance(config, HopperConfig):
         return _hopper(config, start_time)
-    if config.kind not in ("drum", "none"):
-        raise SceneError(f"scene.container.kind={config.kind!r} is unknown; choose drum, box, hopper or none")
     return _drum(config) if config.kind == "drum" else {"walls": ()}
 
 
@@ -104,10 +98,6 @@ def _hopper(hopper: HopperConfig, start_time: float) -> dict:
         raise SceneError(
             f"scene.container.orifice={hopper.orifice:g} is not narrower than scene.container.diameter="
             f"{hopper.diameter:g}; choose less"
-        )
-    if not 0.0 < hopper.half_angle_deg < 90.0:
-        raise SceneError(
-            f"scene.container.half_angle_deg={hopper.half_angle_deg:g} is impossible; choose a value in (0, 90)°"
         )
     cone = (wide - narrow) / math.tan(math.radians(hopper.half_angle_deg))
     walls = (

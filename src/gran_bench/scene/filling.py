@@ -7,7 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gran_bench.scene.errors import SceneError
+from gran_bench.config import FRACTION, FillingConfig
+from gran_bench.config_consistency import check_filling
+from gran_bench.config_rules import Range, positive
+from gran_bench.scene.errors import SceneError, hold, scene_errors
 from gran_bench.scene.motion import Vector
 from gran_bench.scene.sizes import Sizes, apportioned, check_fractions
 from gran_bench.state import FloatArray
@@ -25,6 +28,9 @@ class Room:
     lower: Vector
     upper: Vector
     radius: float | None = None
+
+    def __post_init__(self) -> None:
+        hold(self, "room.", lower=Range(unit="m"), upper=Range(unit="m"), radius=positive("m"))
 
 
 @dataclass(frozen=True)
@@ -61,24 +67,9 @@ class Filling:
     expansion: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.count < 0:
-            raise SceneError(f"scene.filling.count={self.count} is impossible; choose 0 or more")
-        if not (math.isfinite(self.diameter) and self.diameter > 0):
-            raise SceneError(f"scene.filling.diameter={self.diameter:g} is impossible; choose a value > 0 m")
-        if self.lattice_spacing - 2.0 * self.jitter < 1.0 or self.jitter < 0:
-            raise SceneError(
-                f"scene.filling.jitter={self.jitter:g} lets spheres overlap at a spacing of "
-                f"{self.lattice_spacing:g} d; choose at most {(self.lattice_spacing - 1) / 2:.3g}"
-            )
-        for name in ("positions", "velocities", "spins"):
-            vectors = getattr(self, name)
-            if vectors and len(vectors) != self.count:
-                raise SceneError(
-                    f"scene.filling.{name} has {len(vectors)} entries for scene.filling.count={self.count}; "
-                    "give one for each sphere"
-                )
-            if any(len(v) != 3 or not all(map(math.isfinite, v)) for v in vectors):
-                raise SceneError(f"scene.filling.{name} has entries that are no three finite numbers; repair them")
+        hold(self, FillingConfig.place, FillingConfig, fractions=FRACTION)
+        with scene_errors():
+            check_filling(self)
         moving = bool(self.velocities or self.spins or self.expansion)
         if moving and self.settles:
             raise SceneError("scene.filling.settles=true lets moving spheres come to rest; choose settles=false")

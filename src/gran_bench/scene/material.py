@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gran_bench.config import MaterialConfig
-from gran_bench.scene.errors import SceneError
+from gran_bench.config import MaterialConfig, MixedConfig
+from gran_bench.config_rules import at_least
+from gran_bench.scene.errors import SceneError, hold
 
 
 @dataclass(frozen=True)
@@ -30,18 +31,7 @@ class Material:
     rolling_friction: float = 0.0
 
     def __post_init__(self) -> None:
-        legal = {
-            "youngs_modulus": (self.youngs_modulus > 0, "> 0 Pa"),
-            "poisson_ratio": (-1.0 < self.poisson_ratio < 0.5, "in (−1, 0.5)"),
-            "density": (self.density > 0, "> 0 kg/m³"),
-            "restitution": (0.0 < self.restitution <= 1.0, "in (0, 1]"),
-            "friction": (self.friction >= 0, "≥ 0"),
-            "rolling_friction": (self.rolling_friction >= 0, "≥ 0"),
-        }
-        for name, (holds, bounds) in legal.items():
-            value = getattr(self, name)
-            if not (math.isfinite(value) and holds):
-                raise SceneError(f"material.{name}={value:g} is impossible; choose a value {bounds}")
+        hold(self, MaterialConfig.place, MaterialConfig)
 
     @property
     def shear_modulus(self) -> float:
@@ -70,19 +60,11 @@ class PairCoefficients:
     rolling_friction: float | None = None
 
     def __post_init__(self) -> None:
+        hold(self, MixedConfig.place, MixedConfig, first=at_least(0), second=at_least(0))
         if self.first == self.second:
             raise SceneError(
                 f"pair coefficients of material {self.first} with itself contradict the material's own; change those"
             )
-        legal = {
-            "restitution": (lambda e: 0.0 < e <= 1.0, "in (0, 1]"),
-            "friction": (lambda mu: mu >= 0.0, "≥ 0"),
-            "rolling_friction": (lambda mu: mu >= 0.0, "≥ 0"),
-        }
-        for name, (holds, bounds) in legal.items():
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and holds(value)):
-                raise SceneError(f"scene.mixed.{name}={value:g} is impossible; choose a value {bounds}, or null")
 
 
 def mixed_coefficients(

@@ -9,16 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
-from gran_bench.scene.errors import SceneError
+from gran_bench.config import RotationConfig
+from gran_bench.config_consistency import check_schedule
+from gran_bench.config_rules import Range, at_least
+from gran_bench.scene.errors import hold, hold_unit, scene_errors
 from gran_bench.state import FloatArray
 
 RADIANS_PER_SECOND_PER_RPM = 2.0 * math.pi / 60.0
 
 Vector = tuple[float, float, float]
+SECONDS = Range(unit="s")
 
 
 def rate_at(times: Sequence[float], rates: Sequence[float], time: FloatArray) -> FloatArray:
@@ -34,31 +37,6 @@ def integral_to(times: Sequence[float], rates: Sequence[float], time: FloatArray
     # From the last knot passed: the mean of both ends' rates. Right of a jump, its second value counts.
     since = np.maximum(0.0, time - knots[last])
     return passed[last] + 0.5 * since * (values[last] + np.interp(time, knots, values))
-
-
-def check_schedule(name: str, times: Sequence[float], rates: Sequence[float]) -> None:
-    """Refuses a schedule that is none.
-
-    Raises:
-        SceneError: no knots, not one value for each time, times that go back, or a value that is not finite.
-    """
-    if len(times) != len(rates) or not times:
-        raise SceneError(f"{name} has {len(times)} times and {len(rates)} speeds; give one speed for each time")
-    if not all(map(math.isfinite, (*times, *rates))):
-        raise SceneError(f"{name}.speeds_rpm={list(rates)} at {list(times)} s is not finite")
-    if any(b < a for a, b in pairwise(times)):
-        raise SceneError(f"{name}.times={list(times)} must increase")
-
-
-def check_unit(name: str, vector: Sequence[float]) -> None:
-    """Refuses a direction that is no unit vector.
-
-    Raises:
-        SceneError: names it, its length and the remedy.
-    """
-    length = math.hypot(*vector)
-    if not abs(length - 1.0) < 1e-9:
-        raise SceneError(f"{name}={list(vector)} has length {length:g}; give a unit vector")
 
 
 @dataclass(frozen=True)
@@ -77,8 +55,11 @@ class Rotation:
     axis: Vector = (0.0, 1.0, 0.0)
 
     def __post_init__(self) -> None:
-        check_schedule("rotation", self.times, self.speeds_rpm)
-        check_unit("rotation.axis", self.axis)
+        place = RotationConfig.place if type(self) is Rotation else "spin."
+        hold(self, place, RotationConfig)
+        with scene_errors():
+            check_schedule(self.times, self.speeds_rpm, f"{place}speeds_rpm", f"{place}times")
+        hold_unit(f"{place}axis", self.axis)
 
     def angular_speed(self, time: float) -> float:
         """ω(t), rad/s."""
@@ -147,10 +128,9 @@ class Translation:
     velocities: tuple[Vector, ...]
 
     def __post_init__(self) -> None:
-        if any(len(velocity) != 3 for velocity in self.velocities):
-            raise SceneError(f"translation.velocities={list(self.velocities)} has no three components each, m/s")
-        for axis in range(3):
-            check_schedule("translation", self.times, [velocity[axis] for velocity in self.velocities])
+        hold(self, "translation.", times=SECONDS, velocities=Range(unit="m/s"))
+        with scene_errors():
+            check_schedule(self.times, self.velocities, "translation.velocities", "translation.times")
 
     @property
     def is_still(self) -> bool:
@@ -191,12 +171,9 @@ class Vibration:
     start: float = 0.0
 
     def __post_init__(self) -> None:
-        if not all(map(math.isfinite, (self.amplitude, self.frequency, self.phase, self.start))) or self.frequency < 0:
-            raise SceneError(
-                f"vibration of amplitude={self.amplitude:g} m at frequency={self.frequency:g} Hz is impossible; "
-                "give finite values and a frequency ≥ 0"
-            )
-        check_unit("vibration.direction", self.direction)
+        radians, metres = Range(unit="rad"), Range(unit="m")
+        hold(self, "vibration.", amplitude=metres, frequency=at_least(0, "Hz"), phase=radians, start=SECONDS)
+        hold_unit("vibration.direction", self.direction)
 
     @property
     def is_still(self) -> bool:

@@ -7,7 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gran_bench.scene.errors import SceneError
+from gran_bench.config import DatasetConfig, SceneConfig
+from gran_bench.config_consistency import check_span
+from gran_bench.config_rules import checked, positive
+from gran_bench.scene.errors import SceneError, hold, scene_errors
 from gran_bench.scene.filling import Filling, Room, drum_sites, open_sites, room_sites
 from gran_bench.scene.material import Material, PairCoefficients, mixed_coefficients
 from gran_bench.scene.motion import RADIANS_PER_SECOND_PER_RPM, Motion, Rotation
@@ -59,15 +62,9 @@ class Scene:
     outlet: Outlet | None = None
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.frame_interval) and self.frame_interval > 0):
-            raise SceneError(f"scene.frame_interval={self.frame_interval:g} is impossible; choose a value > 0 s")
-        if not self.end_time > self.start_time:
-            raise SceneError(
-                f"scene.end_time={self.end_time:g} is not after scene.start_time={self.start_time:g}; "
-                "choose a later end"
-            )
-        if not all(map(math.isfinite, self.gravity)):
-            raise SceneError(f"scene.gravity={list(self.gravity)} is not finite")
+        hold(self, SceneConfig.place, SceneConfig, drum_radius=positive("m"), length=positive("m"))
+        with scene_errors():
+            check_span(self)
         if len(self.filling.fractions) > len(self.materials):
             raise SceneError(
                 f"scene.filling.fractions={list(self.filling.fractions)} shares out more materials than the scene's "
@@ -170,8 +167,12 @@ class Scene:
         return None if self.room is None else self.room.upper[2] - self.room.lower[2]
 
     def at_speed(self, speed_rpm: float) -> Scene:
-        """The same scene turning at one constant speed from ``start_time`` on."""
-        rotation = replace(self.rotation, times=(self.start_time,), speeds_rpm=(float(speed_rpm),))
+        """The same scene turning at one constant speed from ``start_time`` on.
+
+        Raises:
+            SceneError: a speed that is no finite number.
+        """
+        rotation = replace(self.rotation, times=(self.start_time,), speeds_rpm=(speed_rpm,))
         return replace(self, rotation=rotation)
 
     def at_rest(self) -> Scene:
@@ -187,8 +188,10 @@ class Scene:
                 material.
 
         Raises:
-            SceneError: more spheres than sites.
+            SceneError: more spheres than sites, or a seed that is no whole number ≥ 0.
         """
+        with scene_errors():
+            seed = checked(DatasetConfig, "packing_seed", seed)
         filling, rng = self.filling, np.random.default_rng(seed)
         position = self._placed() if filling.positions else self._on_lattice(rng)
         radius = filling.radius * filling.sizes.sample(filling.count, rng)

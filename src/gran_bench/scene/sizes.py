@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gran_bench.scene.errors import SceneError
+from gran_bench.config import SizesConfig
+from gran_bench.scene.errors import SceneError, hold
 from gran_bench.state import FloatArray
 
 CUT = 2.0  # standard deviations at which a lognormal distribution ends
@@ -31,18 +32,15 @@ class Sizes:
     spread: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.kind not in ("one", "listed", "uniform", "lognormal"):
-            raise SceneError(
-                f"scene.filling.sizes.kind={self.kind!r} is unknown; choose one, listed, uniform, lognormal"
-            )
+        hold(self, SizesConfig.place, SizesConfig)
         if self.kind == "listed":
-            if not self.factors or not all(math.isfinite(f) and f > 0 for f in self.factors):
+            if not self.factors:
                 raise SceneError(f"scene.filling.sizes.factors={list(self.factors)} is impossible; give values > 0")
             check_fractions("scene.filling.sizes.fractions", self.fractions, len(self.factors))
         elif self.factors or self.fractions:
             raise SceneError(f"scene.filling.sizes.factors={list(self.factors)} needs scene.filling.sizes.kind=listed")
         if self.kind in ("uniform", "lognormal"):
-            if not 0.0 < self.spread < 1.0:
+            if not self.spread:
                 raise SceneError(f"scene.filling.sizes.spread={self.spread:g} is impossible; choose a value in (0, 1)")
         elif self.spread:
             raise SceneError(
@@ -93,10 +91,9 @@ def check_fractions(name: str, fractions: tuple[float, ...], count: int) -> None
     """Refuses shares that are none.
 
     Raises:
-        SceneError: not one for each of ``count``, a negative one, or a sum other than 1.
+        SceneError: not one for each of ``count``, or a sum other than 1.
     """
-    whole = math.isclose(sum(fractions), 1.0, abs_tol=1e-9)
-    if len(fractions) != count or not whole or min(fractions) < 0:
+    if len(fractions) != count or not math.isclose(sum(fractions), 1.0, abs_tol=1e-9):
         raise SceneError(f"{name}={list(fractions)} is impossible; give {count} shares ≥ 0 that sum to 1")
 
 

@@ -10,8 +10,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gran_bench.scene.errors import SceneError
-from gran_bench.scene.motion import Motion, Vector, check_unit
+from gran_bench.config_rules import Range, at_least, positive
+from gran_bench.scene.errors import SceneError, hold, hold_unit
+from gran_bench.scene.motion import Motion, Vector
+
+METRES, SIZE = Range(unit="m"), positive("m")
 
 Segment = tuple[tuple[float, float], tuple[float, float]]
 
@@ -54,7 +57,8 @@ class Plane(Surface):
     normal: Vector
 
     def __post_init__(self) -> None:
-        check_unit("plane.normal", self.normal)
+        hold(self, "plane.", point=METRES)
+        hold_unit("plane.normal", self.normal)
 
 
 @dataclass(frozen=True)
@@ -74,10 +78,8 @@ class Cylinder(Surface):
     length: float | None = None
 
     def __post_init__(self) -> None:
-        check_unit("cylinder.axis", self.axis)
-        _check_size("cylinder.radius", self.radius)
-        if self.length is not None:
-            _check_size("cylinder.length", self.length)
+        hold(self, "cylinder.", point=METRES, radius=SIZE, length=SIZE)
+        hold_unit("cylinder.axis", self.axis)
 
     @property
     def meridian(self) -> Segment | None:
@@ -104,9 +106,9 @@ class Disc(Surface):
     hole: float = 0.0
 
     def __post_init__(self) -> None:
-        check_unit("disc.normal", self.normal)
-        _check_size("disc.radius", self.radius)
-        if not 0.0 <= self.hole < self.radius:
+        hold(self, "disc.", point=METRES, radius=SIZE, hole=at_least(0, "m"))
+        hold_unit("disc.normal", self.normal)
+        if not self.hole < self.radius:
             raise SceneError(f"disc.hole={self.hole:g} is impossible; choose a value in [0, {self.radius:g}) m")
 
     @property
@@ -139,12 +141,8 @@ class Cone(Surface):
     length: float
 
     def __post_init__(self) -> None:
-        check_unit("cone.axis", self.axis)
-        _check_size("cone.length", self.length)
-        if not (min(self.radius, self.end_radius) >= 0 and math.isfinite(self.radius + self.end_radius)):
-            raise SceneError(
-                f"cone.radius={self.radius:g} and cone.end_radius={self.end_radius:g} are impossible; choose values ≥ 0"
-            )
+        hold(self, "cone.", point=METRES, radius=at_least(0, "m"), end_radius=at_least(0, "m"), length=SIZE)
+        hold_unit("cone.axis", self.axis)
 
     @property
     def meridian(self) -> Segment:
@@ -204,11 +202,5 @@ class Outlet:
     radius: float | None = None
 
     def __post_init__(self) -> None:
-        check_unit("outlet.normal", self.normal)
-        if self.radius is not None:
-            _check_size("outlet.radius", self.radius)
-
-
-def _check_size(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise SceneError(f"{name}={value:g} is impossible; choose a value > 0 m")
+        hold(self, "outlet.", point=METRES, radius=SIZE)
+        hold_unit("outlet.normal", self.normal)
