@@ -34,7 +34,8 @@ def bed(scene, seed=0):
 
 def network(scene, boundary=None, seed=0, **changes):
     torch.manual_seed(seed)
-    model = build_model(CconvModelConfig(**(SMALL | changes)), boundary or BoundaryConfig(), scene)
+    name = "radial" if changes.get("kernel") == "radial" else "ccnn"
+    model = build_model(CconvModelConfig(name=name, **(SMALL | changes)), boundary or BoundaryConfig(), scene)
     # First outputs are a tenth of the usual size, and biases zero: neither may hide an error from these tests.
     with torch.no_grad():
         for name, weight in model.named_parameters():
@@ -233,15 +234,15 @@ def test_a_copy_shares_nothing_and_repeats_bit_for_bit():
 @pytest.mark.parametrize(
     ("where", "change"),
     [
-        ("model.kernel='cubic'", {"kernel": "cubic"}),
+        ("model.kernel=cubic", {"kernel": "cubic"}),
         ("model.width=7", {"width": 7}),
         ("model.layers=0", {"layers": 0}),
         ("model.radius=0.05", {"radius": 0.05}),
         ("model.kernel_size=1", {"kernel_size": 1}),
         ("model.output_scale=0", {"output_scale": 0.0}),
-        ("model.update='euler'", {"update": "euler"}),
-        ("model.backend='gpu'", {"backend": "gpu"}),
-        ("model.name='gnn'", {"name": "gnn"}),
+        ("model.update=euler", {"update": "euler"}),
+        ("model.backend=gpu", {"backend": "gpu"}),
+        ("model.name=gnn", {"name": "gnn"}),
     ],
 )
 def test_impossible_models_are_refused_by_key_and_value(where, change):
@@ -252,13 +253,14 @@ def test_impossible_models_are_refused_by_key_and_value(where, change):
 @pytest.mark.parametrize(
     ("where", "boundary"),
     [
-        ("boundary.kind='mesh'", BoundaryConfig(kind="mesh")),
-        ("boundary.spacing=-1", BoundaryConfig(spacing=-1.0)),
+        ("boundary.kind=mesh", {"kind": "mesh"}),
+        ("boundary.kind=own", {"kind": "own"}),
+        ("boundary.spacing=-1", {"spacing": -1.0}),
     ],
 )
 def test_impossible_boundaries_are_refused_by_key_and_value(where, boundary):
     with pytest.raises(ValueError, match=where.replace(".", r"\.")):
-        build_model(CconvModelConfig(), boundary, drum())
+        build_model(CconvModelConfig(), BoundaryConfig(**boundary), drum())
 
 
 def test_a_diverged_state_gives_nan_and_no_crash():

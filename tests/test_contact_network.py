@@ -56,8 +56,8 @@ class TestDefinition:
         ("choices", "named"),
         [
             ({"radius": 0.05}, "model.radius=0.05"),
-            ({"velocity": "median"}, "model.velocity='median'"),
-            ({"backend": "cuda"}, "model.backend='cuda'"),
+            ({"velocity": "median"}, "model.velocity=median"),
+            ({"backend": "cuda"}, "model.backend=cuda"),
             ({"backend": "fused", "hidden": 24}, "model.hidden=24 .* model.backend=torch"),
         ],
     )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gran_bench.config import ContainerConfig, DemConfig, FillingConfig, SceneConfig
+from gran_bench.config_rules import ConfigError
 from gran_bench.dem import engine_numba, engine_numpy
 from gran_bench.dem.integrate import Divergence, Physics
 from gran_bench.dem.simulate import SimulationError, settle, simulate
@@ -151,7 +152,7 @@ def test_a_particle_that_is_not_a_number_or_has_no_size_is_named():
     [
         ("restitution", 1.01, r"\(0, 1\]"),
         ("restitution", 0.0, r"\(0, 1\]"),
-        ("poisson_ratio", 0.5, r"\(−1, 0.5\)"),
+        ("poisson_ratio", 0.5, r"\(-1, 0.5\)"),
         ("density", 0.0, "> 0 kg/m³"),
         ("youngs_modulus", -1e7, "> 0 Pa"),
         ("friction", -0.1, "≥ 0"),
@@ -164,7 +165,7 @@ def test_an_impossible_material_names_key_value_and_what_is_legal(scene, key, va
 
 @pytest.mark.parametrize("step", [0.0, -1e-4, np.nan])
 def test_an_impossible_step_is_refused_before_the_first(scene, step):
-    with pytest.raises(TimeStepError, match=r"dem\.time_step=.* choose a value > 0 s, or null"):
+    with pytest.raises(ConfigError, match=r"dem\.time_step=.* choose a value > 0 s, or null"):
         simulate(scene, at((0, 0, 0)), 0.1, dem=DemConfig(time_step=step))
 
 
@@ -172,8 +173,7 @@ def test_a_material_that_the_scene_lacks_is_refused_with_the_particles(scene):
     state = replace(at((0, 0, 0), (0.2, 0, 0)), material=np.array([0, 1], np.uint8))
     with pytest.raises(StateError, match=r"particles 1 are of a material that the scene does not have \(it has 1\)"):
         simulate(scene, state, 0.1)
-    with pytest.raises(StateError, match=r"material has shape \(2,\) of int64; expected \(2,\) of uint8"):
-        replace(state, material=np.array([0, 1]))
+    assert replace(state, material=[0, 1]).material.dtype == np.uint8
 
 
 def test_a_bed_that_never_rests_is_an_error(scene):
@@ -194,7 +194,7 @@ def test_an_end_between_two_frames_is_refused(scene):
 
 
 def test_an_unknown_engine_is_refused_with_the_known_ones(scene):
-    with pytest.raises(ValueError, match="'nunba' is unknown; choose numba or numpy"):
+    with pytest.raises(ValueError, match=r"dem\.engine=nunba is impossible; choose numba or numpy"):
         simulate(scene, at((0, 0, 0)), 0.1, dem=DemConfig(engine="nunba"))
 
 

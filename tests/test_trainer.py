@@ -209,7 +209,7 @@ def test_accumulated_windows_are_averaged_into_one_update(tmp_path):
 def test_the_time_cap_counts_across_resumes(tmp_path):
     trainer, _ = train(tmp_path, trainer=TrainerConfig(steps=4, log_every=1))
     assert trainer.seconds > 0
-    capped = Trainer(Network(), FakeWindows(), config(trainer=TrainerConfig(steps=10**6, minutes=0.0)), tmp_path)
+    capped = Trainer(Network(), FakeWindows(), config(trainer=TrainerConfig(steps=10**6, minutes=1e-9)), tmp_path)
     result = capped.run(progress=False)
     assert (result.stopped_by, result.steps) == ("time", 4)
     assert result.seconds == pytest.approx(trainer.seconds)
@@ -338,7 +338,7 @@ def test_learning_rate_schedules():
     assert rates[-1] == pytest.approx(2e-6)
     assert len(set(rates)) == 5
     assert all(b <= a for a, b in itertools.pairwise(rates))
-    cosine = OptimConfig(learning_rate=1.0, final_learning_rate=0.0, schedule="cosine", warmup_steps=10)
+    cosine = OptimConfig(learning_rate=1.0, final_learning_rate=1e-9, schedule="cosine", warmup_steps=10)
     assert learning_rate(cosine, 0, 100) == pytest.approx(0.1)
     assert learning_rate(cosine, 50, 100) == pytest.approx(0.5)
     assert learning_rate(OptimConfig(schedule="constant", learning_rate=3.0), 99, 100) == 3.0

@@ -15,6 +15,7 @@ MISSING = "???"  # Hydra's mark of a value that the user must choose
 
 FRACTION = Range(0.0, 1.0)
 RESTITUTION = Range(0.0, 1.0, open_low=True)
+SEED = at_least(0)
 BACKEND = one_of("fused", "torch")
 FRAME_WEIGHTS = one_of("uniform", "discounted", "inverse", "rising")
 
@@ -164,8 +165,8 @@ class DatasetConfig(Section, place="dataset"):
     training_speeds_rpm: list[float] = key([20.0, 25.0, 35.0, 40.0, 50.0, 60.0], at_least(0, "rpm"))
     validation_speeds_rpm: list[float] = key([], at_least(0, "rpm"))  # held out of training, used to choose
     holdout_speeds_rpm: list[float] = key([30.0], at_least(0, "rpm"))  # never read in training
-    packing_seed: int = key(0, at_least(0))  # the filling shared by all cases
-    unseen_packing_seed: int = key(1, at_least(0))  # the filling that only judging sees
+    packing_seed: int = key(0, SEED)  # the filling shared by all cases
+    unseen_packing_seed: int = key(1, SEED)  # the filling that only judging sees
     replicas: int = key(5, at_least(2))  # nudged runs of the held-out case for the noise floor
     workers: int = key(2, at_least(1))  # cases made at a time
 
@@ -310,7 +311,7 @@ class TrainConfig(Section):
     """Everything that `python -m gran_bench.train` reads."""
 
     experiment: str = "default"  # first word of the run's folder and of its MLflow run
-    seed: int = key(0, at_least(0))
+    seed: int = key(0, SEED)
     device: str = key("auto", one_of("auto", "cpu", "cuda"))
     threads: int = key(2, at_least(1))  # CPU threads of the surrogate
     scene: SceneConfig = field(default_factory=SceneConfig)
@@ -371,7 +372,7 @@ class BenchmarkConfig(GenerateConfig):
 
     profile: ProfileConfig = field(default_factory=ProfileConfig)
     models: list[str] = field(default_factory=lambda: ["shipped"])  # model files; `shipped`: the one in the package
-    seed: int = key(0, at_least(0))  # of the order of turns, and of the nudge of each round
+    seed: int = key(0, SEED)  # of the order of turns, and of the nudge of each round
     measure: bool = True  # false: tables, figures and page anew from kept results, by today's rules
     root: str = "results/benchmark"  # folder of results and page, from where the command runs
 

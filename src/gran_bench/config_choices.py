@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import fields
 
-from gran_bench.config import BoundaryConfig, ContactModelConfig, LossConfig, TrainConfig
+from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig, LossConfig, TrainConfig
 from gran_bench.config_rules import ConfigError
 
-# What rooms further on can do, said here because a config is refused before they are loaded; a test holds them equal.
 PAIR_FADE = 0.1  # of a diameter: the last part of the contact network's reach, over which an answer fades
 
 # What of `boundary` each kind looks at.
@@ -27,7 +26,10 @@ def check_choices(config: TrainConfig) -> None:
     Raises:
         ConfigError: names a dotted key, its value, what cannot use it and the remedy.
     """
-    for complaint in (*_of_radius(config), *_of_boundary(config), *_of_loss(config), *_of_rollout(config)):
+    scene = config.scene
+    period = scene.container.length if getattr(scene.container, "periodic_axis", False) else 0.0
+    check_radius(config.model, scene.filling.diameter, period)
+    for complaint in (*_of_boundary(config), *_of_loss(config), *_of_rollout(config)):
         raise ConfigError(complaint)
 
 
@@ -36,25 +38,32 @@ def loss_terms() -> list[str]:
     return [entry.name for entry in fields(LossConfig) if entry.type == "float" and entry.name != "discount"]
 
 
-def _of_radius(config: TrainConfig) -> Iterator[str]:
-    model, container, diameter = config.model, config.scene.container, config.scene.filling.diameter
+def check_radius(model: ContactModelConfig | CconvModelConfig, diameter: float, period: float) -> None:
+    """Hold a model's radius against the spheres that it is for.
+
+    Args:
+        model: what is trained.
+        diameter: of the spheres, m.
+        period: length of the periodic axis, m; 0 for none.
+
+    Raises:
+        ConfigError: a radius that reaches too little or too far.
+    """
+    given = f"model.radius={model.radius:g}"
     if not isinstance(model, ContactModelConfig):
         if model.radius <= diameter:
-            yield (
-                f"model.radius={model.radius:g} reaches no neighbour; choose more than the particle diameter, "
-                f"{diameter:g} m"
-            )
+            raise ConfigError(f"{given} reaches no neighbour; choose more than the particle diameter, {diameter:g} m")
         return
     smallest = (1.0 + PAIR_FADE) * diameter
     if model.radius < smallest * (1.0 - 1e-9):
-        yield (
-            f"model.radius={model.radius:g} leaves no room for a contact to fade; choose at least {smallest:g} m, "
+        raise ConfigError(
+            f"{given} leaves no room for a contact to fade; choose at least {smallest:g} m, "
             f"{1.0 + PAIR_FADE:g} particle diameters"
         )
-    if container.periodic_axis and 2.0 * model.radius > container.length:
-        yield (
-            f"model.radius={model.radius:g} sees a neighbour through both ends of the period, "
-            f"scene.container.length={container.length:g}; choose at most {0.5 * container.length:g} m, or model=radial"
+    if period and 2.0 * model.radius > period:
+        raise ConfigError(
+            f"{given} sees a neighbour through both ends of the period, scene.container.length={period:g}; choose at "
+            f"most {0.5 * period:g} m, or model=radial"
         )
 
 

@@ -11,6 +11,7 @@ from gran_bench.config import (
     CconvModelConfig,
     ContactModelConfig,
     DatasetConfig,
+    DemConfig,
     EvaluateConfig,
     GenerateConfig,
     JudgeConfig,
@@ -37,12 +38,13 @@ def check_consistency(config: object) -> None:
     if isinstance(config, TrainConfig | GenerateConfig):
         _check_scene(config.scene)
     if isinstance(config, TrainConfig | GenerateConfig | EvaluateConfig):
+        check_dem(config.dem)
         _check_dataset(config.dataset)
     if isinstance(config, BenchmarkConfig):
         _check_benchmark(config)
     if isinstance(config, TrainConfig):
         _check_trainable(config.scene)
-        _check_model(config)
+        check_model(config.model)
         _check_training(config)
         check_choices(config)
     if isinstance(config, TrainConfig | EvaluateConfig):
@@ -61,7 +63,8 @@ def _check_scene(scene: SceneConfig) -> None:
     check_schedule(
         scene.rotation.times, scene.rotation.speeds_rpm, "scene.rotation.speeds_rpm", "scene.rotation.times"
     )
-    check_span(scene)
+    check_end(scene)
+    check_frames(scene)
     check_filling(filling)
     if scene.container.kind != "none":
         for name in ("diameter", "width", "length", "height", "orifice"):
@@ -72,6 +75,18 @@ def _check_scene(scene: SceneConfig) -> None:
                 "choose smaller spheres",
             )
     _check_materials(scene)
+
+
+def check_dem(dem: DemConfig) -> None:
+    """Hold the values of a solver's settings against each other.
+
+    Raises:
+        ConfigError: names a key, its value, what it contradicts and the remedy.
+    """
+    _require(
+        dem.precision == "float64" or dem.engine == "numba",
+        f"dem.precision={dem.precision} is for dem.engine=numba; dem.engine={dem.engine} computes in float64 alone",
+    )
 
 
 def check_schedule(times: Sequence[float], rates: Sequence, rates_name: str, times_name: str) -> None:
@@ -88,16 +103,25 @@ def check_schedule(times: Sequence[float], rates: Sequence, rates_name: str, tim
     _require(times == sorted(times), f"{times_name}={shown(times)} goes back in time; sort it")
 
 
-def check_span(scene: Any) -> None:
+def check_end(scene: Any) -> None:
+    """Refuse a scene, or the config of one, that ends before it starts.
+
+    Raises:
+        ConfigError: names the key, its value and the remedy.
+    """
+    _require(
+        scene.end_time > scene.start_time,
+        f"scene.end_time={scene.end_time:g} is not after scene.start_time={scene.start_time:g}; choose more",
+    )
+
+
+def check_frames(scene: Any) -> None:
     """Refuse a scene, or the config of one, whose span is no whole number of frames.
 
     Raises:
         ConfigError: names the key, its value and the remedy.
     """
     span = scene.end_time - scene.start_time
-    _require(
-        span > 0, f"scene.end_time={scene.end_time:g} is not after scene.start_time={scene.start_time:g}; choose more"
-    )
     frames = span / scene.frame_interval
     _require(
         abs(frames - round(frames)) < 1e-6 and round(frames) >= 1,
@@ -251,8 +275,12 @@ def _check_device(device: str) -> None:
     )
 
 
-def _check_model(config: TrainConfig) -> None:
-    model = config.model
+def check_model(model: ContactModelConfig | CconvModelConfig) -> None:
+    """Hold the values of a model against each other.
+
+    Raises:
+        ConfigError: names a key, its value, what it contradicts and the remedy.
+    """
     if isinstance(model, CconvModelConfig):
         wanted = "radial" if model.name == "radial" else "lattice"
         other = next(name for name in ("ccnn", "radial") if name != model.name)
@@ -262,15 +290,11 @@ def _check_model(config: TrainConfig) -> None:
         )
         _require(model.width % 2 == 0, f"model.width={model.width} cannot be split in two halves; choose an even width")
     else:
-        _check_contact(model)
-
-
-def _check_contact(model: ContactModelConfig) -> None:
-    _require(
-        model.backend != "fused" or (model.hidden, model.channels) == FUSED_SIZES,
-        f"model.hidden={model.hidden} with model.channels={model.channels} is not what model.backend=fused is compiled "
-        f"for; choose {FUSED_SIZES[0]} and {FUSED_SIZES[1]}, or model.backend=torch",
-    )
+        _require(
+            model.backend != "fused" or (model.hidden, model.channels) == FUSED_SIZES,
+            f"model.hidden={model.hidden} with model.channels={model.channels} is not what model.backend=fused is "
+            f"compiled for; choose {FUSED_SIZES[0]} and {FUSED_SIZES[1]}, or model.backend=torch",
+        )
 
 
 def _check_training(config: TrainConfig) -> None:

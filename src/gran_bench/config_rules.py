@@ -186,6 +186,16 @@ def _checked_list(kind: Any, rule: Rule | None, value: Any, dotted: str) -> Any:
     return get_origin(kind)(checked_value(elements[0], rule, each, f"{dotted}[{i}]") for i, each in enumerate(value))
 
 
+def check_arguments(**arguments: tuple[Any, Any]) -> None:
+    """Refuse arguments of a public function that are of another type than it takes: ``scene=(scene, Scene)``.
+
+    Raises:
+        ConfigError: names the argument, the value and the type.
+    """
+    for name, (value, hint) in arguments.items():
+        checked_value(hint, None, value, name)
+
+
 def recheck(config: Section) -> None:
     """Hold every value of a config against its key again: a list may have been changed in place.
 

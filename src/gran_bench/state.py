@@ -7,9 +7,12 @@ Angular velocity is in rad/s and in the lab frame, like position and velocity.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from gran_bench.config_rules import ConfigError, checked_value
 
 FloatArray = NDArray[np.floating]
 
@@ -28,6 +31,9 @@ class ContactHistory:
         force: ``(M, 3)`` float64, elastic tangential force on ``first``, N.
         overlap: ``(M,)`` float64, overlap when the force was stored, m.
         rolling_moment: ``(M, 3)`` float64, elastic rolling moment on ``first``, N m; zeros without a rolling model.
+
+    Raises:
+        StateError: a shape that does not fit, or what is no array of numbers.
     """
 
     first: NDArray[np.int64]
@@ -37,8 +43,15 @@ class ContactHistory:
     rolling_moment: FloatArray | None = None
 
     def __post_init__(self) -> None:
+        for name in ("first", "second"):
+            _keep(self, name, _indices(f"history.{name}", getattr(self, name), np.int64))
+        count = len(self.first)
         if self.rolling_moment is None:
-            object.__setattr__(self, "rolling_moment", np.zeros((len(self.first), 3)))
+            _keep(self, "rolling_moment", np.zeros((count, 3)))
+        _hold_shape("history.second", self.second, (count,))
+        for name, shape in (("force", (count, 3)), ("overlap", (count,)), ("rolling_moment", (count, 3))):
+            _keep(self, name, _numbers(f"history.{name}", getattr(self, name)))
+            _hold_shape(f"history.{name}", getattr(self, name), shape)
 
     @classmethod
     def empty(cls) -> ContactHistory:
@@ -62,8 +75,11 @@ class ParticleState:
         history: what the contacts remember; empty for a fresh filling.
         material: ``(N,)`` uint8, index into the scene's ``materials``; zeros unless given.
 
+    Lists will do for arrays.
+
     Raises:
-        StateError: a shape that does not fit, a value that is not finite, or a radius that is not positive.
+        StateError: what is no array of numbers, a shape that does not fit, a value that is not finite, a radius that
+            is not positive, or a material that is no index.
     """
 
     position: FloatArray
@@ -75,28 +91,27 @@ class ParticleState:
     material: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
-        count = len(self.position)
-        if self.material is None:
-            object.__setattr__(self, "material", np.zeros(count, np.uint8))
+        for name in ("position", "velocity", "angular_velocity", "radius"):
+            _keep(self, name, _numbers(name, getattr(self, name)))
+        count = self.position.shape[0] if self.position.ndim else 0
         for name in ("position", "velocity", "angular_velocity"):
             array = getattr(self, name)
-            if array.shape != (count, 3):
-                raise StateError(f"{name} has shape {array.shape}; expected ({count}, 3)")
+            _hold_shape(name, array, (count, 3))
             if not np.isfinite(array).all():
                 bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
                 raise StateError(
                     f"{name} is not finite for particles {name_some(bad)}; "
                     "remove them or repair their values before the run"
                 )
-        if self.radius.shape != (count,):
-            raise StateError(f"radius has shape {self.radius.shape}; expected ({count},)")
-        bad = np.flatnonzero(~(np.isfinite(self.radius) & (self.radius > 0)))
-        if len(bad):
-            raise StateError(f"radius must be positive and finite; particles {name_some(bad)} are not")
-        if self.material.shape != (count,) or self.material.dtype != np.uint8:
-            raise StateError(
-                f"material has shape {self.material.shape} of {self.material.dtype}; expected ({count},) of uint8"
-            )
+        _hold_radius("radius", self.radius, count)
+        material = np.zeros(count, np.uint8) if self.material is None else self.material
+        _keep(self, "material", _indices("material", material, np.uint8))
+        _hold_shape("material", self.material, (count,))
+        try:
+            _keep(self, "time", checked_value(float, None, self.time, "time"))
+            checked_value(ContactHistory, None, self.history, "history")
+        except ConfigError as error:
+            raise StateError(str(error)) from None
 
     @property
     def count(self) -> int:
@@ -116,6 +131,12 @@ class Trajectory:
         radius: ``(N,)`` m.
         diagnostics: per-frame scalars ``(F,)`` by name (overlap and energy figures), in SI.
         velocity_kind: ``instantaneous``, or ``mean`` over the frame that ends at ``time``.
+
+    Lists will do for arrays. Positions, velocities and spins may hold what is not finite: it is counted as a failure.
+
+    Raises:
+        StateError: what is no array of numbers, a shape that does not fit, times that do not increase, a radius that
+            is not positive, or an unknown kind of velocity.
     """
 
     time: FloatArray
@@ -127,19 +148,20 @@ class Trajectory:
     velocity_kind: str = "instantaneous"
 
     def __post_init__(self) -> None:
+        arrays = ("position", "velocity") if self.angular_velocity is None else _BY_SPHERE
+        for name in ("time", "radius", *arrays):
+            _keep(self, name, _numbers(f"trajectory {name}", getattr(self, name)))
+        if self.position.ndim != 3:
+            raise StateError(f"trajectory position has shape {self.position.shape}; expected (F, N, 3)")
         frames, count = self.position.shape[:2]
-        expected = {
-            "time": (frames,),
-            "position": (frames, count, 3),
-            "velocity": (frames, count, 3),
-            "radius": (count,),
-        }
-        if self.angular_velocity is not None:
-            expected["angular_velocity"] = (frames, count, 3)
-        for name, shape in expected.items():
-            found = getattr(self, name).shape
-            if found != shape:
-                raise StateError(f"trajectory {name} has shape {found}; expected {shape}")
+        for name in arrays:
+            _hold_shape(f"trajectory {name}", getattr(self, name), (frames, count, 3))
+        _hold_shape("trajectory time", self.time, (frames,))
+        if not (np.isfinite(self.time).all() and (np.diff(self.time) > 0).all()):
+            raise StateError("trajectory time is not finite or does not increase; give the time of each frame, s")
+        _hold_radius("trajectory radius", self.radius, count)
+        for name, values in self.diagnostics.items():
+            _hold_shape(f"trajectory {name}", _numbers(f"trajectory {name}", values), (frames,))
         if self.velocity_kind not in ("instantaneous", "mean"):
             raise StateError(f"velocity_kind={self.velocity_kind!r}; expected 'instantaneous' or 'mean'")
 
@@ -163,6 +185,50 @@ class Trajectory:
             step[..., 1] -= period * np.round(step[..., 1] / period)
         velocity[1:] = (step / interval).astype(velocity.dtype)
         return velocity
+
+
+_BY_SPHERE = ("position", "velocity", "angular_velocity")
+
+
+def _keep(owner: object, name: str, value: Any) -> None:
+    object.__setattr__(owner, name, value)  # of a frozen dataclass
+
+
+def _array(value: Any) -> NDArray:
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError, RuntimeError):  # rows of different lengths; a tensor that follows gradients
+        return np.asarray(None)
+
+
+def _numbers(name: str, value: Any) -> FloatArray:
+    """``value`` as an array of floating-point numbers; one that is such an array stays itself."""
+    array = _array(value)
+    if array.dtype.kind in "iu":
+        return array.astype(np.float64)
+    if array.dtype.kind != "f":
+        raise StateError(f"{name} is no array of numbers; give one of equally long rows")
+    return array
+
+
+def _indices(name: str, value: Any, dtype: type[np.integer]) -> NDArray[np.integer]:
+    """``value`` as an array of whole numbers that ``dtype`` holds."""
+    found, legal = _array(value), np.iinfo(dtype)
+    if found.size and (found.dtype.kind not in "iu" or found.min() < legal.min or found.max() > legal.max):
+        raise StateError(f"{name} of {found.dtype} is no array of indices; give whole numbers up to {legal.max}")
+    return found.astype(dtype, copy=False)
+
+
+def _hold_shape(name: str, array: NDArray, shape: tuple[int, ...]) -> None:
+    if array.shape != shape:
+        raise StateError(f"{name} has shape {array.shape}; expected {shape}")
+
+
+def _hold_radius(name: str, radius: FloatArray, count: int) -> None:
+    _hold_shape(name, radius, (count,))
+    bad = np.flatnonzero(~(np.isfinite(radius) & (radius > 0)))
+    if len(bad):
+        raise StateError(f"{name} must be positive and finite; particles {name_some(bad)} are not")
 
 
 def name_some(indices: NDArray[np.integer], most: int = 5) -> str:

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gran_bench.config import DemConfig
+from gran_bench.config_rules import checked
 from gran_bench.dem.contact import ContactLaw
 from gran_bench.dem.walls import check_walls
 from gran_bench.neighbors import check_period
@@ -96,8 +98,7 @@ class Physics:
                 skin = max(
                     LEAST_SKIN_DIAMETERS * 2.0 * largest_radius, min(skin, 0.5 * scene.period - 2.0 * largest_radius)
                 )
-        if not (np.isfinite(skin) and skin > 0):
-            raise ValueError(f"dem.skin={skin:g} is impossible; choose a value > 0 m, or null")
+        skin = checked(DemConfig, "skin", skin)
         check_period(scene.period, 2.0 * largest_radius + skin)
         check_walls(scene)
         needs, kinds = scene.needs, range(len(scene.materials))
@@ -108,7 +109,7 @@ class Physics:
             density=np.array([material.density for material in scene.materials], np.float64),
             gravity=np.array(scene.gravity, np.float64),
             period=scene.period,
-            skin=float(skin),
+            skin=skin,
             tangential=needs.tangential,
             rolling=needs.rolling,
         )

@@ -10,6 +10,8 @@ import numpy as np
 from tqdm import tqdm
 
 from gran_bench.config import DemConfig
+from gran_bench.config_consistency import check_dem
+from gran_bench.config_rules import check_arguments
 from gran_bench.dem import engine_numba, engine_numpy
 from gran_bench.dem.frame import advance_frame, first_contacts
 from gran_bench.dem.initial_checks import STIFFEN, check_initial_speed, check_initial_state
@@ -78,18 +80,23 @@ def simulate(
             function is called with the simulated time in s at each frame instead.
 
     Raises:
+        ConfigError: an argument of a wrong type, or settings that contradict each other.
+        ValueError: an end before the start, or between two frames.
         StateError: a state that cannot start.
         TimeStepError: a step that cannot resolve a contact.
         SimulationError: divergence, or a centre further than its radius outside the container.
     """
-    dem = dem or DemConfig()
+    dem = DemConfig() if dem is None else dem
+    check_arguments(scene=(scene, Scene), state=(state, ParticleState), dem=(dem, DemConfig))
+    check_arguments(end_time=(end_time, float))
+    check_dem(dem)
     frames = _frames_between(scene, state.time, end_time)
     check_initial_state(scene, state)
     smallest, largest = _radius_range(scene, state)
     time_step, warnings = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step, smallest)
     check_initial_speed(state, time_step)
     substeps = round(scene.frame_interval / time_step)
-    physics, advance = _physics(scene, largest, dem), _engine(dem)
+    physics, advance = _physics(scene, largest, dem), ENGINES[dem.engine]
     state = _as_float64(state)
     record = FrameRecord(scene, state.radius)
     record.add(first_contacts(advance, state, physics, scene, time_step), state.time)
@@ -134,11 +141,15 @@ def settle(
         progress: whether to show a bar, or a function that is called with the simulated time in s.
 
     Raises:
-        SceneError: a filling that does not fit.
+        ConfigError: an argument of a wrong type, or settings that contradict each other.
+        SceneError: a filling that does not fit, or a seed that is no whole number ≥ 0.
         SimulationError: divergence, escape, or a bed that still moves after ``filling.longest_settling``.
         StateError: a bed that its own weight crushes, so that nothing could start from it.
     """
-    dem, still, filling = dem or DemConfig(), scene.at_rest(), scene.filling
+    dem = DemConfig() if dem is None else dem
+    check_arguments(scene=(scene, Scene), dem=(dem, DemConfig))
+    check_dem(dem)
+    still, filling = scene.at_rest(), scene.filling
     state = scene.fresh_filling(seed)
     check_initial_state(still, state)
     if not filling.settles:
@@ -146,7 +157,7 @@ def settle(
     time_step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
     look = min(SETTLING_LOOK, scene.frame_interval)
     substeps = max(1, round(look / time_step))
-    physics, advance = _physics(still, filling.largest_radius, dem), _engine(dem)
+    physics, advance = _physics(still, filling.largest_radius, dem), ENGINES[dem.engine]
     first_contacts(advance, state, physics, still, time_step)
     tuner = Tuner(physics, state.count, dem.skin is not None, dem.threads)
     speed, looks = np.inf, 0
@@ -180,15 +191,7 @@ def _one_frame(state: ParticleState) -> Trajectory:
     )
 
 
-def _engine(dem: DemConfig) -> Callable[..., ParticleState]:
-    if dem.engine not in ENGINES:
-        raise ValueError(f"dem.engine={dem.engine!r} is unknown; choose {' or '.join(ENGINES)}")
-    return ENGINES[dem.engine]
-
-
 def _physics(scene: Scene, largest_radius: float, dem: DemConfig) -> Physics:
-    if dem.precision == "float32" and dem.engine != "numba":
-        raise ValueError(f"dem.precision=float32 is for dem.engine=numba; {dem.engine} computes in float64 alone")
     return replace(
         Physics.of(scene, largest_radius, dem.skin),
         threads=dem.threads or 1,
@@ -217,9 +220,11 @@ def _frames_between(scene: Scene, start: float, end: float) -> int:
     Raises:
         ValueError: an end before the start, or between two frames.
     """
+    if end < start:
+        raise ValueError(f"end_time={end:g} s lies before the state's time={start:g} s; choose a later end")
     exact = (end - start) / scene.frame_interval
     frames = round(exact)
-    if not np.isfinite(exact) or frames < 0 or abs(exact - frames) > 1e-6 * max(1.0, abs(exact)):
+    if abs(exact - frames) > 1e-6 * max(1.0, abs(exact)):
         raise ValueError(
             f"end_time={end:g} s is not a whole number of frames of {scene.frame_interval:g} s after {start:g} s"
         )

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from gran_bench.config import DemConfig
+from gran_bench.config_rules import checked
 from gran_bench.dem.contact import hertz_impact, sphere_mass
 from gran_bench.dem.integrate import pair_law, wall_law
 from gran_bench.scene import Plane, Rotation, Scene
@@ -104,7 +106,8 @@ def choose_time_step(
         The step in s, and what a reader of the results must know of it.
 
     Raises:
-        TimeStepError: a step that is not positive and finite, or beyond 0.2 t_c and not allowed.
+        ConfigError: a step that is not positive and finite.
+        TimeStepError: one beyond 0.2 t_c that is not allowed.
     """
     contact_time, damping_time = contact_times(scene, radius)
     warnings: list[str] = []
@@ -113,8 +116,7 @@ def choose_time_step(
         rayleigh = min(rayleigh_time(r, m.density, m.shear_modulus, m.poisson_ratio) for m in scene.materials)
         largest = min(TIME_STEP_FRACTION * min(rayleigh, contact_time), DAMPING_FRACTION * damping_time)
         return dividing_step(scene.frame_interval, largest), ()
-    if not (math.isfinite(requested) and requested > 0):
-        raise TimeStepError(f"dem.time_step={requested:g} is impossible; choose a value > 0 s, or null")
+    requested = checked(DemConfig, "time_step", requested)
     step, given = dividing_step(scene.frame_interval, requested), f"dem.time_step={requested:g} s"
     if step < requested * (1.0 - 1e-9):
         given += f", shortened to {step:.6g} s,"

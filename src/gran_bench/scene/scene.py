@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gran_bench.config import DatasetConfig, SceneConfig
-from gran_bench.config_consistency import check_span
-from gran_bench.config_rules import checked, positive
+from gran_bench.config import SEED, SceneConfig
+from gran_bench.config_consistency import check_end, check_frames
+from gran_bench.config_rules import checked_value, positive
 from gran_bench.scene.errors import SceneError, hold, scene_errors
 from gran_bench.scene.filling import Filling, Room, drum_sites, open_sites, room_sites
 from gran_bench.scene.material import Material, PairCoefficients, mixed_coefficients
@@ -64,7 +64,7 @@ class Scene:
     def __post_init__(self) -> None:
         hold(self, SceneConfig.place, SceneConfig, drum_radius=positive("m"), length=positive("m"))
         with scene_errors():
-            check_span(self)
+            check_end(self)
         if len(self.filling.fractions) > len(self.materials):
             raise SceneError(
                 f"scene.filling.fractions={list(self.filling.fractions)} shares out more materials than the scene's "
@@ -94,7 +94,13 @@ class Scene:
 
     @property
     def frame_count(self) -> int:
-        """F: number of stored states, the settled one included."""
+        """F: number of stored states, the settled one included.
+
+        Raises:
+            SceneError: a span that is no whole number of frames.
+        """
+        with scene_errors():
+            check_frames(self)
         return round((self.end_time - self.start_time) / self.frame_interval) + 1
 
     @property
@@ -191,7 +197,7 @@ class Scene:
             SceneError: more spheres than sites, or a seed that is no whole number ≥ 0.
         """
         with scene_errors():
-            seed = checked(DatasetConfig, "packing_seed", seed)
+            seed = checked_value(int, SEED, seed, "seed")
         filling, rng = self.filling, np.random.default_rng(seed)
         position = self._placed() if filling.positions else self._on_lattice(rng)
         radius = filling.radius * filling.sizes.sample(filling.count, rng)

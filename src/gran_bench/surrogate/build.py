@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig
+from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig, TrainConfig
+from gran_bench.config_rules import checked
 from gran_bench.scene import Scene
 from gran_bench.surrogate.step import Surrogate
-
-MODELS = ("ccnn", "radial", "contact")
 
 
 def build_model(model: CconvModelConfig | ContactModelConfig, boundary: BoundaryConfig, scene: Scene) -> Surrogate:
@@ -19,15 +18,14 @@ def build_model(model: CconvModelConfig | ContactModelConfig, boundary: Boundary
         scene: the spheres and walls that the model is made for.
 
     Raises:
-        ValueError: an unknown name, or a value that the model refuses.
+        ConfigError: no model's config, or values that do not fit together or to the scene's spheres.
     """
+    checked(TrainConfig, "model", model)
     # Imported on demand: a model that is not used costs no import.
-    if model.name in ("ccnn", "radial"):
+    if isinstance(model, CconvModelConfig):
         from gran_bench.surrogate.ccnn import ContinuousConvolutionNetwork
 
         return ContinuousConvolutionNetwork(model, boundary, scene)
-    if model.name == "contact":
-        from gran_bench.surrogate.contact import ContactNetwork
+    from gran_bench.surrogate.contact import ContactNetwork
 
-        return ContactNetwork(model, scene)
-    raise ValueError(f"model.name={model.name!r} is unknown; choose {', '.join(MODELS)}")
+    return ContactNetwork(model, scene)

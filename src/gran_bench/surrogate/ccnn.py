@@ -9,6 +9,9 @@ import torch
 from torch import Tensor, nn
 
 from gran_bench.config import BoundaryConfig, CconvModelConfig
+from gran_bench.config_choices import check_radius
+from gran_bench.config_consistency import check_model
+from gran_bench.config_rules import ConfigError
 from gran_bench.scene import Scene
 from gran_bench.surrogate.boundary import KINDS, WallPairs, see_contacts, see_spheres
 from gran_bench.surrogate.cconv import ContinuousConvolution
@@ -74,7 +77,10 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
 
     def __init__(self, config: CconvModelConfig, boundary: BoundaryConfig, scene: Scene) -> None:
         super().__init__(config.update)
-        _check(config, boundary, scene)
+        check_model(config)
+        check_radius(config, scene.filling.diameter, scene.period)
+        if boundary.kind not in KINDS:
+            raise ConfigError(f"boundary.kind={boundary.kind} is not for {config.name}; choose {' or '.join(KINDS)}")
         self.config, self.boundary = config, boundary
         diameter = scene.filling.diameter
         self.pair_basis = _basis(config, diameter, contact=diameter)
@@ -177,23 +183,3 @@ def _basis(config: CconvModelConfig, diameter: float, contact: float) -> KernelB
     if config.kernel == "lattice":
         return LatticeBasis(config.radius, config.kernel_size)
     return RadialBasis.around_contact(diameter, config.radius, contact)
-
-
-def _check(config: CconvModelConfig, boundary: BoundaryConfig, scene: Scene) -> None:
-    if config.kernel not in ("lattice", "radial"):
-        raise ValueError(f"model.kernel={config.kernel!r} is unknown; choose lattice or radial")
-    if boundary.kind not in KINDS:
-        raise ValueError(f"boundary.kind={boundary.kind!r} is unknown; choose {', '.join(KINDS)}")
-    if config.width < 2 or config.width % 2:
-        raise ValueError(f"model.width={config.width} is impossible; choose an even number of at least 2")
-    if config.layers < 1:
-        raise ValueError(f"model.layers={config.layers} is impossible; choose 1 or more")
-    if not config.radius > scene.filling.diameter:
-        raise ValueError(
-            f"model.radius={config.radius:g} m reaches no neighbour of {scene.filling.diameter:g} m spheres; "
-            f"choose more than {scene.filling.diameter:g}"
-        )
-    if not config.output_scale > 0:
-        raise ValueError(f"model.output_scale={config.output_scale:g} is impossible; choose a value > 0 m a frame²")
-    if boundary.kind == "spheres" and not boundary.spacing > 0:
-        raise ValueError(f"boundary.spacing={boundary.spacing:g} is impossible; choose a value > 0 diameters")

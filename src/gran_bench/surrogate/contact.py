@@ -8,15 +8,16 @@ import torch
 from torch import Tensor, nn
 
 from gran_bench.config import ContactModelConfig
+from gran_bench.config_choices import PAIR_FADE, check_radius
+from gran_bench.config_consistency import check_model
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
 from gran_bench.surrogate.contact_geometry import MILLIMETRE, find_contacts
 from gran_bench.surrogate.contact_memory import ContactMemory, follow_memory, springs_of, update_memory
 from gran_bench.surrogate.contact_solver import PAIR, RAMP_NODES, solve_contacts
-from gran_bench.surrogate.kernels.contact_fused import FUSED_SIZES, fused_solve
+from gran_bench.surrogate.kernels.contact_fused import fused_solve
 from gran_bench.surrogate.step import FrameState, Surrogate, wrap
 
-PAIR_FADE = 0.1  # of a diameter, the last part of the reach, over which a pair's answer fades
 WALL_FADE = 0.5  # of the wall's reach
 
 
@@ -56,7 +57,8 @@ class ContactNetwork(Surrogate):
         self.diameter = scene.filling.diameter / MILLIMETRE
         self.velocity_kind = config.velocity
         self.has_memory = config.memory
-        _check(config, scene)
+        check_model(config)
+        check_radius(config, scene.filling.diameter, scene.period)
 
         iterations, hidden, channels = config.iterations, config.hidden, config.channels
         inputs = len(RAMP_NODES) - 1 + 5 + channels + 2 * config.memory
@@ -144,21 +146,3 @@ class ContactNetwork(Surrogate):
 def _uniform(shape: tuple[int, ...], fan_in: int) -> Tensor:
     """Weights uniform in ±1/√fan_in, the usual start of a linear layer."""
     return torch.empty(shape).uniform_(-1.0, 1.0) / math.sqrt(fan_in)
-
-
-def _check(config: ContactModelConfig, scene: Scene) -> None:
-    diameter = scene.filling.diameter
-    if config.radius < (1.0 + PAIR_FADE) * diameter * (1.0 - 1e-9):
-        raise ValueError(
-            f"model.radius={config.radius:g} m leaves no room for a contact to fade; "
-            f"choose at least {(1.0 + PAIR_FADE) * diameter:g} m, {1.0 + PAIR_FADE:g} diameters"
-        )
-    for key, legal in (("velocity", ("mean", "instantaneous")), ("backend", ("fused", "torch"))):
-        value = getattr(config, key)
-        if value not in legal:
-            raise ValueError(f"model.{key}={value!r} is unknown; choose {' or '.join(legal)}")
-    if config.backend == "fused" and (config.hidden, config.channels) != FUSED_SIZES:
-        raise ValueError(
-            f"model.hidden={config.hidden} with model.channels={config.channels} is not what model.backend=fused is "
-            f"compiled for; choose {FUSED_SIZES[0]} and {FUSED_SIZES[1]}, or model.backend=torch"
-        )
