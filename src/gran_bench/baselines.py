@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gran_bench.config_rules import check_arguments
 from gran_bench.metrics.measured import Series
 from gran_bench.metrics.summary import TrajectorySummary
 from gran_bench.scene import Scene
@@ -69,6 +70,7 @@ def interpolated_statistics(speed_rpm: float, training: Mapping[float, Trajector
     Raises:
         ValueError: the speed lies outside the training speeds, or the cases are not comparable.
     """
+    check_arguments(speed_rpm=(speed_rpm, float), training=(training, Mapping))
     slower = [rpm for rpm in training if rpm <= speed_rpm]
     faster = [rpm for rpm in training if rpm >= speed_rpm]
     if not (slower and faster):
@@ -103,6 +105,7 @@ def interpolated_statistics(speed_rpm: float, training: Mapping[float, Trajector
 
 
 def _clock(scene: Scene, settled: ParticleState) -> FloatArray:
+    check_arguments(scene=(scene, Scene), settled=(settled, ParticleState))
     return settled.time + scene.frame_interval * np.arange(scene.frame_count)
 
 

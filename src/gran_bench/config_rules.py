@@ -233,5 +233,7 @@ def shown(value: Any) -> str:
         return "null"
     if isinstance(value, bool):
         return str(value).lower()
+    if is_dataclass(value):
+        return f"{type(value).__name__}(…)"
     text = " ".join(str(value).removesuffix(".0").split() if isinstance(value, float) else str(value).split())
     return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 1]}…"

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from gran_bench.config_rules import at_least, check_arguments, checked_value
 from gran_bench.scene import Scene
 from gran_bench.state import ParticleState, Trajectory
 from gran_bench.surrogate.step import FrameState, Surrogate
@@ -33,6 +34,7 @@ class Rollout:
 
 def initial_frame(model: Surrogate, scene: Scene, state: ParticleState) -> FrameState:
     """The model's own form of a stored state, on the model's device, in its precision."""
+    check_arguments(model=(model, Surrogate), scene=(scene, Scene), state=(state, ParticleState))
     parameter = next(model.parameters())
 
     def tensor(array: np.ndarray) -> torch.Tensor:
@@ -68,8 +70,13 @@ def rollout(
         state: the settled state, as the DEM left it.
         frames: F, the first state included; None: as many as the scene has.
         progress: show a bar.
+
+    Raises:
+        ConfigError: an argument of a wrong type, or no frame.
+        SceneError: a span of the scene that is no whole number of frames.
     """
-    frames = scene.frame_count if frames is None else frames
+    check_arguments(model=(model, Surrogate), scene=(scene, Scene), state=(state, ParticleState))
+    frames = checked_value(int, at_least(1), scene.frame_count if frames is None else frames, "frames")
     shape = (frames, state.count, 3)
     position, velocity = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
     spin = np.full(shape, np.nan, np.float32) if model.uses_spin else None

@@ -10,9 +10,9 @@ from omegaconf import OmegaConf
 
 import gran_bench
 from gran_bench.composition import compose
-from gran_bench.config import GenerateConfig, SceneConfig
-from gran_bench.config_check import read_config
-from gran_bench.config_rules import ConfigError
+from gran_bench.config import GenerateConfig
+from gran_bench.config_check import read_config, unknown_key
+from gran_bench.config_rules import ConfigError, check_arguments, checked_value
 from gran_bench.override_errors import explain
 from gran_bench.scene import Scene, build_scene
 
@@ -31,25 +31,35 @@ def shipped_scene(name: str, changes: Mapping[str, object] | None = None) -> Sce
         ConfigError: no such scene (names those there are), or a change that the schema does not allow.
         SceneError: a scene that cannot be.
     """
-    overrides = [f"scene.{key}={value}" for key, value in (changes or {}).items()]
+    name, changes = checked_value(str, None, name, "name"), {} if changes is None else changes
+    check_arguments(changes=(changes, Mapping))
     try:
-        composed = compose("generate", [f"scene={name}", *overrides])
+        composed = compose("generate", [f"scene={name}"])
     except HydraException as error:
         raise ConfigError(explain(error, GenerateConfig) or str(error)) from error
     values = OmegaConf.to_container(composed.scene, resolve=True)
-    assert isinstance(values, dict)
-    return build_scene(read_config(SceneConfig, values))
+    for key, value in changes.items():
+        *sections, last = key.split(".")
+        section = values
+        for part in sections:
+            section[part] = section = section.get(part) or {}
+            if not isinstance(section, dict):
+                raise unknown_key(f"scene.{key}", value, GenerateConfig)
+        section[last] = value
+    # Read as part of a whole config, so that what contradicts itself is refused as it is on the command line.
+    return build_scene(read_config(GenerateConfig, {"scene": values}).scene)
 
 
 def shipped_model(name: str = DEFAULT_MODEL) -> Path:
     """The file of a trained model that ships with the package, to be read with `surrogate.checkpoint.load_model`.
 
     Args:
-        name: of the recipe that trained it.
+        name: of the recipe that trained it, such as ``holdout30rpm``.
 
     Raises:
         ConfigError: no such model; names those there are.
     """
+    checked_value(str, None, name, "name")
     package = Path(gran_bench.__file__).parent
     # An installed package carries the models; a clone has them where their results are.
     places = [package / "models", package.parents[1] / "results"]

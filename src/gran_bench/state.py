@@ -16,6 +16,8 @@ from gran_bench.config_rules import ConfigError, checked_value
 
 FloatArray = NDArray[np.floating]
 
+VELOCITY_KINDS = ("instantaneous", "mean")
+
 
 class StateError(ValueError):
     """A particle state that cannot be simulated; the message names the particles and the remedy."""
@@ -162,8 +164,8 @@ class Trajectory:
         _hold_radius("trajectory radius", self.radius, count)
         for name, values in self.diagnostics.items():
             _hold_shape(f"trajectory {name}", _numbers(f"trajectory {name}", values), (frames,))
-        if self.velocity_kind not in ("instantaneous", "mean"):
-            raise StateError(f"velocity_kind={self.velocity_kind!r}; expected 'instantaneous' or 'mean'")
+        if self.velocity_kind not in VELOCITY_KINDS:
+            raise StateError(f"velocity_kind={self.velocity_kind!r}; choose {' or '.join(VELOCITY_KINDS)}")
 
     @property
     def frame_count(self) -> int:

@@ -32,6 +32,7 @@ import numpy as np
 import yaml
 
 from gran_bench.atomic import write_atomically
+from gran_bench.config_rules import check_arguments, checked_value
 from gran_bench.dataset.case_spec import FORMAT_VERSION, DatasetError
 from gran_bench.dataset.scene_document import from_document
 from gran_bench.scene import Scene, SceneError
@@ -111,8 +112,10 @@ def read_case(path: Path | str, frames: slice | None = None) -> Case:
 
     Raises:
         DatasetError: the file is missing, cut short, damaged or of another format.
+        ConfigError: an argument of a wrong type.
     """
-    path = Path(path)
+    check_arguments(frames=(frames, slice | None))
+    path = Path(checked_value(str, None, path, "path"))
     with _opened(path) as file:
         chosen = slice(None) if frames is None else frames
         arrays = {name: file[name][chosen] for name in (*_BY_FRAME, "time")}
@@ -140,7 +143,7 @@ def read_settled(path: Path | str) -> tuple[ParticleState, dict[str, Any]]:
     Raises:
         DatasetError: the file is missing, cut short, damaged or of another format.
     """
-    with _opened(Path(path)) as file:
+    with _opened(path) as file:
         attributes = _checked_attributes(file)
         arrays, time = _read_state_arrays(file)
         _check_digest(attributes, arrays, time)
@@ -153,7 +156,7 @@ def read_attributes(path: Path | str) -> dict[str, Any]:
     Raises:
         DatasetError: as :func:`read_case`, but flipped bits in the arrays stay unseen.
     """
-    with _opened(Path(path)) as file:
+    with _opened(path) as file:
         return _checked_attributes(file)
 
 
@@ -208,10 +211,13 @@ def _scene_attributes(key: dict[str, Any], scene: Scene) -> dict[str, Any]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[h5py.File]:
+def _opened(path: Path | str) -> Iterator[h5py.File]:
     """The file, open for reading; whatever is wrong with it becomes one clear error."""
+    path = Path(checked_value(str, None, path, "path"))
     if not path.exists():
         raise DatasetError(f"{path} does not exist; make it with python -m gran_bench.generate")
+    if path.is_dir():
+        raise DatasetError(f"{path} is a folder; give the file of a case")
     try:
         # Finished files never change, so they need no lock, and a read-only disk can hold them.
         with h5py.File(path, "r", locking=False) as file:

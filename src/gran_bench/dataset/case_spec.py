@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from gran_bench.config import DatasetConfig, DemConfig
+from gran_bench.config import SEED, DatasetConfig, DemConfig
+from gran_bench.config_rules import check_arguments, checked_value
 from gran_bench.dataset.scene_document import to_document
 from gran_bench.dem.simulate import choose_time_step
 from gran_bench.scene import Scene
@@ -46,6 +47,11 @@ class CaseSpec:
     nudge: float = 0.0
     nudge_seed: int = 0
     settling_dem: DemConfig | None = None
+
+    def __post_init__(self) -> None:
+        check_arguments(scene=(self.scene, Scene), dem=(self.dem, DemConfig), nudge=(self.nudge, float))
+        for name in ("packing_seed", "nudge_seed"):
+            checked_value(int, SEED, getattr(self, name), name)
 
     @property
     def settling_scene(self) -> Scene:
@@ -146,6 +152,7 @@ def split_cases(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> Split:
         DatasetError: a scene that keeps its own motion, a speed that is in two splits or twice in one, or nothing
             left to train on.
     """
+    check_arguments(scene=(scene, Scene), dem=(dem, DemConfig), dataset=(dataset, DatasetConfig))
     if not scene.takes_speeds:
         raise DatasetError(
             f"scene {scene.name!r} keeps its own motion, so it makes one case and no splits by speed; "

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gran_bench.config import SEED, RolloutConfig, TrainerConfig
+from gran_bench.config_rules import checked, checked_value
 from gran_bench.dataset.case_file import Case, read_attributes
 from gran_bench.dataset.case_spec import DatasetError
 from gran_bench.scene import Scene
@@ -81,8 +83,8 @@ class Windows:
         startup_seconds: s.
 
     Raises:
-        DatasetError: no cases, cases of different particle numbers or frame intervals, an impossible share, a frame
-            that is not finite.
+        ConfigError: an impossible seed, share or span.
+        DatasetError: no cases, cases of different particle numbers or frame intervals, a frame that is not finite.
     """
 
     def __init__(
@@ -90,8 +92,9 @@ class Windows:
     ) -> None:
         if not cases:
             raise DatasetError("there is no case to train on; give dataset.training_speeds_rpm")
-        if not 0.0 <= startup_fraction <= 1.0:
-            raise DatasetError(f"trainer.startup_fraction={startup_fraction:g} is impossible; choose 0 to 1")
+        checked_value(int, SEED, seed, "seed")
+        checked(TrainerConfig, "startup_fraction", startup_fraction)
+        checked(TrainerConfig, "startup_seconds", startup_seconds)
         intervals = {case.scene.frame_interval for case in cases}
         if len(intervals) > 1:
             raise DatasetError(f"cases have frame intervals of {sorted(intervals)} s; train on one interval")
@@ -111,6 +114,8 @@ class Windows:
         Raises:
             DatasetError: no case has A + 1 frames.
         """
+        checked_value(int, SEED, number, "number")
+        checked(RolloutConfig, "frames", frames_ahead)
         rng = np.random.default_rng((self.seed, number))
         index = int(rng.integers(len(self.cases)))
         scene, frames = self.cases[index].scene, self.cases[index].trajectory.frame_count
@@ -125,7 +130,13 @@ class Windows:
         return self.window(index, int(rng.integers(starts)), frames_ahead)
 
     def window(self, case: int, start: int, frames_ahead: int) -> Window:
-        """The window of a case that starts at a frame."""
+        """The window of a case that starts at a frame.
+
+        Raises:
+            DatasetError: no such case, or not so many frames from the start on.
+        """
+        if not (0 <= case < len(self.cases) and 0 <= start < self.cases[case].trajectory.frame_count - frames_ahead):
+            raise DatasetError(f"case {case} has no window of {frames_ahead} frames ahead of frame {start}")
         trajectory, span = self.cases[case].trajectory, slice(start, start + frames_ahead + 1)
         return Window(
             scene=self.cases[case].scene,

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gran_bench.config_rules import check_arguments
 from gran_bench.metrics.measured import Series
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
@@ -61,8 +62,26 @@ def why_no_angle(scene: Scene) -> str:
     return ""
 
 
+def hold_drum(scene: Scene) -> None:
+    """Refuse a scene in which no surface can be looked for.
+
+    Raises:
+        ValueError: a scene without a drum.
+    """
+    check_arguments(scene=(scene, Scene))
+    if scene.drum_radius is None or scene.length is None:
+        raise ValueError(f"scene {scene.name!r} has no drum, so its beds have no surface; choose a drum")
+
+
 def cross_section_axes(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Unit vectors across the drum, ``(3,)`` each: the climbing direction (with the rotation) and up."""
+    """Unit vectors across the drum, ``(3,)`` each: the climbing direction (with the rotation) and up.
+
+    Raises:
+        ValueError: a scene without gravity.
+    """
+    check_arguments(scene=(scene, Scene))
+    if not scene.needs.gravity:
+        raise ValueError(f"scene {scene.name!r} has no gravity, so nothing is up; choose scene.gravity")
     down = np.asarray(scene.gravity, float) / scene.gravity_strength
     climbing = np.cross(scene.rotation.axis, down)
     turning = next((speed for speed in scene.rotation.speeds_rpm if speed), 1.0)
@@ -78,7 +97,11 @@ def center_of_mass_angles(position: FloatArray, radius: FloatArray, scene: Scene
         position: ``(F, N, 3)`` m; a frame that is not finite gives NaN.
         radius: ``(N,)`` m; the spheres have one density.
         scene: gives the axis, gravity and the sense of rotation.
+
+    Raises:
+        ValueError: a scene without gravity.
     """
+    position, radius = np.asarray(position), np.asarray(radius)
     climbing, up = cross_section_axes(scene)
     mass = radius.astype(np.float64) ** 3
     with np.errstate(invalid="ignore", over="ignore"):
@@ -98,7 +121,12 @@ def surface_lines(
         radius: ``(N,)`` m.
         scene: a drum.
         start_angles: ``(F,)`` rad; the centre-of-mass angles where None.
+
+    Raises:
+        ValueError: a scene without a drum or without gravity.
     """
+    hold_drum(scene)
+    position, radius = np.asarray(position), np.asarray(radius)
     climbing, up = cross_section_axes(scene)
     if start_angles is None:
         start_angles = center_of_mass_angles(position, radius, scene)
@@ -213,6 +241,7 @@ def angle_series(trajectory: Trajectory, scene: Scene) -> tuple[Series, Series, 
     Where no angle exists the series are undefined; the lines are still fitted wherever there is a drum, because a
     depth needs a surface.
     """
+    check_arguments(trajectory=(trajectory, Trajectory), scene=(scene, Scene))
     reason = why_no_angle(scene)
     frames = trajectory.frame_count
     if scene.drum_radius is None or scene.length is None or not scene.needs.gravity:

@@ -6,22 +6,26 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from gran_bench.config_rules import check_arguments
 from gran_bench.metrics.acceptance import acceptance
 from gran_bench.metrics.comparisons import COMPARISONS, FIGURES, Figure
 from gran_bench.metrics.judgement import ErrorRow, FigureRow, Judgement
-from gran_bench.metrics.measured import Measured, mean_of
+from gran_bench.metrics.measured import Measured, mean_of, shared_states
 from gran_bench.metrics.noise_floor import noise_floor, prediction_interval, score
+from gran_bench.metrics.outside import distance_outside
 from gran_bench.metrics.speeds import sorted_frames, velocities, wasserstein_series
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
 
+Run = Trajectory | TrajectorySummary
+
 
 def judge(
-    candidate: Trajectory | TrajectorySummary,
-    replicas: Sequence[Trajectory | TrajectorySummary],
+    candidate: Run,
+    replicas: Sequence[Run],
     scene: Scene,
-    others: Mapping[str, Trajectory | TrajectorySummary] | None = None,
+    others: Mapping[str, Run] | None = None,
 ) -> Judgement:
     """Hold a candidate against the replicas of the DEM.
 
@@ -35,14 +39,23 @@ def judge(
         others: further runs of the DEM by name, each a column of its own beside the noise floor.
 
     Raises:
-        ValueError: no replica, states at different times, or definitions of velocity that do not fit.
+        ValueError: an argument of a wrong type, no replica, runs of different spheres or at different times, runs of
+            another scene, or definitions of velocity that do not fit.
     """
+    others = {} if others is None else others
+    check_arguments(candidate=(candidate, Run), replicas=(replicas, list[Run]), scene=(scene, Scene))
+    check_arguments(others=(others, Mapping), **{f"others[{name}]": (run, Run) for name, run in others.items()})
     if not replicas:
         raise ValueError("no replica to judge against; make at least one run of the DEM")
     kind = candidate.velocity_kind
-    mine = _summary(candidate, scene, kind)
-    truth = [_summary(replica, scene, kind) for replica in replicas]
-    beside = {name: _summary(run, scene, kind) for name, run in (others or {}).items()}
+    runs = {"candidate": candidate, **{f"replica {i}": run for i, run in enumerate(replicas)}, **others}
+    for name, run in runs.items():
+        _hold_scene(name, run, scene, is_dem=run is not candidate)
+    summaries = {name: _summary(run, scene, kind) for name, run in runs.items()}
+    mine, *theirs = summaries.values()
+    for name, summary in summaries.items():
+        _hold_alike(name, summary, mine)
+    truth, beside = theirs[: len(replicas)], dict(zip(others, theirs[len(replicas) :], strict=True))
     return Judgement(
         errors=[
             ErrorRow(
@@ -63,6 +76,34 @@ def judge(
     )
 
 
+def _hold_scene(name: str, run: Run, scene: Scene, is_dem: bool) -> None:
+    """Refuse a run that was not made for the scene."""
+    interval = float(np.diff(run.time).mean()) if len(run.time) > 1 else scene.frame_interval
+    if abs(interval - scene.frame_interval) > 1e-3 * scene.frame_interval:
+        raise ValueError(
+            f"{name} has a state every {interval:g} s and scene {scene.name!r} every {scene.frame_interval:g} s; give "
+            "the scene that it was made for"
+        )
+    # The DEM stops where a centre is farther out than its radius; a rollout does not, which is counted.
+    if is_dem and isinstance(run, Trajectory) and _starts_outside(run, scene):
+        raise ValueError(
+            f"{name} starts with spheres outside the walls of scene {scene.name!r}; give the scene that it was made for"
+        )
+
+
+def _starts_outside(run: Trajectory, scene: Scene) -> bool:
+    return bool((distance_outside(run.position[:1].astype(np.float64), run.radius, scene) > run.radius).any())
+
+
+def _hold_alike(name: str, summary: TrajectorySummary, mine: TrajectorySummary) -> None:
+    """Refuse runs of different spheres or at different times; one that ended early is counted as such."""
+    if summary.count != mine.count:
+        raise ValueError(
+            f"candidate has {mine.count} spheres and {name} has {summary.count}; compare runs of one scene's spheres"
+        )
+    shared_states(mine.time, summary.time)
+
+
 def nearest_case(
     candidate: Trajectory, cases: Mapping[float, Trajectory], period: float = 0.0
 ) -> tuple[float | None, dict[float, Measured]]:
@@ -75,7 +116,13 @@ def nearest_case(
 
     Returns:
         The nearest case's speed in rpm, None where the distance to any case is undefined, and all distances in m/s.
+
+    Raises:
+        ValueError: an argument of a wrong type, no case, or states at different times.
     """
+    check_arguments(candidate=(candidate, Trajectory), cases=(cases, Mapping))
+    if not cases:
+        raise ValueError("no case to compare with; give runs of the DEM by their speed")
     mine = _sorted_speeds(candidate, candidate.velocity_kind, period)
     distances = {}
     for rpm, case in cases.items():
@@ -86,7 +133,7 @@ def nearest_case(
     return min(distances, key=lambda rpm: distances[rpm].number), distances
 
 
-def _summary(run: Trajectory | TrajectorySummary, scene: Scene, kind: str) -> TrajectorySummary:
+def _summary(run: Run, scene: Scene, kind: str) -> TrajectorySummary:
     return run if isinstance(run, TrajectorySummary) else summarise(run, scene, kind)
 
 

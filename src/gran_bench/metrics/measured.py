@@ -100,6 +100,8 @@ class Series:
     invalid_because: str = "no valid figure"
 
     def __post_init__(self) -> None:
+        for name in ("time", "value"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name)))
         if self.time.shape != self.value.shape:
             raise ValueError(f"series value has shape {self.value.shape}; expected {self.time.shape}, one a state")
 
@@ -178,15 +180,26 @@ def frame_at(time: FloatArray, instant: float) -> int | None:
     return nearest if abs(float(time[nearest]) - instant) <= half + 1e-6 else None
 
 
-def _aligned(a: Series, b: Series) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The longer of two clocks, and both values on it, NaN where one has ended."""
-    shared = min(len(a.time), len(b.time))
-    if not np.allclose(a.time[:shared], b.time[:shared], rtol=0.0, atol=1e-4):
-        worst = int(np.argmax(np.abs(a.time[:shared] - b.time[:shared])))
+def shared_states(a: FloatArray, b: FloatArray) -> int:
+    """How many states two clocks (s) have in common; a trajectory that ended early is shorter.
+
+    Raises:
+        ValueError: states at different times.
+    """
+    shared = min(len(a), len(b))
+    apart = np.abs(a[:shared] - b[:shared])
+    if not (apart <= 1e-4).all():
+        worst = int(np.argmax(apart))
         raise ValueError(
-            f"states lie at different times ({a.time[worst]:g} s and {b.time[worst]:g} s at frame {worst}); "
+            f"states lie at different times ({a[worst]:g} s and {b[worst]:g} s at frame {worst}); "
             "compare trajectories of one scene and one frame interval"
         )
+    return shared
+
+
+def _aligned(a: Series, b: Series) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The longer of two clocks, and both values on it, NaN where one has ended."""
+    shared_states(a.time, b.time)
     time = a.time if len(a.time) >= len(b.time) else b.time
     values = np.full((2, len(time)), np.nan)
     values[0, : len(a.value)] = a.value

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gran_bench.config_rules import check_arguments
 from gran_bench.metrics.angle_of_repose import cross_section_axes
 from gran_bench.metrics.measured import Series
 from gran_bench.scene import Scene
@@ -20,6 +21,7 @@ def mixing_entropy(trajectory: Trajectory, scene: Scene) -> Series:
     or right of its median along the climbing direction, that it lay in. Cells are 2 d squares of the cross-section
     over the full length, which hold enough spheres to leave little bias from small numbers.
     """
+    check_arguments(trajectory=(trajectory, Trajectory), scene=(scene, Scene))
     if not scene.needs.gravity or not len(trajectory.radius):
         nothing = np.full(trajectory.frame_count, np.nan)
         return Series(trajectory.time, nothing, "-", undefined_because="the scene has no bed")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gran_bench.config_rules import check_arguments
 from gran_bench.metrics.overlap import wall_overlap
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
@@ -89,6 +90,7 @@ def count_failures(trajectory: Trajectory, scene: Scene) -> FailureCount:
 
     A sphere whose position is not finite counts as not finite, not as outside.
     """
+    check_arguments(trajectory=(trajectory, Trajectory), scene=(scene, Scene))
     parts = [trajectory.position, trajectory.velocity]
     if trajectory.angular_velocity is not None:
         parts.append(trajectory.angular_velocity)

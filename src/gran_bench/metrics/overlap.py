@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gran_bench.config_rules import check_arguments
 from gran_bench.metrics.measured import Series
 from gran_bench.neighbors import nearest_image, tree_pairs
 from gran_bench.scene import Plane, Scene, Wall
@@ -54,6 +55,7 @@ def overlap_series(trajectory: Trajectory, scene: Scene) -> dict[str, Series]:
         trajectory: F states.
         scene: its walls (those that contain, where positions are all there is) and its period.
     """
+    check_arguments(trajectory=(trajectory, Trajectory), scene=(scene, Scene))
     if all(name in trajectory.diagnostics for name in OVERLAP_SERIES):
         values = [np.asarray(trajectory.diagnostics[name], np.float64) for name in OVERLAP_SERIES]
     else:

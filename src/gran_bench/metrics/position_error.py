@@ -11,7 +11,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from gran_bench.metrics.measured import Measured, Series
+from gran_bench.config import JudgeConfig
+from gran_bench.config_rules import check_arguments, checked
+from gran_bench.metrics.measured import Measured, Series, shared_states
 from gran_bench.state import FloatArray, Trajectory
 
 HORIZONS = (1, 3, 10)  # frames
@@ -26,8 +28,14 @@ def separation(a: FloatArray, b: FloatArray, period: float = 0.0) -> FloatArray:
     Args:
         a, b: ``(F, N, 3)`` m.
         period: length of the periodic axis y, m; distances are to the nearest image.
+
+    Raises:
+        ValueError: different numbers of frames or spheres.
     """
-    offset = a.astype(np.float64) - b.astype(np.float64)
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    if a.shape != b.shape:
+        raise ValueError(f"positions have shapes {a.shape} and {b.shape}; compare the same spheres in the same frames")
+    offset = a - b
     if period > 0:
         with np.errstate(invalid="ignore"):
             offset[..., 1] -= period * np.round(offset[..., 1] / period)
@@ -40,7 +48,7 @@ def separation_series(
     time_a: FloatArray, a: FloatArray, time_b: FloatArray, b: FloatArray, period: float = 0.0
 ) -> Series:
     """`separation` against time, m; a state that only one of the two has is invalid."""
-    shared = min(len(time_a), len(time_b))
+    shared = shared_states(time_a, time_b)
     time = time_a if len(time_a) >= len(time_b) else time_b
     value = np.full(len(time), np.nan)
     value[:shared] = separation(a[:shared], b[:shared], period)
@@ -83,8 +91,11 @@ def short_horizon_errors(
         The mean over all starts; undefined, naming the first start, where any prediction is not finite.
 
     Raises:
-        ValueError: a start from which the longest horizon lies beyond the trajectory.
+        ValueError: no horizon of one frame or more, or a start from which the longest lies beyond the trajectory.
     """
+    check_arguments(truth=(truth, Trajectory))
+    if not horizons or min(horizons) < 1:
+        raise ValueError(f"horizons={tuple(horizons)} look nowhere; give frames ahead, each ≥ 1")
     longest = max(horizons)
     late = [start for start in starts if not 0 <= start < truth.frame_count - longest]
     if late or not len(starts):
@@ -110,6 +121,7 @@ def short_horizon_errors(
 
 def spread_starts(frame_count: int, starts: int, longest: int = max(HORIZONS)) -> list[int]:
     """``starts`` frames spread evenly over a trajectory, from the settled state to the last possible one."""
+    starts = checked(JudgeConfig, "short_horizon_starts", starts)
     last = frame_count - longest - 1
     if last < 0:
         raise ValueError(f"{frame_count} frames are too few for a horizon of {longest}; store at least {longest + 1}")

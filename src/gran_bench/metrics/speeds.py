@@ -9,12 +9,11 @@ import math
 
 import numpy as np
 
-from gran_bench.metrics.angle_of_repose import HALF_WINDOW, SurfaceLine, cross_section_axes
-from gran_bench.metrics.measured import Series
+from gran_bench.config_rules import check_arguments
+from gran_bench.metrics.angle_of_repose import HALF_WINDOW, SurfaceLine, cross_section_axes, hold_drum
+from gran_bench.metrics.measured import Series, shared_states
 from gran_bench.scene import Scene
-from gran_bench.state import FloatArray, Trajectory
-
-VELOCITY_KINDS = ("instantaneous", "mean")
+from gran_bench.state import VELOCITY_KINDS, FloatArray, Trajectory
 
 
 def velocities(trajectory: Trajectory, velocity_kind: str, period: float = 0.0) -> FloatArray:
@@ -28,6 +27,7 @@ def velocities(trajectory: Trajectory, velocity_kind: str, period: float = 0.0) 
     Raises:
         ValueError: instantaneous velocities of a trajectory that has only means, or an unknown kind.
     """
+    check_arguments(trajectory=(trajectory, Trajectory))
     if velocity_kind not in VELOCITY_KINDS:
         raise ValueError(f"velocity_kind={velocity_kind!r}; choose one of {', '.join(VELOCITY_KINDS)}")
     if velocity_kind == trajectory.velocity_kind:
@@ -59,6 +59,7 @@ def wasserstein(sorted_a: FloatArray, sorted_b: FloatArray) -> float:
     Returns:
         NaN where a sample is empty or has a value that is not finite.
     """
+    sorted_a, sorted_b = np.asarray(sorted_a), np.asarray(sorted_b)
     if not (len(sorted_a) and len(sorted_b)):
         return math.nan
     if len(sorted_a) == len(sorted_b):
@@ -93,9 +94,7 @@ def wasserstein_series(time_a: FloatArray, a: FloatArray, time_b: FloatArray, b:
     Raises:
         ValueError: the states lie at different times.
     """
-    shared = min(len(time_a), len(time_b))
-    if not np.allclose(time_a[:shared], time_b[:shared], rtol=0.0, atol=1e-4):
-        raise ValueError("states lie at different times; compare trajectories of one scene and one frame interval")
+    shared = shared_states(time_a, time_b)
     time = time_a if len(time_a) >= len(time_b) else time_b
     value = np.full(len(time), np.nan)
     if a.shape[1] == b.shape[1]:
@@ -119,7 +118,11 @@ def depth_profile(
         velocity: ``(F, N, 3)`` m/s.
         lines: the surfaces of the states.
         scene: a drum.
+
+    Raises:
+        ValueError: a scene without a drum.
     """
+    hold_drum(scene)
     diameter = scene.filling.diameter
     layers = max(1, round(2.0 * scene.drum_radius / diameter))
     climbing, up = cross_section_axes(scene)

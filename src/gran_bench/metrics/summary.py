@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gran_bench.config_rules import check_arguments
 from gran_bench.metrics.angle_of_repose import angle_series
 from gran_bench.metrics.energy import rotational_energy, sphere_masses, translational_energy
 from gran_bench.metrics.measured import Series, within
@@ -57,6 +58,11 @@ class TrajectorySummary:
     failures: FailureCount | None = field(default=None)
 
     @property
+    def count(self) -> int:
+        """Number of spheres N."""
+        return self.sorted_speed.shape[1]
+
+    @property
     def steady_speed(self) -> FloatArray:
         """All speeds of the finite states of the steady part, pooled and increasing, m/s."""
         steady = self.sorted_speed[within(self.time, STEADY_FROM, np.inf)]
@@ -98,6 +104,7 @@ def summarise(trajectory: Trajectory, scene: Scene, velocity_kind: str | None = 
     Raises:
         ValueError: instantaneous velocities asked of a trajectory of means.
     """
+    check_arguments(trajectory=(trajectory, Trajectory), scene=(scene, Scene))
     time = trajectory.time
     velocity = velocities(trajectory, velocity_kind or trajectory.velocity_kind, scene.period)
     surface, center, lines = angle_series(trajectory, scene)

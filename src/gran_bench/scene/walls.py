@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gran_bench.config_rules import Range, at_least, positive
-from gran_bench.scene.errors import SceneError, hold, hold_unit
+from gran_bench.config_rules import Range, at_least, checked_value, positive
+from gran_bench.scene.errors import SceneError, hold, hold_unit, scene_errors
 from gran_bench.scene.motion import Motion, Vector
 
 METRES, SIZE = Range(unit="m"), positive("m")
@@ -176,13 +176,15 @@ def box(lower: Vector, upper: Vector, **common: object) -> tuple[Plane, ...]:
     Raises:
         SceneError: a box without room.
     """
+    with scene_errors():
+        lower, upper = (checked_value(Vector, METRES, v, f"box.{n}") for n, v in (("lower", lower), ("upper", upper)))
     if not all(a < b for a, b in zip(lower, upper, strict=True)):
         raise SceneError(f"box from {list(lower)} to {list(upper)} has no room; give an upper corner above the lower")
     planes = []
     for axis in range(3):
         for corner, sign in ((lower, 1.0), (upper, -1.0)):
             normal = tuple(sign if k == axis else 0.0 for k in range(3))
-            planes.append(Plane(tuple(corner), normal, **common))
+            planes.append(Plane(corner, normal, **common))
     return tuple(planes)
 
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from gran_bench.atomic import write_atomically
 from gran_bench.config import MODEL_SCHEMAS, BoundaryConfig, SceneConfig
 from gran_bench.config_check import read_config
+from gran_bench.config_rules import checked_value
 from gran_bench.scene import build_scene
 from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.step import Surrogate
@@ -83,10 +84,11 @@ def load_card(path: Path) -> tuple[ModelCard, dict[str, Tensor]]:
     Raises:
         CheckpointError: no such file, not a model of this project, or damaged.
     """
-    if not Path(path).exists():
+    path = Path(checked_value(str, None, path, "path"))
+    if not path.exists():
         raise CheckpointError(f"model file {path} does not exist; train one, or leave the key out: one is shipped")
     try:
-        content = read_tensors(Path(path))
+        content = read_tensors(path)
         weights = content.pop("weights")
         return ModelCard(**content), weights
     except Exception as error:
@@ -103,14 +105,22 @@ def load_model(path: str | Path, device: str = "cpu") -> tuple[Surrogate, ModelC
         device: torch device.
 
     Raises:
-        CheckpointError: no such file, or not a model of this project.
+        CheckpointError: no such file, not a model of this project, or a device that PyTorch cannot use.
     """
-    card, weights = load_card(Path(path))
-    scene = build_scene(read_config(SceneConfig, card.scene))
-    schema = MODEL_SCHEMAS[card.model["name"]]
-    model = build_model(read_config(schema, card.model), read_config(BoundaryConfig, card.boundary), scene)
-    model.load_state_dict(weights)
-    return model.to(device).eval(), card
+    card, weights = load_card(path)
+    try:
+        scene = build_scene(read_config(SceneConfig, card.scene))
+        schema = MODEL_SCHEMAS[card.model["name"]]
+        model = build_model(read_config(schema, card.model), read_config(BoundaryConfig, card.boundary), scene)
+        model.load_state_dict(weights)
+    except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise CheckpointError(f"{path} describes no model that can be built ({reason}); train it again") from error
+    try:
+        return model.to(device).eval(), card
+    except (AssertionError, RuntimeError, TypeError) as error:
+        reason = str(error).splitlines()[0]
+        raise CheckpointError(f"device={device} cannot be used ({reason}); choose cpu, or cuda with a GPU") from error
 
 
 def file_digest(path: Path) -> str:
