@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gran_bench.config import ContainerConfig, DatasetConfig, DemConfig, FillingConfig, SceneConfig
+from gran_bench.config_rules import ConfigError
 from gran_bench.dataset import (
     Case,
     DatasetError,
@@ -147,7 +148,7 @@ def test_windows_that_cannot_be_drawn_say_why(cases: list[Case]):
         Windows(cases).draw(0, 31)
     with pytest.raises(DatasetError, match="no case to train on"):
         Windows([])
-    with pytest.raises(DatasetError, match=r"startup_fraction=1\.5"):
+    with pytest.raises(ConfigError, match=r"startup_fraction=1\.5"):
         Windows(cases, startup_fraction=1.5)
     other = replace(cases[0], scene=replace(cases[0].scene, frame_interval=0.02))
     with pytest.raises(DatasetError, match=r"frame intervals of \[0\.01, 0\.02\] s"):

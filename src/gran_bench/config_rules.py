@@ -157,7 +157,7 @@ def checked_value(hint: Any, rule: Rule | None, value: Any, dotted: str) -> Any:
     if _is_list(kind):
         return _checked_list(kind, rule, value, dotted)
     if kind is float and type(value) is int:
-        value = float(value) if abs(value) <= sys.float_info.max else math.copysign(math.inf, value)
+        value = float(value) if abs(value) <= sys.float_info.max else math.inf if value > 0 else -math.inf
     elif kind is str and isinstance(value, os.PathLike):
         value = os.fspath(value)
     # bool is an int to Python, but not to a person: only an exact type will do.
@@ -181,9 +181,10 @@ def _checked_list(kind: Any, rule: Rule | None, value: Any, dotted: str) -> Any:
         raise ConfigError(f"{dotted}={shown(value)} is no list; write {dotted}=[{shown(value)}]")
     if _is_list(elements[0]) and not all(isinstance(row, list | tuple) or hasattr(row, "tolist") for row in value):
         raise ConfigError(f"{dotted}={shown(value)} is no list of vectors; write {dotted}=[[x, y, z]]")
-    if get_origin(kind) is tuple and elements[-1] is not ... and len(value) != len(elements):
-        raise ConfigError(f"{dotted}={shown(list(value))} is no vector; give three components")
-    return get_origin(kind)(checked_value(elements[0], rule, each, f"{dotted}[{i}]") for i, each in enumerate(value))
+    found = [checked_value(elements[0], rule, each, f"{dotted}[{i}]") for i, each in enumerate(value)]
+    if get_origin(kind) is tuple and elements[-1] is not ... and len(found) != len(elements):
+        raise ConfigError(f"{dotted}={shown(found)} is no vector; give three components")
+    return get_origin(kind)(found)
 
 
 def check_arguments(**arguments: tuple[Any, Any]) -> None:

@@ -29,6 +29,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from gran_bench.config import MaterialConfig
+from gran_bench.config_rules import checked
 from gran_bench.dem.prediction import PREDICTION_FADE
 from gran_bench.scene import Material
 from gran_bench.state import FloatArray
@@ -203,10 +205,9 @@ def damping_coefficient(restitution: float) -> float:
         restitution: e in (0, 1], −.
 
     Raises:
-        ValueError: a restitution outside (0, 1].
+        ConfigError: a restitution outside (0, 1].
     """
-    if not 0.0 < restitution <= 1.0:
-        raise ValueError(f"restitution={restitution:g} is impossible; choose a value in (0, 1]")
+    restitution = checked(MaterialConfig, "restitution", restitution)
     if restitution == 1.0:
         return 0.0
     upper = 1.0

@@ -49,6 +49,13 @@ def check_initial_state(scene: Scene, state: ParticleState, remedy: str | None =
                 f"the contact history names {np.count_nonzero(~known)} contacts whose particles or walls this scene "
                 "does not have; run the state in its own scene, or with ContactHistory.empty()"
             )
+        remembered = np.column_stack((history.force, history.overlap, history.rolling_moment))
+        finite = np.isfinite(remembered).all(axis=1)
+        if not finite.all():
+            raise StateError(
+                f"the contact history is not finite for {np.count_nonzero(~finite)} contacts; repair it, or run the "
+                "state with ContactHistory.empty()"
+            )
 
 
 def check_initial_speed(state: ParticleState, time_step: float) -> None:

@@ -44,7 +44,8 @@ def judge(
     """
     others = {} if others is None else others
     check_arguments(candidate=(candidate, Run), replicas=(replicas, list[Run]), scene=(scene, Scene))
-    check_arguments(others=(others, Mapping), **{f"others[{name}]": (run, Run) for name, run in others.items()})
+    check_arguments(others=(others, Mapping))
+    check_arguments(**{f"others[{name}]": (run, Run) for name, run in others.items()})
     if not replicas:
         raise ValueError("no replica to judge against; make at least one run of the DEM")
     kind = candidate.velocity_kind

@@ -187,11 +187,11 @@ def shared_states(a: FloatArray, b: FloatArray) -> int:
         ValueError: states at different times.
     """
     shared = min(len(a), len(b))
-    apart = np.abs(a[:shared] - b[:shared])
-    if not (apart <= 1e-4).all():
-        worst = int(np.argmax(apart))
+    apart = ~(np.abs(np.subtract(a[:shared], b[:shared])) <= 1e-4)
+    if apart.any():
+        first = int(np.argmax(apart))
         raise ValueError(
-            f"states lie at different times ({a[worst]:g} s and {b[worst]:g} s at frame {worst}); "
+            f"states lie at different times ({a[first]:g} s and {b[first]:g} s at frame {first}); "
             "compare trajectories of one scene and one frame interval"
         )
     return shared

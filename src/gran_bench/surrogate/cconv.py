@@ -17,10 +17,10 @@ import math
 import torch
 from torch import Tensor, nn
 
+from gran_bench.config import CconvModelConfig
+from gran_bench.config_rules import checked
 from gran_bench.surrogate.kernels.fused import convolve_fused
 from gran_bench.surrogate.neighborhood import KernelBasis, Neighborhood
-
-BACKENDS = ("fused", "torch")
 
 
 def convolve(features: Tensor, weight: Tensor, neighborhood: Neighborhood) -> Tensor:
@@ -84,7 +84,7 @@ class ContinuousConvolution(nn.Module):
         weight: ``(B, C_in, C_out)``; for a lattice, ``view(k, k, k, C_in, C_out)`` is ordered z, y, x.
 
     Raises:
-        ValueError: another backend.
+        ConfigError: another backend.
     """
 
     def __init__(
@@ -96,9 +96,7 @@ class ContinuousConvolution(nn.Module):
         neighbors: float = 50.0,
     ) -> None:
         super().__init__()
-        if backend not in BACKENDS:
-            raise ValueError(f"model.backend={backend!r} is unknown; choose {' or '.join(BACKENDS)}")
-        self.backend = backend
+        self.backend = checked(CconvModelConfig, "backend", backend)
         bound = initial_bound(basis, channels_in, neighbors)
         self.weight = nn.Parameter(torch.empty(basis.size, channels_in, channels_out).uniform_(-bound, bound))
 

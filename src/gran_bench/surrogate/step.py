@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from gran_bench.config import CconvModelConfig
+from gran_bench.config_rules import checked
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
-
-UPDATES = ("mean", "trapezoid")
 
 
 @dataclass
@@ -113,14 +113,12 @@ class NewtonSurrogate(Surrogate):
         update: ``mean`` or ``trapezoid``.
 
     Raises:
-        ValueError: another update.
+        ConfigError: another update.
     """
 
     def __init__(self, update: str = "mean") -> None:
         super().__init__()
-        if update not in UPDATES:
-            raise ValueError(f"model.update={update!r} is unknown; choose {' or '.join(UPDATES)}")
-        self.update = update
+        self.update = checked(CconvModelConfig, "update", update)
         self.velocity_kind = "mean" if update == "mean" else "instantaneous"
 
     def acceleration(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> Tensor:

@@ -7,6 +7,9 @@ import math
 import torch
 from torch import Tensor
 
+from gran_bench.config import CconvModelConfig
+from gran_bench.config_rules import checked
+
 _CENTRE = 1.0e-6  # of the radius: closer to the middle than this, directions are noise and the point is the centre
 
 
@@ -71,8 +74,7 @@ class LatticeBasis:
     """
 
     def __init__(self, radius: float, edge: int = 4) -> None:
-        if edge < 2:
-            raise ValueError(f"model.kernel_size={edge} is impossible; choose 2 or more")
+        checked(CconvModelConfig, "kernel_size", edge)
         self.radius = radius
         self.edge = edge
         self.size = edge**3

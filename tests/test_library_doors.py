@@ -1,0 +1,459 @@
+"""Every public door of the library refuses what cannot be in one clear sentence, with the command line's own words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from beds import drum, flowing
+from torch import nn
+
+from gran_bench.baselines import ballistic, interpolated_statistics, rigid_rotation
+from gran_bench.composition import checked_config, compose
+from gran_bench.config import (
+    BoundaryConfig,
+    ContactModelConfig,
+    DatasetConfig,
+    DemConfig,
+    GenerateConfig,
+    MaterialConfig,
+    OptimConfig,
+    SceneConfig,
+    TrackingConfig,
+    TrainConfig,
+)
+from gran_bench.config_rules import ConfigError
+from gran_bench.dataset import read_case, read_settled
+from gran_bench.dataset.case_spec import CaseSpec, split_cases
+from gran_bench.dem.simulate import settle, simulate
+from gran_bench.metrics import (
+    judge,
+    nearest_case,
+    short_horizon_errors,
+    spread_starts,
+    summarise,
+)
+from gran_bench.metrics.angle_of_repose import angle_series, center_of_mass_angles, cross_section_axes, surface_lines
+from gran_bench.metrics.measured import Measured
+from gran_bench.metrics.mixing import mixing_entropy
+from gran_bench.metrics.noise_floor import noise_floor
+from gran_bench.metrics.outside import count_failures
+from gran_bench.metrics.overlap import overlap_series
+from gran_bench.metrics.position_error import mean_spread, separation
+from gran_bench.metrics.speeds import velocities, wasserstein_series
+from gran_bench.rollout import rollout, step_frames
+from gran_bench.scene import (
+    Cone,
+    Cylinder,
+    Disc,
+    Filling,
+    Material,
+    Outlet,
+    PairCoefficients,
+    Plane,
+    Room,
+    Rotation,
+    Sizes,
+    Spin,
+    Translation,
+    Vibration,
+    box,
+)
+from gran_bench.shipped import shipped_model, shipped_scene
+from gran_bench.state import ContactHistory, ParticleState, Trajectory
+from gran_bench.surrogate.build import build_model
+from gran_bench.surrogate.checkpoint import ModelCard, load_model, save_model
+from gran_bench.surrogate.step import Surrogate
+
+UP, ORIGIN = (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+GLASS = Material(1e7, 0.3, 2500.0, 0.5, 0.3)
+SCENE = replace(drum(end_time=3.7), frame_interval=0.04)
+HOPPER = shipped_scene("hopper")
+NOWHERE = replace(SCENE, name="nowhere", gravity=(0, 0, 0))
+SINGLE = DemConfig(engine="numpy", precision="float32")
+RUN, TWIN = flowing(SCENE, 0), flowing(SCENE, 1)
+Door = Callable[[], object]
+
+
+def state(count: int = 2, **changes) -> ParticleState:
+    """Spheres in a row, at rest."""
+    position = np.zeros((count, 3))
+    position[:, 1] = 0.1 * np.arange(count)
+    values = {"position": position, "velocity": 0 * position, "angular_velocity": 0 * position}
+    return ParticleState(**({**values, "radius": np.full(count, 0.025), "time": 1.5} | changes))
+
+
+class Still(Surrogate):
+    """Leaves everything where it is."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(torch.ones(()))
+
+    def forward(self, state, scene, time):
+        return state
+
+
+def refused(door: Door, sentence: str) -> None:
+    """The door raises one of the house's errors, in one line that has the sentence."""
+    with pytest.raises((ValueError, RuntimeError)) as caught:
+        door()
+    message = str(caught.value)
+    assert sentence in message
+    assert "\n" not in message
+    assert len(message) < 500
+    assert type(caught.value) is ValueError or type(caught.value).__module__.startswith("gran_bench.")
+
+
+def doors(*rows: tuple[Door, str]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize(("door", "sentence"), rows, ids=[sentence for _, sentence in rows])
+
+
+# ---- configs -------------------------------------------------------------------------------------------------
+
+
+@doors(
+    (lambda: DemConfig(precision="float16"), "dem.precision=float16 is impossible; choose float64 or float32"),
+    (lambda: DemConfig(engine="nunba"), "dem.engine=nunba is impossible; choose numba or numpy"),
+    (lambda: DemConfig(time_step=-1), "dem.time_step=-1 is impossible; choose a value > 0 s, or null"),
+    (lambda: DemConfig(time_step=math.inf), "dem.time_step=inf is impossible; choose a value > 0 s, or null"),
+    (lambda: DemConfig(time_step=10**400), "dem.time_step=inf is impossible"),
+    (lambda: DemConfig(time_step="1e-4"), "dem.time_step=1e-4 has the wrong type; give a number, or null"),
+    (lambda: DemConfig(threads=2.5), "dem.threads=2.5 has the wrong type; give a whole number, or null"),
+    (lambda: DemConfig(threads=True), "dem.threads=true has the wrong type; give a whole number, or null"),
+    (lambda: DemConfig(allow_unsafe_step=1), "dem.allow_unsafe_step=1 has the wrong type; give true or false"),
+    (lambda: replace(DemConfig(), skin=math.nan), "dem.skin=nan is impossible; choose a value > 0 m, or null"),
+    (lambda: setattr(DemConfig(), "timestep", 1e-4), "dem.timestep=0.0001: no such key; the keys are engine"),
+    (lambda: MaterialConfig(restitution=1.2), "scene.material.restitution=1.2 is impossible; choose a value in (0, 1]"),
+    (lambda: SceneConfig(name=""), "scene.name= is impossible; choose a word"),
+    (lambda: SceneConfig(gravity=-9.81), "scene.gravity=-9.81 is no list; write scene.gravity=[-9.81]"),
+    (lambda: SceneConfig(gravity=[0, 0, None]), "scene.gravity[2]=null has the wrong type; give a number"),
+    (lambda: SceneConfig(container={"kind": "box"}), "scene.container={'kind': 'box'} has the wrong type; give a Cont"),
+    (lambda: DatasetConfig(replicas=1), "dataset.replicas=1 is impossible; choose a value ≥ 2"),
+    (lambda: OptimConfig(weight_average=1.0), "optim.weight_average=1 is impossible; choose a value in [0, 1)"),
+    (lambda: TrainConfig(dem={"engine": "numpy"}), "dem={'engine': 'numpy'} has the wrong type; give a DemConfig"),
+    (lambda: TrainConfig(seed=-1), "seed=-1 is impossible; choose a value ≥ 0"),
+)
+def test_a_section_refuses_what_its_keys_cannot_hold(door, sentence):
+    refused(door, sentence)
+
+
+@pytest.mark.parametrize(
+    ("override", "make"),
+    [
+        ("dem.precision=float16", lambda: DemConfig(precision="float16")),
+        ("dem.time_step=-1", lambda: DemConfig(time_step=-1)),
+        ("scene.material.restitution=0", lambda: MaterialConfig(restitution=0)),
+        ("scene.material.friction=-0.5", lambda: replace(GLASS, friction=-0.5)),
+        ("scene.filling.count=-1", lambda: Filling(-1, 0.05)),
+        ("scene.filling.jitter=0.2", lambda: Filling(1, 0.05, jitter=0.2)),
+        ("scene.gravity=[0,0]", lambda: replace(SCENE, gravity=[0, 0])),
+        ("scene.frame_interval=0", lambda: replace(SCENE, frame_interval=0)),
+        ("scene.end_time=1", lambda: replace(SCENE, end_time=1)),
+        ("scene.frame_interval=0.03", lambda: rollout(Still(), replace(drum(), frame_interval=0.03), state())),
+        ("scene.rotation.speeds_rpm=[nan]", lambda: SCENE.at_speed(math.nan)),
+        ("scene.rotation.speeds_rpm=[1,2]", lambda: Rotation((1.5,), (1, 2))),
+        ("dem.engine=numpy dem.precision=float32", lambda: settle(SCENE, 0, dem=SINGLE)),
+    ],
+)
+def test_the_library_says_what_the_command_line_says(override, make):
+    with pytest.raises(ConfigError) as by_command:
+        checked_config(compose("generate", override.split()), GenerateConfig)
+    refused(make, str(by_command.value))
+
+
+def test_numpy_numbers_tuples_arrays_and_paths_are_as_good_as_plain_values(tmp_path):
+    dem = DemConfig(time_step=np.float32(0.25), threads=np.int64(2), allow_unsafe_step=np.bool_(True))
+    assert [type(value) for value in (dem.time_step, dem.threads, dem.allow_unsafe_step)] == [float, int, bool]
+    assert dem == DemConfig(time_step=0.25, threads=2, allow_unsafe_step=True)
+    assert SceneConfig(gravity=np.array([0, 0, -1])).gravity == [0.0, 0.0, -1.0]
+    assert DatasetConfig(training_speeds_rpm=(20, np.float64(25))).training_speeds_rpm == [20.0, 25.0]
+    assert TrackingConfig(root=tmp_path).root == str(tmp_path)
+    assert Rotation(np.array([0.0]), [30]) == Rotation((0.0,), (30.0,))
+    assert Plane(np.zeros(3), [0, 0, 1]) == Plane(ORIGIN, UP)
+    assert replace(SCENE, walls=list(SCENE.walls), gravity=[0, 0, -9.81]) == SCENE
+
+
+# ---- scenes --------------------------------------------------------------------------------------------------
+
+
+@doors(
+    (lambda: replace(GLASS, youngs_modulus=math.inf), "scene.material.youngs_modulus=inf is impossible; choose"),
+    (lambda: replace(GLASS, density="heavy"), "scene.material.density=heavy has the wrong type; give a number"),
+    (lambda: PairCoefficients(0, 1, restitution=2), "scene.mixed.restitution=2 is impossible; choose a value in (0"),
+    (lambda: PairCoefficients(0.5, 1), "scene.mixed.first=0.5 has the wrong type; give a whole number"),
+    (lambda: Filling(2.5, 0.05), "scene.filling.count=2.5 has the wrong type; give a whole number"),
+    (lambda: Filling(1, math.nan), "scene.filling.diameter=nan is impossible; choose a value > 0 m"),
+    (lambda: Filling(1, 0.05, settled_speed=0), "scene.filling.settled_speed=0 is impossible; choose a value > 0 m/s"),
+    (lambda: Filling(1, 0.05, positions=[[0, 0]]), "scene.filling.positions[0]=[0.0, 0.0] is no vector; give three"),
+    (lambda: Filling(1, 0.05, positions=[0, 0, 0]), "is no list of vectors; write scene.filling.positions=[[x, y, z]]"),
+    (lambda: Filling(2, 0.05, positions=[ORIGIN]), "scene.filling.positions does not give three numbers for each"),
+    (lambda: Filling(1, 0.05, fractions=(1.5, -0.5)), "scene.filling.fractions[0]=1.5 is impossible; choose a value"),
+    (lambda: Filling(1, 0.05, sizes="lognormal"), "scene.filling.sizes=lognormal has the wrong type; give a Sizes"),
+    (lambda: Sizes("lognormal", spread=math.nan), "scene.filling.sizes.spread=nan is impossible"),
+    (lambda: Room(ORIGIN, UP, radius=-1), "room.radius=-1 is impossible; choose a value > 0 m, or null"),
+    (lambda: Plane(ORIGIN, (0, 0, math.nan)), "plane.normal[2]=nan is impossible; choose a finite value"),
+    (lambda: Plane(ORIGIN, (0, 0, 2)), "plane.normal=[0.0, 0.0, 2.0] has length 2; give a unit vector"),
+    (lambda: Plane((0, 0), UP), "plane.point=[0.0, 0.0] is no vector; give three components"),
+    (lambda: Plane(ORIGIN, UP, turns="no"), "plane.turns=no has the wrong type; give true or false"),
+    (lambda: Plane(ORIGIN, UP, motion=Rotation()), "plane.motion=Rotation(…) has the wrong type; give a Spin or Trans"),
+    (lambda: Plane(ORIGIN, UP, opens=math.nan), "plane.opens=nan is impossible; choose a finite value, or null"),
+    (lambda: Cylinder(ORIGIN, UP, "1 m"), "cylinder.radius=1 m has the wrong type; give a number"),
+    (lambda: Disc(ORIGIN, UP, 1.0, hole=-0.1), "disc.hole=-0.1 is impossible; choose a value ≥ 0 m"),
+    (lambda: Cone(ORIGIN, UP, 0.1, math.inf, 1.0), "cone.end_radius=inf is impossible; choose a value ≥ 0 m"),
+    (lambda: Outlet(ORIGIN, UP, radius=0), "outlet.radius=0 is impossible; choose a value > 0 m, or null"),
+    (lambda: box(0, 1), "box.lower=0 is no list"),
+    (lambda: box((0, 0), (1, 1)), "box.lower=[0.0, 0.0] is no vector; give three components"),
+    (lambda: Rotation((0.0,), ("fast",)), "scene.rotation.speeds_rpm[0]=fast has the wrong type; give a number"),
+    (lambda: Rotation((1, 0), (1, 1)), "scene.rotation.times=[1.0, 0.0] goes back in time; sort it"),
+    (lambda: Spin((0.0,), (math.nan,)), "spin.speeds_rpm[0]=nan is impossible; choose a finite value in rpm"),
+    (lambda: Translation((0.0,), (1.0,)), "is no list of vectors; write translation.velocities=[[x, y, z]]"),
+    (lambda: Vibration(1e-3, -1, UP), "vibration.frequency=-1 is impossible; choose a value ≥ 0 Hz"),
+    (lambda: replace(SCENE, walls=(Plane(ORIGIN, UP), "floor")), "scene.walls[1]=floor has the wrong type; give a"),
+    (lambda: replace(SCENE, wall_material=None), "scene.wall_material=null has the wrong type; give a Material"),
+    (lambda: replace(SCENE, outlet=Plane(ORIGIN, UP)), "scene.outlet=Plane(…) has the wrong type; give a Outlet"),
+    (lambda: replace(SCENE, gravity=(0, 0, math.nan)), "scene.gravity[2]=nan is impossible; choose a finite value"),
+    (lambda: replace(SCENE, start_time=-1), "scene.start_time=-1 is impossible; choose a value ≥ 0 s"),
+    (lambda: SCENE.at_speed(None), "scene.rotation.speeds_rpm[0]=null has the wrong type; give a number"),
+    (lambda: SCENE.at_speed("30"), "scene.rotation.speeds_rpm[0]=30 has the wrong type; give a number"),
+    (lambda: shipped_scene("drum_smal"), "scene=drum_smal: no such choice; did you mean drum_small?"),
+    (lambda: shipped_scene(None), "name=null has the wrong type; give a word"),
+    (lambda: shipped_scene("drum", {"material.frction": 0.5}), "no such key; did you mean scene.material.friction?"),
+    (lambda: shipped_scene("drum", {"filling.count.x": 5}), "scene.filling.count.x=5: no such key"),
+    (lambda: shipped_scene("drum", {"material.friction": "0.5"}), "scene.material.friction=0.5 has the wrong type"),
+    (lambda: shipped_scene("drum", {"gravity": [0, 0]}), "scene.gravity=[0.0, 0.0] is no vector; give three"),
+    (lambda: shipped_scene("drum", ["gravity"]), "changes=['gravity'] has the wrong type; give a Mapping"),
+)
+def test_a_scene_that_cannot_be_is_refused(door, sentence):
+    refused(door, sentence)
+
+
+def test_a_change_of_a_shipped_scene_is_a_plain_value_and_may_start_a_section():
+    scene = shipped_scene("drum", {"wall_material.friction": np.float64(0.9), "gravity": np.array([0, 0, -1.62])})
+    assert scene.wall_material == replace(scene.material, friction=0.9)
+    assert scene.gravity == (0.0, 0.0, -1.62)
+    assert shipped_scene("drum", {"wall_material": None}) == shipped_scene("drum")
+
+
+# ---- states --------------------------------------------------------------------------------------------------
+
+
+def history(**changes) -> ContactHistory:
+    one = {"first": [0], "second": [1], "force": [[0, 0, 0]], "overlap": [1e-4]}
+    return ContactHistory(**(one | changes))
+
+
+def trajectory(**changes) -> Trajectory:
+    """Two frames of one sphere."""
+    zeros = [[[0.0, 0, 0]], [[0, 0, 0]]]
+    values = {"position": zeros, "velocity": zeros, "angular_velocity": zeros, "radius": [0.1], "time": [0, 1]}
+    return Trajectory(**(values | changes))
+
+
+@doors(
+    (lambda: state(position="here"), "position is no array of numbers"),
+    (lambda: state(position=None), "position is no array of numbers"),
+    (lambda: state(position=[[0, 0, 0], [0, 0]]), "position is no array of numbers"),
+    (lambda: state(position=torch.zeros(2, 3, requires_grad=True)), "position is no array of numbers"),
+    (lambda: state(position=0.0), "position has shape (); expected (0, 3)"),
+    (lambda: state(velocity=np.zeros((3, 3))), "velocity has shape (3, 3); expected (2, 3)"),
+    (lambda: state(velocity=np.zeros((2, 3), complex)), "velocity is no array of numbers"),
+    (lambda: state(angular_velocity=[[0, 0, math.nan], [0, 0, 0]]), "angular_velocity is not finite for particles 0"),
+    (lambda: state(radius=0.025), "radius has shape (); expected (2,)"),
+    (lambda: state(radius=[0.025, -1]), "radius must be positive and finite; particles 1 are not"),
+    (lambda: state(material=[0.5, 0]), "material of float64 is no array of indices; give whole numbers up to 255"),
+    (lambda: state(material=[0, -1]), "material of int64 is no array of indices; give whole numbers up to 255"),
+    (lambda: state(material=[0]), "material has shape (1,); expected (2,)"),
+    (lambda: state(time=math.nan), "time=nan is impossible; choose a finite value"),
+    (lambda: state(time="now"), "time=now has the wrong type; give a number"),
+    (lambda: state(history=None), "history=null has the wrong type; give a ContactHistory"),
+    (lambda: history(first=["a"]), "history.first of <U1 is no array of indices"),
+    (lambda: history(second=[0, 1]), "history.second has shape (2,); expected (1,)"),
+    (lambda: history(force=[0, 0, 0]), "history.force has shape (3,); expected (1, 3)"),
+    (lambda: trajectory(position=[0, 1]), "trajectory position has shape (2,); expected (F, N, 3)"),
+    (lambda: trajectory(velocity="fast"), "trajectory velocity is no array of numbers"),
+    (lambda: trajectory(time=[0, 0]), "trajectory time is not finite or does not increase; give the time of"),
+    (lambda: trajectory(time=[0]), "trajectory time has shape (1,); expected (2,)"),
+    (lambda: trajectory(radius=[0]), "trajectory radius must be positive and finite; particles 0 are not"),
+    (lambda: trajectory(velocity_kind="median"), "velocity_kind='median'; choose instantaneous or mean"),
+    (lambda: trajectory(diagnostics={"overlap_mean": [0]}), "trajectory overlap_mean has shape (1,); expected (2,)"),
+)
+def test_a_state_that_cannot_be_is_refused(door, sentence):
+    refused(door, sentence)
+
+
+def test_lists_will_do_for_arrays():
+    lists = {entry.name: getattr(state(), entry.name) for entry in fields(ParticleState)}
+    lists |= {name: value.tolist() for name, value in lists.items() if isinstance(value, np.ndarray)}
+    from_lists = ParticleState(**lists)
+    for name in ("position", "velocity", "angular_velocity", "radius", "material"):
+        assert np.array_equal(getattr(from_lists, name), getattr(state(), name))
+    assert from_lists.material.dtype == np.uint8
+    assert from_lists.position.dtype == np.float64
+    assert trajectory().position.shape == (2, 1, 3)
+    assert history().first.dtype == np.int64
+    assert len(ContactHistory([], [], np.zeros((0, 3)), [])) == 0
+
+
+def test_an_array_of_numbers_is_not_copied():
+    position = np.zeros((2, 3), np.float32)
+    assert state(position=position).position is position
+
+
+# ---- running -------------------------------------------------------------------------------------------------
+
+
+@doors(
+    (lambda: settle(SCENE, -1), "seed=-1 is impossible; choose a value ≥ 0"),
+    (lambda: settle(SCENE, 1.5), "seed=1.5 has the wrong type; give a whole number"),
+    (lambda: settle(SCENE, None), "seed=null has the wrong type; give a whole number"),
+    (lambda: settle("drum", 0), "scene=drum has the wrong type; give a Scene"),
+    (lambda: settle(SCENE, 0, dem={"engine": "numpy"}), "dem={'engine': 'numpy'} has the wrong type; give a DemConfig"),
+    (lambda: settle(SCENE, 0, dem={}), "dem={} has the wrong type; give a DemConfig"),
+    (lambda: simulate(SCENE, state(), 1.0), "end_time=1 s lies before the state's time=1.5 s; choose a later end"),
+    (lambda: simulate(SCENE, state(), 1.52), "end_time=1.52 s is not a whole number of frames of 0.04 s after 1.5 s"),
+    (lambda: simulate(SCENE, state(), math.nan), "end_time=nan is impossible; choose a finite value"),
+    (lambda: simulate(SCENE, state(), "2"), "end_time=2 has the wrong type; give a number"),
+    (lambda: simulate(SCENE, RUN, 2.0), "state=Trajectory(…) has the wrong type; give a ParticleState"),
+    (lambda: simulate(SceneConfig("a"), state(), 2.0), "scene=SceneConfig(…) has the wrong type; give a Scene"),
+    (
+        lambda: simulate(SCENE, state(history=history(second=[7])), 2.7),
+        "the contact history names 1 contacts whose particles or walls this scene does not have",
+    ),
+    (
+        lambda: simulate(SCENE, state(history=history(force=[[0, 0, math.nan]])), 2.7),
+        "the contact history is not finite for 1 contacts",
+    ),
+    (lambda: rollout(Still(), SCENE, state(), frames=0), "frames=0 is impossible; choose a value ≥ 1"),
+    (lambda: rollout(Still(), SCENE, state(), frames=2.0), "frames=2 has the wrong type; give a whole number"),
+    (lambda: rollout("model.pt", SCENE, state()), "model=model.pt has the wrong type; give a Surrogate"),
+    (lambda: rollout(Still(), GLASS, state()), "scene=Material(…) has the wrong type; give a Scene"),
+    (lambda: rollout(Still(), SCENE, RUN), "state=Trajectory(…) has the wrong type; give a ParticleState"),
+    (lambda: next(step_frames(None, SCENE, state())), "model=null has the wrong type; give a Surrogate"),
+    (lambda: build_model("contact", BoundaryConfig(), SCENE), "model=contact has the wrong type; give a ContactModel"),
+    (
+        lambda: build_model(ContactModelConfig(hidden=8), BoundaryConfig(), SCENE),
+        "model.hidden=8 with model.channels=4 is not what model.backend=fused is compiled for; choose 16 and 4, or",
+    ),
+    (lambda: ballistic(SCENE, RUN), "settled=Trajectory(…) has the wrong type; give a ParticleState"),
+    (lambda: rigid_rotation(None, state()), "scene=null has the wrong type; give a Scene"),
+    (lambda: interpolated_statistics("30", {}), "speed_rpm=30 has the wrong type; give a number"),
+    (lambda: interpolated_statistics(math.nan, {}), "speed_rpm=nan is impossible; choose a finite value"),
+)
+def test_a_run_that_cannot_be_is_refused(door, sentence):
+    refused(door, sentence)
+
+
+# ---- judging -------------------------------------------------------------------------------------------------
+
+
+def resampled(run: Trajectory, step: int) -> Trajectory:
+    by_frame = ("time", "position", "velocity", "angular_velocity")
+    return replace(run, **{name: getattr(run, name)[::step] for name in by_frame})
+
+
+@doors(
+    (lambda: judge(RUN, [], SCENE), "no replica to judge against; make at least one run of the DEM"),
+    (lambda: judge(RUN, TWIN, SCENE), "replicas=Trajectory(…) is no list; write replicas=[Trajectory(…)]"),
+    (lambda: judge(RUN, [TWIN, None], SCENE), "replicas[1]=null has the wrong type; give a Trajectory or Trajectory"),
+    (lambda: judge(state(), [TWIN], SCENE), "candidate=ParticleState(…) has the wrong type; give a Trajectory or"),
+    (lambda: judge(RUN, [TWIN], "drum"), "scene=drum has the wrong type; give a Scene"),
+    (lambda: judge(RUN, [TWIN], SCENE, [TWIN]), "others=[Trajectory("),
+    (lambda: judge(RUN, [TWIN], SCENE, {"half": 1}), "others[half]=1 has the wrong type; give a Trajectory"),
+    (
+        lambda: judge(RUN, [flowing(SCENE, 1, spheres=300)], SCENE),
+        "candidate has 200 spheres and replica 0 has 300; compare runs of one scene's spheres",
+    ),
+    (
+        lambda: judge(RUN, [TWIN], SCENE, {"half": flowing(SCENE, 1, spheres=300)}),
+        "candidate has 200 spheres and half has 300; compare runs of one scene's spheres",
+    ),
+    (
+        lambda: judge(resampled(RUN, 2), [TWIN], SCENE),
+        "candidate has a state every 0.08 s and scene 'drum' every 0.04 s; give the scene that it was made for",
+    ),
+    (
+        lambda: judge(replace(RUN, time=RUN.time + 1), [TWIN], SCENE),
+        "states lie at different times (2.5 s and 1.5 s at frame 0)",
+    ),
+    (
+        lambda: judge(RUN, [TWIN], replace(SCENE, walls=box((-0.2, -1, -1), (1, 1, 1)))),
+        "replica 0 starts with spheres outside the walls of scene 'drum'; give the scene that it was made for",
+    ),
+    (lambda: judge(replace(RUN, velocity_kind="mean"), [summarise(TWIN, SCENE)], SCENE), "speeds of two definitions"),
+    (lambda: nearest_case(RUN, {}), "no case to compare with; give runs of the DEM by their speed"),
+    (lambda: nearest_case(RUN, [TWIN]), "cases=[Trajectory("),
+    (lambda: summarise(state(), SCENE), "trajectory=ParticleState(…) has the wrong type; give a Trajectory"),
+    (lambda: angle_series(RUN, "drum"), "scene=drum has the wrong type; give a Scene"),
+    (lambda: surface_lines(RUN.position, RUN.radius, HOPPER), "scene 'hopper' has no drum, so its beds have no"),
+    (lambda: cross_section_axes(NOWHERE), "scene 'nowhere' has no gravity, so nothing is up; choose scene.gravity"),
+    (lambda: center_of_mass_angles(RUN.position, RUN.radius, NOWHERE), "scene 'nowhere' has no gravity"),
+    (lambda: mixing_entropy(None, SCENE), "trajectory=null has the wrong type; give a Trajectory"),
+    (lambda: overlap_series(RUN, None), "scene=null has the wrong type; give a Scene"),
+    (lambda: count_failures([RUN], SCENE), "trajectory=[Trajectory("),
+    (lambda: velocities(RUN.velocity, "mean"), "has the wrong type; give a Trajectory"),
+    (lambda: velocities(RUN, "median"), "velocity_kind='median'; choose one of instantaneous, mean"),
+    (lambda: wasserstein_series([0, 1], np.zeros((2, 1)), [1, 2], np.zeros((2, 1))), "states lie at different times"),
+    (lambda: separation(np.zeros((1, 2, 3)), np.zeros((1, 3, 3))), "positions have shapes (1, 2, 3) and (1, 3, 3)"),
+    (lambda: mean_spread([RUN.position]), "1 replica has no spread; give two or more"),
+    (lambda: short_horizon_errors(len, RUN, [0], horizons=()), "horizons=() look nowhere; give frames ahead, each ≥ 1"),
+    (lambda: short_horizon_errors(len, RUN, [0], horizons=(0,)), "horizons=(0,) look nowhere; give frames ahead"),
+    (lambda: short_horizon_errors(lambda *_: np.zeros((1, 9, 3)), RUN, [0]), "positions have shapes (1, 9, 3) and (10"),
+    (lambda: spread_starts(50, 0), "judge.short_horizon_starts=0 is impossible; choose a value ≥ 1"),
+)
+def test_what_cannot_be_compared_is_refused(door, sentence):
+    refused(door, sentence)
+
+
+def test_what_failed_is_judged_and_not_refused():
+    broken = replace(RUN, position=np.where(RUN.time[:, None, None] > 2.0, np.nan, RUN.position))
+    judgement = judge(broken, [RUN, TWIN], SCENE)
+    assert judgement.failures.non_finite_states == (RUN.time > 2.0).sum()
+    assert not judgement.error("center_height").error.defined
+    by_frame = ("time", "position", "velocity", "angular_velocity")
+    early = replace(RUN, **{name: getattr(RUN, name)[:10] for name in by_frame})
+    assert judge(early, [RUN, TWIN], SCENE).failures.states == 10
+    spinless = judge(replace(RUN, angular_velocity=None), [RUN, TWIN], SCENE)
+    assert "the model has no spin" in str(spinless)
+
+
+def test_one_replica_has_no_noise_floor_and_says_so():
+    floor = noise_floor(lambda a, b: Measured(1.0, "m"), [RUN], "m")
+    assert floor == Measured.undefined("m", "1 replica(s) have no noise floor; make two or more")
+    assert "have no noise floor" in str(judge(RUN, [TWIN], SCENE))
+
+
+# ---- files ---------------------------------------------------------------------------------------------------
+
+
+def model_file(path: Path, **changes) -> Path:
+    card = {"model": {"name": "contact"}, "boundary": {"kind": "own"}, "scene": {"name": "drum"}, "origin": {}}
+    save_model(path, {"weight": torch.zeros(1)}, ModelCard(**(card | changes)))
+    return path
+
+
+@doors(
+    (lambda folder: load_model(folder / "none.pt"), "none.pt does not exist; train one"),
+    (lambda folder: load_model(None), "path=null has the wrong type; give a word"),
+    (lambda folder: load_model(folder), "is not a whole gran-bench model file"),
+    (lambda folder: load_model(model_file(folder / "a.pt", model={})), "a.pt describes no model that can be built"),
+    (lambda folder: load_model(model_file(folder / "b.pt")), "b.pt describes no model that can be built"),
+    (lambda folder: load_model(model_file(folder / "c.pt", scene=3)), "scene=3 is no section"),
+    (lambda folder: load_model(shipped_model(), device="gpu9"), "device=gpu9 cannot be used"),
+    (lambda folder: shipped_model("holdout"), "model holdout: none of that name ships with the package; choose"),
+    (lambda folder: shipped_model(3), "name=3 has the wrong type; give a word"),
+    (lambda folder: read_case(folder), "is a folder; give the file of a case"),
+    (lambda folder: read_case(None), "path=null has the wrong type; give a word"),
+    (lambda folder: read_case(folder / "none.h5", frames=3), "frames=3 has the wrong type; give a slice, or null"),
+    (lambda folder: read_settled(folder / "none.h5"), "does not exist; make it with python -m gran_bench.generate"),
+    (lambda folder: CaseSpec("drum"), "scene=drum has the wrong type; give a Scene"),
+    (lambda folder: CaseSpec(SCENE, packing_seed=-1), "packing_seed=-1 is impossible; choose a value ≥ 0"),
+    (lambda folder: split_cases(SCENE, DemConfig(), {}), "dataset={} has the wrong type; give a DatasetConfig"),
+)
+def test_a_file_or_a_case_that_cannot_be_used_is_refused(door, sentence, tmp_path):
+    refused(lambda: door(tmp_path), sentence)
