@@ -82,7 +82,7 @@ class FillingConfig:
     diameter: float = 0.05  # m
     lattice_spacing: float = 1.12  # in diameters
     jitter: float = 0.05  # in diameters, uniform in ±jitter
-    settled_speed: float = 1.0e-3  # m/s, mean speed below which a bed is at rest
+    settled_speed: float = 1.0e-3  # m/s, root mean square of the speeds; a bed that stays below is at rest
     longest_settling: float = 20.0  # s, an error beyond
     settles: bool = True  # false: the scene starts with the spheres where and as fast as they are put
     sizes: SizesConfig = field(default_factory=SizesConfig)
