@@ -22,7 +22,7 @@ from dem_page import keep
 from gran_bench.config import ContainerConfig, FillingConfig, SceneConfig
 from gran_bench.dem import engine_numba
 from gran_bench.dem.integrate import Physics
-from gran_bench.dem.simulate import settle, simulate
+from gran_bench.dem.simulate import simulate
 from gran_bench.dem.tuning import Tuner
 from gran_bench.dem.walls import wall_poses
 from gran_bench.plots.style import drawing
@@ -42,13 +42,12 @@ def turning_bed(count: int, grow: str) -> tuple[Scene, ParticleState]:
         SceneConfig(
             name=f"drum of {count}",
             container=ContainerConfig(diameter=scale, length=length),
-            filling=FillingConfig(count=count, settled_speed=1e3),  # m/s: not at rest, only fallen
-            start_time=0.3 + 0.25 * float(np.sqrt(scale)),
+            filling=FillingConfig(count=count),
+            start_time=round(0.3 + 0.25 * float(np.sqrt(scale)), 2),  # when it turns: not at rest, only fallen
             end_time=30.0,
         )
     ).at_speed(30.0 / float(np.sqrt(scale)))
-    bed = settle(scene, 0)
-    return scene, simulate(scene, bed, scene.start_time + 0.3).final
+    return scene, simulate(scene, scene.fresh_filling(0), scene.start_time + 0.3).final
 
 
 def times_of(scene: Scene, bed: ParticleState, frames: int) -> dict[str, tuple[float, float]]:

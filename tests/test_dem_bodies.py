@@ -58,8 +58,9 @@ def test_a_block_buffer_holds_the_constants_of_equal_spheres(dtype):
     buffer = blocks.block_buffer(np.zeros(blocks.BUFFER_SIZE, dtype), 0.03, 7.0, law)
     wanted = {
         blocks.REACH: 0.06, blocks.SKEW: 0.0, blocks.RS: 0.015, blocks.MS: 1 / 14, blocks.INVERSE_MS: 14.0,
-        blocks.MODULUS: 1.0, blocks.SHEAR: 2.0, blocks.DAMPING: 3.0, blocks.FRICTION: 4.0, blocks.ROLLING: 5.0,
+        blocks.INERTIA: 1.4 * 0.03 * 0.03 / 14, blocks.MODULUS: 1.0, blocks.SHEAR: 2.0, blocks.DAMPING: 3.0,
+        blocks.FRICTION: 4.0, blocks.ROLLING: 5.0,
     }  # fmt: skip
     for first, value in wanted.items():
         assert buffer[first : first + blocks.BLOCK].tolist() == [dtype(value)] * blocks.BLOCK
-    assert np.count_nonzero(buffer) == 9 * blocks.BLOCK
+    assert np.count_nonzero(buffer) == 10 * blocks.BLOCK

@@ -9,6 +9,7 @@ import pytest
 
 from gran_bench.config import SceneConfig
 from gran_bench.config_rules import ConfigError
+from gran_bench.dem.contact import sphere_mass
 from gran_bench.dem.simulate import choose_time_step
 from gran_bench.dem.time_step import (
     DAMPING_FRACTION,
@@ -64,6 +65,19 @@ def test_strong_damping_shortens_the_step(drum):
     step, _ = choose_time_step(replace(drum, material=material, wall_material=material))
     assert step <= DAMPING_FRACTION * contact_times(replace(drum, material=material, wall_material=material))[1]
     assert step < choose_time_step(drum)[0]
+
+
+def test_the_step_resolves_the_dashpot_of_a_stiff_rolling_spring(drum):
+    material = replace(drum.material, rolling_friction=1.0)
+    step, _ = choose_time_step(replace(drum, material=material, wall_material=material))
+    # Sphere on wall: its largest overlap, k_r = 2.25 · 2 E* √(r δ) (μ_r r)², C_r = 2 √(7/5 m r² k_r), I = 2/5 m r².
+    r, mass, modulus = 0.025, sphere_mass(2500.0, 0.025), 0.5 * 1e7 / (1 - 0.29**2)
+    overlap = (1.25 * mass * 2 * 9.81 / (4 / 3 * modulus * math.sqrt(r))) ** 0.4
+    stiffness = 2.25 * 2 * modulus * math.sqrt(r * overlap) * r**2
+    damping_time = 0.4 * mass * r**2 / (2 * math.sqrt(1.4 * mass * r**2 * stiffness))
+    assert step <= DAMPING_FRACTION * damping_time < choose_time_step(drum)[0]
+    smooth = replace(material, friction=0.0)  # no rolling model, no limit
+    assert choose_time_step(replace(drum, material=smooth, wall_material=smooth)) == choose_time_step(drum)
 
 
 def test_a_requested_step_is_shortened_to_divide_the_frame_and_says_so(drum):

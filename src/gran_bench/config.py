@@ -92,7 +92,7 @@ class FillingConfig(Section, place="scene.filling"):
     diameter: float = key(0.05, positive("m"))
     lattice_spacing: float = key(1.12, at_least(1, "diameters"))
     jitter: float = key(0.05, at_least(0, "diameters"))  # uniform in ±jitter
-    settled_speed: float = key(1.0e-3, positive("m/s"))  # mean speed below which a bed is at rest
+    settled_speed: float = key(1.0e-3, positive("m/s"))  # root mean square; a bed that stays below is at rest
     longest_settling: float = key(20.0, positive("s"))  # an error beyond
     settles: bool = True  # false: the scene starts with the spheres where and as fast as they are put
     sizes: SizesConfig = field(default_factory=SizesConfig)

@@ -14,6 +14,7 @@ import numpy as np
 from gran_bench.dem.contact_list import overlapping
 from gran_bench.dem.kernel import kernel, shared
 from gran_bench.dem.prediction import PREDICTION_FADE
+from gran_bench.dem.rolling import CONTACT_INERTIA
 from gran_bench.dem.rows import (
     BLOCK,
     four_from,
@@ -30,7 +31,7 @@ from gran_bench.dem.rows import (
 from gran_bench.state import FloatArray
 
 # Columns in groups of four, as rows.py moves them.
-OFFSET, VELOCITY, AHEAD, SPIN_SUM, SPIN_DIFFERENCE, SLOT, FORCE, TORQUE, TORQUE_2, MOMENT = range(0, 40, 4)
+OFFSET, VELOCITY, AHEAD, SPIN_SUM, SPIN_DIFFERENCE, SLOT, FORCE, TORQUE, TORQUE_2, MOMENT, RESISTANCE = range(0, 44, 4)
 # First elements of single columns. Fixed offsets into one flat array show the compiler that columns don't overlap.
 NX, NY, NZ, DELTA = (k * BLOCK for k in range(OFFSET, OFFSET + 4))  # normal (first the offset), overlap
 VX, VY, VZ, GAIN = (k * BLOCK for k in range(VELOCITY, VELOCITY + 4))  # of the first relative to the second
@@ -41,14 +42,16 @@ HX, HY, HZ, BEFORE = (k * BLOCK for k in range(SLOT, SLOT + 4))  # history, and 
 FX, FY, FZ = (k * BLOCK for k in range(FORCE, FORCE + 3))  # force on the first; the fourth column stays zero
 TX, TY, TZ = (k * BLOCK for k in range(TORQUE, TORQUE + 3))  # n × f_t, then torque on the first
 UX, UY, UZ = (k * BLOCK for k in range(TORQUE_2, TORQUE_2 + 3))  # torque on the second
-MX, MY, MZ = (k * BLOCK for k in range(MOMENT, MOMENT + 3))  # rolling moment on the first
+MX, MY, MZ = (k * BLOCK for k in range(MOMENT, MOMENT + 3))  # elastic rolling moment on the first: history
+QX, QY, QZ = (k * BLOCK for k in range(RESISTANCE, RESISTANCE + 3))  # rolling moment on the first, with its damping
 # Constants of each contact: filled once where all contacts share them, for each contact where they differ.
-REACH, SKEW, RS, MS, INVERSE_MS = (k * BLOCK for k in range(40, 45))  # r₁ + r₂, r₁² − r₂², R*, m*, 1/m*
-MODULUS, SHEAR, DAMPING, FRICTION, ROLLING = (k * BLOCK for k in range(45, 50))  # 4/3 E*, 8 G*, α, μ, μ_r
+REACH, SKEW, RS, MS, INVERSE_MS = (k * BLOCK for k in range(44, 49))  # r₁ + r₂, r₁² − r₂², R*, m*, 1/m*
+INERTIA = 49 * BLOCK  # I_r of rolling.py
+MODULUS, SHEAR, DAMPING, FRICTION, ROLLING = (k * BLOCK for k in range(50, 55))  # 4/3 E*, 8 G*, α, μ, μ_r
 # What the tangential law takes from the normal one.
-APPROACH, CONTACT_RADIUS, DRAG, LOAD = (k * BLOCK for k in range(50, 54))
-RESCALE = 54 * BLOCK  # squared factor of the history that is turned
-BUFFER_SIZE = 55 * BLOCK
+APPROACH, CONTACT_RADIUS, DRAG, LOAD = (k * BLOCK for k in range(55, 59))
+RESCALE = 59 * BLOCK  # squared factor of the history that is turned
+BUFFER_SIZE = 60 * BLOCK
 
 
 def block_buffer(buffer: FloatArray, radius: float, inverse_mass: float, law: FloatArray) -> FloatArray:
@@ -59,7 +62,10 @@ def block_buffer(buffer: FloatArray, radius: float, inverse_mass: float, law: Fl
         radius, inverse_mass: r, m, and 1/m of the spheres.
         law: (4/3 E*, 8 G*, α, μ, μ_r).
     """
-    sizes = (2.0 * radius, 0.0, radius * radius / (2.0 * radius), 1.0 / (2.0 * inverse_mass), 2.0 * inverse_mass)
+    inertia = CONTACT_INERTIA * radius * radius / (2.0 * inverse_mass)
+    sizes = (
+        2.0 * radius, 0.0, radius * radius / (2.0 * radius), 1.0 / (2.0 * inverse_mass), 2.0 * inverse_mass, inertia,
+    )  # fmt: skip
     buffer.reshape(-1, BLOCK)[REACH // BLOCK : ROLLING // BLOCK + 1] = np.array((*sizes, *law))[:, None]
     return buffer
 
@@ -100,7 +106,8 @@ def pair_forces(
         buffer: scratch.
         laws: ``(S, S, 5)`` (4/3 E*, 8 G*, α, μ, μ_r).
         period: of y, m; 0 for none.
-        tangential, rolling, unequal, several: what is needed: friction, rolling model, sizes and materials that differ.
+        tangential, rolling, unequal, several: what is needed: friction, rolling model, sizes or masses that differ, and
+            materials that do.
         full_radius: whether slip is measured with full radii.
         dt: s over which histories are loaded.
 
@@ -133,6 +140,7 @@ def pair_forces(
                 buffer[REACH + k], buffer[SKEW + k] = r1 + r2, (r1 - r2) * (r1 + r2)
                 buffer[RS + k] = r1 * r2 / (r1 + r2)
                 buffer[MS + k], buffer[INVERSE_MS + k] = 1.0 / inverse_mass, inverse_mass
+                buffer[INERTIA + k] = CONTACT_INERTIA / (velocity[a, 3] / (r1 * r1) + velocity[b, 3] / (r2 * r2))
         if several:
             for k in range(size):
                 a, b = near_i[active[first + k]], near_j[active[first + k]]
@@ -155,7 +163,7 @@ def pair_forces(
                 second = TORQUE_2 if unequal else TORQUE
                 scatter_both(torque, i, j, buffer, TORQUE, second, k)
             if rolling:
-                scatter_opposite(torque, i, j, buffer, MOMENT, k)
+                scatter_opposite(torque, i, j, buffer, RESISTANCE, k)
                 scatter_rows(moment, four_on(first + k), buffer, MOMENT, k)
             scatter_rows(slot, four_on(first + k), buffer, SLOT, k)
         for row in range(first, first + filled):
@@ -301,26 +309,31 @@ def limit_friction(buffer, size):
 
 @kernel
 def rolling_law(buffer, size, dt):
-    """Rolling moment on the first of each contact of a block (see rolling.py); after normal_law."""
-    zero, one, step = buffer.dtype.type(0.0), buffer.dtype.type(1.0), buffer.dtype.type(dt)
+    """Rolling moment on the first of each contact of a block (see rolling.py), and its history; after normal_law."""
+    zero, one, two, step = buffer.dtype.type(0.0), buffer.dtype.type(1.0), buffer.dtype.type(2.0), buffer.dtype.type(dt)
     for k in range(size):
-        nx, ny, nz, overlap = buffer[NX + k], buffer[NY + k], buffer[NZ + k], buffer[DELTA + k]
+        nx, ny, nz = buffer[NX + k], buffer[NY + k], buffer[NZ + k]
+        overlap, before = buffer[DELTA + k], buffer[BEFORE + k]
         arm = buffer[ROLLING + k] * buffer[RS + k]
         contact_radius = buffer[CONTACT_RADIUS + k]
         limit = arm * buffer[MODULUS + k] * contact_radius * overlap
         # 2.25 k_n (μ_r R*)² with k_n = 2 E* √(R* δ), and the modulus is 4/3 E*.
-        load = buffer.dtype.type(3.375) * buffer[MODULUS + k] * contact_radius * arm * arm * step
+        stiffness = buffer.dtype.type(3.375) * buffer[MODULUS + k] * contact_radius * arm * arm
+        keep = math.sqrt(min(before, overlap) / before) if before > zero else zero
         wx, wy, wz = buffer[PX + k], buffer[PY + k], buffer[PZ + k]
         along = wx * nx + wy * ny + wz * nz
         wx, wy, wz = wx - along * nx, wy - along * ny, wz - along * nz
         mx, my, mz = buffer[MX + k], buffer[MY + k], buffer[MZ + k]
         out = mx * nx + my * ny + mz * nz
-        mx = mx - out * nx - load * wx
-        my = my - out * ny - load * wy
-        mz = mz - out * nz - load * wz
-        squared = mx * mx + my * my + mz * mz
-        scale = limit / math.sqrt(squared) if squared > max(zero, limit * limit) else one
+        load, drag = stiffness * step, two * math.sqrt(buffer[INERTIA + k] * stiffness)
+        mx = keep * (mx - out * nx) - load * wx
+        my = keep * (my - out * ny) - load * wy
+        mz = keep * (mz - out * nz) - load * wz
+        qx, qy, qz = mx - drag * wx, my - drag * wy, mz - drag * wz
+        squared = qx * qx + qy * qy + qz * qz
+        scale = limit / math.sqrt(squared) if squared > limit * limit else one
         buffer[MX + k], buffer[MY + k], buffer[MZ + k] = scale * mx, scale * my, scale * mz
+        buffer[QX + k], buffer[QY + k], buffer[QZ + k] = scale * qx, scale * qy, scale * qz
 
 
 @kernel

@@ -111,8 +111,13 @@ class _Stretch:
         self._constants = (
             physics.pair_laws, physics.wall_laws, self._walls, np.array(physics.gravity, np.float64),
             float(physics.period), float(time_step), fastest * fastest,
-            physics.tangential, physics.rolling, bool((self._radius != self._radius[0]).any()), physics.full_radius,
+            physics.tangential, physics.rolling, self._unequal(), physics.full_radius,
         )  # fmt: skip
+
+    def _unequal(self) -> bool:
+        """Whether radii or masses differ: contacts of equal spheres share R*, m* and I_r."""
+        density = self._physics.density[self._material]
+        return bool((self._radius != self._radius[0]).any() or (density != density[0]).any())
 
     def begin(self) -> None:
         """Sorts the bodies."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from gran_bench.dem.contact import ContactForce, ContactLaw, contact_force, sphere_mass
 from gran_bench.dem.integrate import Divergence, Physics, into_period
-from gran_bench.dem.rolling import rolling_moment
+from gran_bench.dem.rolling import CONTACT_INERTIA, rolling_moment
 from gran_bench.dem.walls import SPIN, surface_velocity, wall_contact
 from gran_bench.neighbors import nearest_image, tree_pairs
 from gran_bench.state import ContactHistory, FloatArray, ParticleState
@@ -135,11 +135,13 @@ def _pair_loads(
     force += _sums(i, contact.force, len(force)) - _sums(j, contact.force, len(force))
     torque += _sums(i, arm[:, None] * contact.twist, len(torque))
     torque += _sums(j, (distance - arm)[:, None] * contact.twist, len(torque))
-    moment = old.rolling_moment
+    rolling = old.rolling_moment
     if physics.rolling:
-        moment = _moment(law, contact, moment, bodies.spin[i] - bodies.spin[j], time_step)
+        about_contact = CONTACT_INERTIA * bodies.mass * radius**2
+        inertia = about_contact[i] * about_contact[j] / (about_contact[i] + about_contact[j])
+        moment, rolling = _rolling(law, contact, old, bodies.spin[i] - bodies.spin[j], inertia, time_step)
         torque += _sums(i, moment, len(torque)) - _sums(j, moment, len(torque))
-    return ContactHistory(i, j, contact.history, contact.overlap, moment)
+    return ContactHistory(i, j, contact.history, contact.overlap, rolling)
 
 
 def _wall_loads(
@@ -174,23 +176,31 @@ def _wall_loads(
     )
     force[i] += contact.force
     torque[i] += arm[:, None] * contact.twist
-    moment = old.rolling_moment
+    rolling = old.rolling_moment
     if physics.rolling:
+        inertia = CONTACT_INERTIA * bodies.mass[i] * bodies.radius[i] ** 2
         # What rolls on a turning wall rolls against the wall's own rotation.
-        moment = _moment(law, contact, moment, bodies.spin[i] - pose[SPIN], time_step)
+        moment, rolling = _rolling(law, contact, old, bodies.spin[i] - pose[SPIN], inertia, time_step)
         torque[i] += moment
-    return ContactHistory(i, np.full(len(i), -1 - index), contact.history, contact.overlap, moment)
+    return ContactHistory(i, np.full(len(i), -1 - index), contact.history, contact.overlap, rolling)
 
 
-def _moment(
-    law: ContactLaw, contact: ContactForce, moment: FloatArray, spin: FloatArray, time_step: float
-) -> FloatArray:
+def _rolling(
+    law: ContactLaw,
+    contact: ContactForce,
+    old: ContactHistory,
+    spin: FloatArray,
+    inertia: FloatArray,
+    time_step: float,
+) -> tuple[FloatArray, FloatArray]:
     return rolling_moment(
-        moment,
+        old.rolling_moment,
         spin,
         contact.normal,
         contact.overlap,
+        old.overlap,
         contact.effective_radius,
+        inertia,
         law.effective_modulus,
         law.rolling_friction,
         time_step,

@@ -1,12 +1,24 @@
-"""Rolling resistance of type C: an elastic–plastic spring against relative rolling, off where μ_r = 0.
+"""Rolling resistance of type C: an elastic–plastic spring with a dashpot against relative rolling, off where μ_r = 0.
 
-The history is the elastic moment M on the first particle. It is projected on the contact plane and loaded by
-−k_r ω_r Δt, with ω_r the relative angular velocity in that plane, and capped:
+The moment on the first particle is spring and dashpot together, limited; ω_r is the relative angular velocity in the
+contact plane:
 
-    k_r = 2.25 k_n (μ_r R*)²,  k_n = 2 E* √(R* δ),    |M| ≤ μ_r R* F,  F = K δ^{3/2}
+    M = M_k − C_r ω_r,    |M| ≤ μ_r R* F,    F = K δ^{3/2}
 
-Source: Ai, Chen, Rotter & Ooi (2011), Powder Technology 206, model C (the elastic–plastic spring without its dashpot;
-the load is the elastic one, so that a collision's damping does not resist rolling).
+The elastic part M_k is the history. It is projected on the contact plane, reduced by √(δ/δ_before) when the overlap
+shrinks (the spring then softens, and would hand back more than it took), and loaded by −k_r ω_r Δt. Where M reaches
+the limit, M and M_k are cut together, as the friction force is (contact.py).
+
+    k_r = 2.25 k_n (μ_r R*)²,    k_n = 2 E* √(R* δ)
+    C_r = 2 √(I_r k_r),    1/I_r = 1/(I₁ + m₁ r₁²) + 1/(I₂ + m₂ r₂²),    I = 2/5 m r²
+
+C_r damps critically a sphere that rolls about its contact point with a wall: a sphere that rolling friction has stopped
+comes to rest in the shortest time, and does not rock. Nothing is left to choose: what a sphere loses while it rolls is
+the limit's, whatever the dashpot.
+
+Source: Ai, Chen, Rotter & Ooi (2011), Powder Technology 206, 269–282, model C, at the damping ratio η_r = 1. There the
+dashpot adds to the limit or is off beyond it; one limit for the sum is continuous (Luding 2008, Granular Matter 10,
+235). The limit's load is the elastic one, so that a collision's damping does not resist rolling.
 """
 
 from __future__ import annotations
@@ -15,34 +27,58 @@ import numpy as np
 
 from gran_bench.state import FloatArray
 
+CONTACT_INERTIA = 1.4  # of a sphere about a point of its surface, in m r²
+
+
+def rolling_stiffness(
+    effective_modulus: FloatArray | float,
+    coefficient: FloatArray | float,
+    effective_radius: FloatArray | float,
+    overlap: FloatArray | float,
+) -> FloatArray | float:
+    """k_r = 2.25 k_n (μ_r R*)² with k_n = 2 E* √(R* δ), N m."""
+    return 4.5 * effective_modulus * np.sqrt(effective_radius * overlap) * (coefficient * effective_radius) ** 2
+
+
+def rolling_drag(effective_inertia: FloatArray | float, stiffness: FloatArray | float) -> FloatArray | float:
+    """C_r = 2 √(I_r k_r), N m s."""
+    return 2.0 * np.sqrt(effective_inertia * stiffness)
+
 
 def rolling_moment(
-    moment: FloatArray,
+    history: FloatArray,
     spin: FloatArray,
     normal: FloatArray,
     overlap: FloatArray,
+    overlap_before: FloatArray,
     effective_radius: FloatArray,
-    effective_modulus: float,
-    coefficient: float,
+    effective_inertia: FloatArray,
+    effective_modulus: FloatArray | float,
+    coefficient: FloatArray | float,
     time_step: float,
-) -> FloatArray:
-    """Moment on the first particle of each contact after a step, which is also its new history, ``(M, 3)`` N m.
+) -> tuple[FloatArray, FloatArray]:
+    """Moment on the first particle of each contact after a step, and its new history, both ``(M, 3)`` N m.
 
     Args:
-        moment: ``(M, 3)`` history, N m; zero for a new contact.
+        history: ``(M, 3)`` elastic moment, N m; zero for a new contact.
         spin: ``(M, 3)`` angular velocity of the first relative to the second, rad/s.
         normal: ``(M, 3)`` unit vectors.
-        overlap: ``(M,)`` m.
+        overlap: ``(M,)`` δ, m.
+        overlap_before: ``(M,)`` overlap when the history was stored, m; 0 for a new contact.
         effective_radius: ``(M,)`` R*, m.
+        effective_inertia: ``(M,)`` I_r, kg m².
         effective_modulus: E*, Pa.
         coefficient: μ_r, −.
         time_step: s.
     """
-    contact_radius = np.sqrt(effective_radius * overlap)
-    stiffness = 2.25 * 2.0 * effective_modulus * contact_radius * (coefficient * effective_radius) ** 2
-    limit = coefficient * effective_radius * 4.0 / 3.0 * effective_modulus * contact_radius * overlap
+    stiffness = rolling_stiffness(effective_modulus, coefficient, effective_radius, overlap)
+    load = 4.0 / 3.0 * effective_modulus * np.sqrt(effective_radius * overlap) * overlap
+    limit = coefficient * effective_radius * load
     rolling = spin - np.einsum("mk,mk->m", spin, normal)[:, None] * normal
-    moment = moment - np.einsum("mk,mk->m", moment, normal)[:, None] * normal
-    moment = moment - (stiffness * time_step)[:, None] * rolling
+    history = history - np.einsum("mk,mk->m", history, normal)[:, None] * normal
+    ratio = np.divide(overlap, overlap_before, out=np.zeros_like(overlap), where=overlap_before > 0)
+    history = np.sqrt(np.minimum(1.0, ratio))[:, None] * history - (stiffness * time_step)[:, None] * rolling
+    moment = history - rolling_drag(effective_inertia, stiffness)[:, None] * rolling
     size = np.linalg.norm(moment, axis=1)
-    return moment * np.where(size > limit, limit / np.maximum(size, np.finfo(float).tiny), 1.0)[:, None]
+    scale = np.divide(limit, size, out=np.ones_like(size), where=size > limit)[:, None]
+    return scale * moment, scale * history

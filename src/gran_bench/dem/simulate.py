@@ -17,6 +17,7 @@ from gran_bench.dem.frame import advance_frame, first_contacts
 from gran_bench.dem.initial_checks import STIFFEN, check_initial_speed, check_initial_state
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.record import FrameRecord, SimulationError
+from gran_bench.dem.rest import Rest
 from gran_bench.dem.time_step import TimeStepError, choose_time_step, dividing_step
 from gran_bench.dem.tuning import Tuner
 from gran_bench.scene import Scene
@@ -130,9 +131,10 @@ def settle(
 ) -> ParticleState:
     """Fills the container, lets the spheres fall and come to rest between walls that stand still.
 
-    Where ``filling.settles`` is false, the filling is what the scene starts with. At rest means a mean speed below
-    ``filling.settled_speed``. The bed settles at least until ``start_time``, if that is positive, and is then
-    labelled ``start_time``, however long it took. The contact history is kept.
+    Where ``filling.settles`` is false, the filling is what the scene starts with. At rest means that it stays: slower
+    than ``filling.settled_speed`` for as long as the slowest swing could hide (rest.py). The bed settles at least
+    until ``start_time``, if that is positive, and is then labelled ``start_time``, however long it took. The contact
+    history is kept.
 
     Args:
         scene: to fill.
@@ -143,7 +145,7 @@ def settle(
     Raises:
         ConfigError: an argument of a wrong type, or settings that contradict each other.
         SceneError: a filling that does not fit, or a seed that is no whole number ≥ 0.
-        SimulationError: divergence, escape, or a bed that still moves after ``filling.longest_settling``.
+        SimulationError: divergence, escape, or a bed that is not at rest after ``filling.longest_settling``.
         StateError: a bed that its own weight crushes, so that nothing could start from it.
     """
     dem = DemConfig() if dem is None else dem
@@ -155,20 +157,20 @@ def settle(
     if not filling.settles:
         return replace(state, time=scene.start_time)
     time_step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
-    look = min(SETTLING_LOOK, scene.frame_interval)
+    rest = Rest(still)
+    look = min(SETTLING_LOOK, scene.frame_interval, rest.look_interval)
     substeps = max(1, round(look / time_step))
     physics, advance = _physics(still, filling.largest_radius, dem), ENGINES[dem.engine]
     first_contacts(advance, state, physics, still, time_step)
     tuner = Tuner(physics, state.count, dem.skin is not None, dem.threads)
-    speed, looks = np.inf, 0
+    rests, looks = False, 0
     listen = progress if callable(progress) else _nobody
     with _bar(progress is True, None, "settling") as bar:
-        while state.count and (speed >= filling.settled_speed or state.time < scene.start_time - 1e-9):
-            if state.time > filling.longest_settling:
+        while state.count and (not rests or state.time < scene.start_time - 1e-9):
+            if not rests and state.time > filling.longest_settling:
                 raise SimulationError(
-                    f"the bed of {scene.name!r} still moves at {speed:.2g} m/s after "
-                    f"{filling.longest_settling:g} s of settling; raise scene.filling.longest_settling or "
-                    "scene.filling.settled_speed",
+                    f"the bed of {scene.name!r} is not at rest after {filling.longest_settling:g} s of settling: "
+                    f"{rest.what_moves()}",
                     _one_frame(state),
                 )
             looks += 1
@@ -177,9 +179,9 @@ def settle(
                 advance, state, tuner.physics, still, time_step, substeps, looks * substeps * time_step, None
             )
             tuner.took(clock.perf_counter() - began)
-            speed = float(np.linalg.norm(state.velocity, axis=1).mean())
+            rests = rest.look(state)
             bar.update(substeps)
-            bar.set_postfix_str(f"t = {state.time:.2f} s, mean speed {speed:.2g} m/s", refresh=False)
+            bar.set_postfix_str(f"t = {state.time:.2f} s, speed {rest.speed:.2g} m/s", refresh=False)
             listen(state.time)
     check_initial_state(still, state, remedy=STIFFEN)
     return replace(state, time=scene.start_time, history=_sorted_history(state.history))

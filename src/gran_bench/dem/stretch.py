@@ -65,7 +65,7 @@ def march(
         gravity, period, dt: SI.
         fastest_allowed: m²/s², beyond which a particle diverges.
         tangential, rolling: what the scene needs.
-        unequal: whether sizes differ.
+        unequal: whether sizes or masses differ.
         full_radius: whether slip is measured with full radii.
 
     Returns:

@@ -10,12 +10,14 @@ from gran_bench.config import DemConfig
 from gran_bench.config_rules import checked
 from gran_bench.dem.contact import hertz_impact, sphere_mass
 from gran_bench.dem.integrate import pair_law, wall_law
+from gran_bench.dem.rolling import CONTACT_INERTIA, rolling_drag, rolling_stiffness
 from gran_bench.scene import Plane, Rotation, Scene
 
 # Of min(Rayleigh time, contact time). `drum` gets 2e-4 s, with which every bulk figure stays within the scatter
 # of nudged replicas; ten times as much biases its angle of repose by degrees.
 TIME_STEP_FRACTION = 0.093
-# Of the time in which damping alone would stop a pair. Below e = 0.1 that is the shorter time.
+# Of the time in which damping alone would stop a pair, or its rolling: shorter below e = 0.1, or above about μ_r = 0.3.
+# A sphere among six others is damped four times as fast as by one, so that a half is just stable at the hardest impact.
 DAMPING_FRACTION = 0.5
 WARNING_FRACTION = 0.1  # of the contact time; restitution starts to depend on the step
 ERROR_FRACTION = 0.2  # of the contact time; a contact is no longer resolved
@@ -64,9 +66,11 @@ def impact_speed(scene: Scene) -> float:
 
 
 def contact_times(scene: Scene, radius: float | None = None) -> tuple[float, float]:
-    """Duration of an elastic impact at :func:`impact_speed`, and the time m*/γ of the damping at its deepest.
+    """Duration of an elastic impact at :func:`impact_speed`, and the time of the damping at its deepest.
 
-    γ = α √(m* K) δmax^{1/4}. Of all pairs of materials and walls the shortest, s; inf at speed 0.
+    That is m*/γ with γ = α √(m* K) δmax^{1/4}, or I*/C_r of the dashpot against rolling (rolling.py) with
+    I* = 2/5 m* r², what two spheres turn against each other with. Of all pairs of materials and walls the shortest,
+    s; inf at speed 0.
 
     Args:
         scene: materials, walls and motion.
@@ -88,6 +92,10 @@ def contact_times(scene: Scene, radius: float | None = None) -> tuple[float, flo
         if law.damping > 0:
             stiffness = 4.0 / 3.0 * law.effective_modulus * math.sqrt(effective_radius)
             damped = min(damped, math.sqrt(effective_mass / stiffness) / (law.damping * overlap**0.25))
+        if scene.needs.rolling and law.rolling_friction > 0:
+            stiffness = rolling_stiffness(law.effective_modulus, law.rolling_friction, effective_radius, overlap)
+            inertia = effective_mass * r**2
+            damped = min(damped, 0.4 * inertia / float(rolling_drag(CONTACT_INERTIA * inertia, stiffness)))
     return elastic, damped
 
 

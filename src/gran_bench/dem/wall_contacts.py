@@ -15,6 +15,7 @@ from gran_bench.dem.contact_blocks import (
     DELTA,
     FORCE,
     GAIN,
+    INERTIA,
     INVERSE_MS,
     MOMENT,
     MS,
@@ -25,6 +26,7 @@ from gran_bench.dem.contact_blocks import (
     PX,
     PY,
     PZ,
+    RESISTANCE,
     RS,
     SLOT,
     SPIN_SUM,
@@ -41,6 +43,7 @@ from gran_bench.dem.contact_blocks import (
     fill_law,
 )  # fmt: skip
 from gran_bench.dem.kernel import shared
+from gran_bench.dem.rolling import CONTACT_INERTIA
 from gran_bench.dem.rows import four_from, four_of, four_on, four_remembered, gather_rows, scatter_rows, scatter_sum
 from gran_bench.dem.wall_list import shape_of, toward_wall
 
@@ -109,6 +112,7 @@ def wall_forces(
             buffer[RS + k] = sphere[i, 3]
             buffer[MS + k] = 1.0 / velocity[i, 3]
             buffer[INVERSE_MS + k] = velocity[i, 3]
+            buffer[INERTIA + k] = CONTACT_INERTIA * sphere[i, 3] * sphere[i, 3] / velocity[i, 3]
             buffer[GAIN + k] = nx * buffer[AX + k] + ny * buffer[AY + k] + nz * buffer[AZ + k]
             fill_law(buffer, k, laws[material[i], w])
             if rolling:
@@ -130,7 +134,7 @@ def wall_forces(
             if tangential:
                 scatter_sum(torque, body, buffer, TORQUE, k)
             if rolling:
-                scatter_sum(torque, body, buffer, MOMENT, k)
+                scatter_sum(torque, body, buffer, RESISTANCE, k)
                 scatter_rows(moment, rows, buffer, MOMENT, k)
             scatter_rows(slot, rows, buffer, SLOT, k)
     return found

@@ -42,8 +42,8 @@ class Filling:
         diameter: d, m.
         lattice_spacing: distance of neighbouring sites, in largest diameters.
         jitter: largest offset from a site along each axis, in largest diameters.
-        settled_speed: mean speed below which the bed is at rest, m/s.
-        longest_settling: s; a bed that still moves then is an error.
+        settled_speed: root mean square of the speeds; a bed that stays below is at rest (dem/rest.py), m/s.
+        longest_settling: s; a bed that is not at rest then is an error.
         settles: whether the spheres fall and come to rest before the scene starts.
         sizes: distribution of the diameters about d.
         fractions: share of each of the scene's materials, by number, in random order; empty: all of the first.

@@ -1,4 +1,4 @@
-"""A ball on a plane or a slope: it slides, starts to roll, rolls, or is held by rolling friction.
+"""A ball on a plane or a slope: it slides, starts to roll, rolls, or is stopped and held by rolling friction.
 
 Slip to roll is DEM04 of the MFiX-DEM verification manual (mfix.netl.doe.gov/doc/vvuq-manual; Garg et al. 2012).
 """
@@ -152,7 +152,42 @@ def incline() -> Findings:
     return Findings(tuple(checks))
 
 
+def rolling_stop() -> Findings:
+    """A ball that rolls on a plane: μ_r r m g stops it in a known time, and then it stays at rest."""
+    checks, speed, resistances = [], 0.2, (0.02, 0.1, 0.5)
+    for modulus in (SOFT, STIFF):
+        expected, found, left = [], [], []
+        for resistance in resistances:
+            contact = on_wall(sphere_material(modulus, 0.5, 0.6, resistance))
+            load = contact.first.mass * GRAVITY
+            arm = RADIUS - contact.resting_overlap(load)
+            rate = resistance * GRAVITY * arm * RADIUS / (arm**2 + 0.4 * RADIUS**2)
+            step = bobbing_period(contact, load) / 60
+            stride = math.ceil(speed / rate / 100 / step)
+            scene = laboratory(contact.first.material, (FLOOR,), gravity=(0, 0, -GRAVITY))
+            state = spheres([0, 0, arm], [speed, 0, 0], [0, speed / arm, 0])
+            trajectory = run(scene, state, step, 200 * stride, stride).trajectory
+            t, u = trajectory.time, trajectory.velocity[:, 0, 0]
+            rolls = slice(20, 90)
+            expected.append(-rate)
+            found.append(float(np.polyfit(t[rolls], u[rolls], 1)[0]))
+            left.append(float(np.linalg.norm(trajectory.velocity[-20:, 0], axis=1).max()))
+        label, at = f"E {modulus:g} Pa", [f"μ_r {resistance:g}" for resistance in resistances]
+        checks += [
+            Check(
+                f"deceleration by rolling friction, m/s², {label}", expected, found, 1e-3,
+                "5/7 μ_r g, with the arm a = R − δ: μ_r g R a/(a² + ⅖R²)", at=at,
+            ),
+            Check(
+                f"speed left after twice the time to stop, m/s, {label}", [0.0] * len(left), left, 1e-3,
+                "it stays at rest (Ai et al. 2011, model C with a critical dashpot)", speed, "of the first speed", at,
+            ),
+        ]  # fmt: skip
+    return Findings(tuple(checks))
+
+
 CASES = (
     Case("slip-to-roll", "a sliding ball starts to roll (MFiX DEM04)", slip_to_roll),
+    Case("rolling-stop", "rolling friction stops a ball, which then stays at rest", rolling_stop),
     Case("incline", "a ball rolls, slides or is held on a slope", incline),
 )

@@ -1,0 +1,85 @@
+"""When a bed is at rest: not at one instant, but when it stays at rest for as long as its slowest swing can hide.
+
+A ball at the top of its bounce has no speed. Nor has a bed at the turning point of its swing, and a quarter of a period
+later it is fastest. So the spheres must be slow at every look during half the period of the slowest free motion in the
+container: a sphere that rolls in a trough as wide as the container is high,
+
+    T/2 = π √(7/5 · H/2 / g)
+
+with H the height that a sphere can fall. A free sphere falls by 3.5 H in that time, far more than any overlap.
+
+Slow means that the kinetic energy of the translations is below ½ M v², by the root mean square of the speeds, and that
+no sphere is faster than a few tens of v, which many spheres at rest would hide. v is ``filling.settled_speed``. Spin
+does not count: nothing brakes a sphere that spins about its contact's normal. Nor do spheres beyond the outlet.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gran_bench.dem.outlet import taking_part
+from gran_bench.dem.time_step import NOMINAL_FALL
+from gran_bench.scene import Scene
+from gran_bench.state import ParticleState
+
+# Of a single sphere's speed to the bed's. At 0.03 m/s a sphere rises by 46 µm; what rolls that slowly in its cage on a
+# floor, without rolling friction, takes tens of seconds to stop.
+LONE_SPHERE = 30.0
+WEIGHTLESS = 0.1  # s; where nothing falls, nothing swings
+LOOKS = 20  # at least, in that time
+
+
+class Rest:
+    """Looks at a bed that settles, and knows since when it has been slow.
+
+    Args:
+        scene: that it settles in.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene, self._slow_since = scene, math.inf
+        self.speed, self._fastest, self._fastest_speed = math.inf, 0, math.inf
+
+    @property
+    def window(self) -> float:
+        """How long a bed must be slow, s."""
+        gravity = self._scene.gravity_strength
+        if gravity == 0.0:
+            return WEIGHTLESS
+        return math.pi * math.sqrt(0.7 * (self._scene.fall_height or NOMINAL_FALL) / gravity)
+
+    @property
+    def look_interval(self) -> float:
+        """Longest time between two looks, s."""
+        return self.window / LOOKS
+
+    def look(self, state: ParticleState) -> bool:
+        """Whether the bed has been slow for long enough, as often as it was looked at."""
+        inside = taking_part(self._scene, state.position)
+        speed = np.linalg.norm(state.velocity, axis=1)
+        speed = speed if inside is None else np.where(inside, speed, 0.0)
+        among = state.count if inside is None else max(1, int(inside.sum()))
+        self.speed = math.sqrt(float(np.square(speed).sum()) / among)
+        self._fastest = int(speed.argmax())
+        self._fastest_speed = float(speed[self._fastest])
+        limit = self._scene.filling.settled_speed
+        if self.speed >= limit or self._fastest_speed >= LONE_SPHERE * limit:
+            self._slow_since = math.inf
+        else:
+            self._slow_since = min(self._slow_since, state.time)
+        return state.time - self._slow_since >= self.window * (1.0 - 1e-9)
+
+    def what_moves(self) -> str:
+        """The last look in words, and what would help."""
+        remedy = "raise scene.filling.longest_settling or scene.filling.settled_speed"
+        if not self._scene.needs.tangential:
+            remedy = f"nothing brakes a swing where scene.material.friction=0: choose a friction > 0, or {remedy}"
+        elif not self._scene.needs.rolling:
+            remedy = f"nothing brakes a roll where scene.material.rolling_friction=0: choose e.g. 0.05, or {remedy}"
+        return (
+            f"particle {self._fastest} moves at {self._fastest_speed:.2g} m/s, the root mean square is "
+            f"{self.speed:.2g} m/s, and at rest it stays below scene.filling.settled_speed="
+            f"{self._scene.filling.settled_speed:g} m/s for {self.window:.2g} s; {remedy}"
+        )
