@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from gran_bench.scene.filling import Filling, Room, drum_sites, open_sites, room
 from gran_bench.scene.material import Material, PairCoefficients, mixed_coefficients
 from gran_bench.scene.motion import RADIANS_PER_SECOND_PER_RPM, Motion, Rotation
 from gran_bench.scene.needs import Needs
+from gran_bench.scene.seams import SAME_POINT, surfaces
 from gran_bench.scene.walls import Outlet, Plane, Wall, turns_into_itself
 from gran_bench.state import FloatArray, ParticleState
 
@@ -124,6 +126,7 @@ class Scene:
             walls=bool(self.walls),
             wall_motion=any(self.motion_of(wall) is not None for wall in self.walls),
             wall_geometry=any(self._moves_geometry(wall) for wall in self.walls),
+            wall_seams=any(self.surfaces),
             end_caps=self.drum_radius is not None and any(isinstance(w, Plane) for w in self.walls),
             periodic=self.periodic_axis,
             gravity=self.gravity_strength > 0,
@@ -136,6 +139,12 @@ class Scene:
         """What a wall does: its own motion, or the scene's rotation; None where it rests for ever."""
         motion = self.rotation if wall.motion is None and wall.turns else wall.motion
         return None if motion is None or motion.is_still else motion
+
+    @cached_property
+    def surfaces(self) -> tuple[int, ...]:
+        """Number of the surface that each wall is a piece of, from 1; 0 for a wall that meets no other."""
+        motions = tuple(map(self.motion_of, self.walls))
+        return surfaces(self.walls, motions, SAME_POINT * self.filling.largest_radius)
 
     def _moves_geometry(self, wall: Wall) -> bool:
         motion = self.motion_of(wall)
