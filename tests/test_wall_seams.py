@@ -136,12 +136,12 @@ def test_a_sphere_that_rolls_over_a_seam_feels_nothing_of_it(advance, speed):
 
 @ENGINES
 def test_what_a_sphere_touches_is_the_piece_under_it(advance):
-    """A belt beside a resting floor: each drives the sphere over it, and only that one."""
-    scene = scene_with(replace(RING, motion=BELT, turns=False), FILL, friction=0.5)
-    on_belt, on_floor = (
-        after(advance, scene, one_sphere((x, 0, R - 1e-4)), 20).velocity[0, 0] for x in (0.1 + 0.02 * R, 0.1 - 0.02 * R)
+    """A ring that turns about a resting floor: each drives the sphere over it, and only that one."""
+    scene = scene_with(replace(RING, motion=Spin((0.0,), (30.0,), UP)), FILL, friction=0.5)
+    on_ring, on_floor = (
+        after(advance, scene, one_sphere((x, 0, R - 1e-4)), 20).velocity[0, 1] for x in (0.1 + 0.02 * R, 0.1 - 0.02 * R)
     )
-    assert on_belt > 1e-4
+    assert on_ring > 1e-4
     assert on_floor == 0.0
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from gran_bench.dem.kernel import shared
 from gran_bench.dem.wall_list import shape_of, toward_wall
-from gran_bench.dem.walls import SURFACE, wall_contact
+from gran_bench.dem.walls import REVOLUTION, SURFACE, wall_contact
 from gran_bench.scene.seams import SAME_POINT
 from gran_bench.state import ContactHistory, FloatArray
 
@@ -91,12 +91,22 @@ def another_answers(walls, w, x, y, z, radius, distance, nx, ny, nz):
         distance, nx, ny, nz: of its centre from the wall, m, and the unit vector to it.
     """
     for v in range(len(walls)):
-        if v != w and walls[v, 21] == walls[w, 21]:
+        if v != w and walls[v, 21] == walls[w, 21] and not _is_far(walls, v, x, y, z, radius):
             other = shape_of(walls, v)
             away = toward_wall(other, x, y, z)[0]
             if away < radius and _goes_before(other, v, away, w, x, y, z, radius, distance, nx, ny, nz):
                 return True
     return False
+
+
+@shared
+def _is_far(walls, v, x, y, z, radius):
+    """Whether a sphere lies before or behind the whole of wall v: what is cheap to see, and true of most."""
+    if walls[v, 0] != REVOLUTION:
+        return False
+    along = (x - walls[v, 1]) * walls[v, 4] + (y - walls[v, 2]) * walls[v, 5] + (z - walls[v, 3]) * walls[v, 6]
+    s0, s1 = walls[v, 8], walls[v, 10]
+    return along < min(s0, s1) - radius or along > max(s0, s1) + radius
 
 
 @shared
@@ -109,9 +119,6 @@ def hand_over(walls, w, p, x, y, z, radius, distance, wall_i, start, memory, tou
         wall_i, start, memory, touched, remembered: as in :func:`wall_contacts.wall_forces`; ``memory[p]`` and
             ``touched`` change.
     """
-    row = memory[p]
-    if 0 < row < remembered and touched[row] == p:
-        return
     i = wall_i[p]
     for v in range(len(walls)):
         if v == w or walls[v, 21] != walls[w, 21]:

@@ -80,7 +80,8 @@ def wall_forces(
             if pieces and touches:
                 x, y, z, r = sphere[i, 0], sphere[i, 1], sphere[i, 2], sphere[i, 3]
                 touches = not another_answers(walls, w, x, y, z, r, distance, nx, ny, nz)
-                if touches:
+                row = memory[p]
+                if touches and not (0 < row < remembered and touched[row] == p):
                     hand_over(walls, w, p, x, y, z, r, distance, wall_i, start, memory, touched, remembered)
             found += touches
     for row in range(found, found + 3):
