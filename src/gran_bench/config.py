@@ -66,11 +66,13 @@ CONTAINER_SCHEMAS: dict[str, type] = {
 
 @dataclass
 class SizesConfig:
-    """Distribution of the diameters, by number, as factors of filling.diameter."""
+    """Distribution of the diameters as factors of filling.diameter, by number or by mass."""
 
-    kind: str = "one"  # one | listed | uniform | lognormal
+    kind: str = "one"  # one | listed | uniform | lognormal | histogram
+    by: str = "number"  # number | mass: what fractions and spread are of; sieve curves are by mass
     factors: list[float] = field(default_factory=list)  # of listed
-    fractions: list[float] = field(default_factory=list)  # share of each factor, sum 1
+    edges: list[float] = field(default_factory=list)  # of histogram, rising; uniform between two of them
+    fractions: list[float] = field(default_factory=list)  # share of each factor, or between two edges, sum 1
     spread: float = 0.0  # half-width of uniform, standard deviation of ln d of lognormal (cut at two of them)
 
 
@@ -90,6 +92,7 @@ class FillingConfig:
     positions: list[list[float]] = field(default_factory=list)  # m, of each sphere; empty: a lattice
     velocities: list[list[float]] = field(default_factory=list)  # m/s, of placed spheres; empty: at rest
     spins: list[list[float]] = field(default_factory=list)  # rad/s, of placed spheres; empty: none
+    radii: list[float] = field(default_factory=list)  # m, of placed spheres; empty: by diameter and sizes
     expansion: float = 0.0  # 1/s, H of a start with velocity H × position
 
 
@@ -146,6 +149,7 @@ class DatasetConfig:
     """Which cases are made, and which may be seen by training."""
 
     root: str = "data"  # folder of the HDF5 cases, relative to where the command runs
+    # Speeds below 0 turn the other way: the mirror image. 0 is a drum at rest.
     training_speeds_rpm: list[float] = field(default_factory=lambda: [20.0, 25.0, 35.0, 40.0, 50.0, 60.0])
     validation_speeds_rpm: list[float] = field(default_factory=list)  # held out of training, used to choose
     holdout_speeds_rpm: list[float] = field(default_factory=lambda: [30.0])  # never read in training

@@ -158,6 +158,11 @@ def _check_dataset(dataset: DatasetConfig) -> None:
                 f"dataset.{name}={getattr(dataset, name)} has {speed:g} rpm, which dataset.{seen.get(speed)} has "
                 "already; a speed belongs to one split, once",
             )
+            _require(
+                seen.get(-speed, name) == name,
+                f"dataset.{name}={getattr(dataset, name)} has {speed:g} rpm, whose mirror image "
+                f"dataset.{seen.get(-speed)} has; keep both in one split",
+            )
             seen[speed] = name
     _require(
         dataset.unseen_packing_seed != dataset.packing_seed,

@@ -153,8 +153,10 @@ RULES: dict[type, dict[str, Rule]] = {
         "outlet_depth": positive("m"),
     },
     SizesConfig: {
-        "kind": OneOf(("one", "listed", "uniform", "lognormal")),
+        "kind": OneOf(("one", "listed", "uniform", "lognormal", "histogram")),
+        "by": OneOf(("number", "mass")),
         "factors": positive(),
+        "edges": positive(),
         "fractions": FRACTION,
         "spread": Range(0.0, 1.0, open_high=True),
     },
@@ -175,6 +177,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "positions": Range(unit="m"),
         "velocities": Range(unit="m/s"),
         "spins": Range(unit="rad/s"),
+        "radii": positive("m"),
         "expansion": Range(unit="1/s"),
     },
     RotationConfig: {"times": Range(unit="s"), "speeds_rpm": Range(unit="rpm")},
@@ -196,9 +199,9 @@ RULES: dict[type, dict[str, Rule]] = {
     },
     DatasetConfig: {
         "root": Text(),
-        "training_speeds_rpm": at_least(0, "rpm"),
-        "validation_speeds_rpm": at_least(0, "rpm"),
-        "holdout_speeds_rpm": at_least(0, "rpm"),
+        "training_speeds_rpm": Range(unit="rpm"),
+        "validation_speeds_rpm": Range(unit="rpm"),
+        "holdout_speeds_rpm": Range(unit="rpm"),
         "packing_seed": at_least(0),
         "unseen_packing_seed": at_least(0),
         "replicas": at_least(2),  # a floor is a mean over pairs of replicas
@@ -282,7 +285,7 @@ RULES: dict[type, dict[str, Rule]] = {
         "startup_seconds": positive("s"),
     },
     JudgeConfig: {
-        "speeds_rpm": at_least(0, "rpm"),
+        "speeds_rpm": Range(unit="rpm"),
         "unseen_packing": Switch(),
         "short_horizon_starts": at_least(1),
         "gif": Switch(),

@@ -44,6 +44,7 @@ class Filling:
         positions: ``(N, 3)`` centres instead of a lattice, m; empty for the lattice.
         velocities, spins: ``(N, 3)`` of placed spheres, m/s and rad/s; empty for rest.
         expansion: H of a start with velocity v = H x, 1/s: spheres fly apart and never meet.
+        radii: ``(N,)`` of placed spheres instead of sizes about d, m; empty for these.
     """
 
     count: int
@@ -59,6 +60,7 @@ class Filling:
     velocities: tuple[Vector, ...] = ()
     spins: tuple[Vector, ...] = ()
     expansion: float = 0.0
+    radii: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if self.count < 0:
@@ -79,6 +81,19 @@ class Filling:
                 )
             if any(len(v) != 3 or not all(map(math.isfinite, v)) for v in vectors):
                 raise SceneError(f"scene.filling.{name} has entries that are no three finite numbers; repair them")
+        if self.radii:
+            if len(self.radii) != self.count or not self.positions:
+                raise SceneError(
+                    f"scene.filling.radii has {len(self.radii)} entries for {len(self.positions)} "
+                    "scene.filling.positions; give one for each placed sphere"
+                )
+            if not all(math.isfinite(r) and r > 0 for r in self.radii):
+                raise SceneError(f"scene.filling.radii={list(self.radii)} is impossible; give values > 0 m")
+            if self.sizes.kind != "one":
+                raise SceneError(
+                    f"scene.filling.sizes.kind={self.sizes.kind} and scene.filling.radii both say how large the "
+                    "spheres are; give one of them"
+                )
         moving = bool(self.velocities or self.spins or self.expansion)
         if moving and self.settles:
             raise SceneError("scene.filling.settles=true lets moving spheres come to rest; choose settles=false")
@@ -93,12 +108,12 @@ class Filling:
     @property
     def smallest_radius(self) -> float:
         """m, of all that can come."""
-        return self.radius * self.sizes.smallest
+        return min(self.radii, default=self.radius * self.sizes.smallest)
 
     @property
     def largest_radius(self) -> float:
         """m, of all that can come."""
-        return self.radius * self.sizes.largest
+        return max(self.radii, default=self.radius * self.sizes.largest)
 
     @property
     def largest_speed(self) -> float:

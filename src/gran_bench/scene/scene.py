@@ -200,7 +200,11 @@ class Scene:
         """
         filling, rng = self.filling, np.random.default_rng(seed)
         position = self._placed() if filling.positions else self._on_lattice(rng)
-        radius = filling.radius * filling.sizes.sample(filling.count, rng)
+        radius = (
+            np.array(filling.radii, float)
+            if filling.radii
+            else filling.radius * filling.sizes.sample(filling.count, rng)
+        )
         velocity, spin = (
             np.array(given, float).reshape(-1, 3) if given else np.zeros_like(position)
             for given in (filling.velocities, filling.spins)
