@@ -21,7 +21,7 @@ from gran_bench.dem import engine_numba
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.outlet import part_of, taking_part
 from gran_bench.dem.simulate import choose_time_step, settle, simulate
-from gran_bench.dem.walls import wall_poses
+from gran_bench.dem.walls import SURFACE, wall_poses
 from gran_bench.scene import Plane, Scene
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import ContactHistory, ParticleState
@@ -76,6 +76,11 @@ def rows(scene: Scene, bed: ParticleState) -> dict[str, tuple[Case, Case]]:
     if scene.needs.wall_motion:
         creeping = replace(scene, rotation=replace(scene.rotation, speeds_rpm=(1e-290,)))
         found["no wall velocity where walls rest"] = Case(scene.at_rest(), bed), Case(creeping, bed)
+    if not scene.needs.wall_seams and scene.walls:
+        asking = Case(scene, bed)
+        asking.walls = np.array(asking.walls)
+        asking.walls[..., SURFACE] = 1.0  # each wall asks whether another answers in its place
+        found["no seams where walls share no edge"] = usual, asking
     if scene.needs.end_caps and scene.drum_radius is not None:
         ends = replace(scene, walls=scene.walls[:1], periodic_axis=True)
         capped = replace(ends, walls=ends.walls + far)

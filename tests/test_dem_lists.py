@@ -11,7 +11,7 @@ from gran_bench.config import ContainerConfig, FillingConfig, SceneConfig
 from gran_bench.dem.contact_list import LEAST_MARGIN, sorted_pairs, with_margins
 from gran_bench.dem.integrate import LEAST_SKIN_DIAMETERS, SKIN_DIAMETERS, Physics
 from gran_bench.dem.wall_list import list_wall_contacts
-from gran_bench.dem.walls import wall_contact, wall_poses
+from gran_bench.dem.walls import COLUMNS, wall_contact, wall_poses
 from gran_bench.scene import Vibration, build_scene
 
 
@@ -89,7 +89,7 @@ def test_walls_in_reach_come_chunk_by_chunk_and_remember_what_touched(chunk, sto
 def test_without_walls_only_the_spare_place_is_there():
     (sphere, _), nothing = bodies(9), np.zeros(0, np.int64)
     wall_i, _, memory, start = list_wall_contacts(
-        sphere, np.array([0, 9]), 0, 1, np.zeros((3, 0, 21)), 0, np.ones(9), nothing, nothing
+        sphere, np.array([0, 9]), 0, 1, np.zeros((3, 0, COLUMNS)), 0, np.ones(9), nothing, nothing
     )
     assert wall_i[0] == 9
     assert (memory.tolist(), start.tolist()) == ([0], [1])

@@ -11,7 +11,7 @@ from gran_bench.config import ContainerConfig, FillingConfig, MaterialConfig, Ro
 from gran_bench.dem import engine_numba, engine_numpy
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.simulate import simulate
-from gran_bench.dem.walls import wall_poses
+from gran_bench.dem.walls import COLUMNS, wall_poses
 from gran_bench.scene import Disc, Plane, Scene, Sizes, build_scene
 from gran_bench.state import ContactHistory, ParticleState
 
@@ -191,7 +191,7 @@ def test_spheres_of_one_size_need_no_sizes_of_each_contact():
 
 def test_no_end_caps_where_the_axis_is_periodic():
     scene = build_scene(SceneConfig(name="slice", container=ContainerConfig(length=0.2, periodic_axis=True)))
-    assert wall_poses(scene, 0.0, STEP, 1).shape == (2, 1, 21)
+    assert wall_poses(scene, 0.0, STEP, 1).shape == (2, 1, COLUMNS)
     assert not scene.needs.end_caps
 
 

@@ -33,6 +33,7 @@ from gran_bench.plots import (
     style,
     time_against_error,
 )
+from gran_bench.plots.case_card import default_title
 from gran_bench.plots.spheres import draw_spheres, halved, shaded, view_along_axis
 from gran_bench.shipped import shipped_scene
 from gran_bench.verification.hopper_discharge import HopperDischarge
@@ -368,3 +369,8 @@ def test_the_drums_flow_is_drawn_packing_by_packing(tmp_path, texts):
     draw_drum_flow(tmp_path / "flow.png", samples, {30.0: ((34.9, 0.5), (0.612, 0.015))}, labels)
     assert {"ours", "other", "20 rpm", "30 rpm", *labels} <= set(texts)
     assert Image.open(tmp_path / "flow.png").size[0] > 100
+
+
+def test_a_case_card_says_which_way_the_drum_turns_and_how_large_its_spheres_are():
+    assert default_title(drum(-30.0)).endswith("drum, -30 rpm, 3000 spheres of 50 mm")
+    assert default_title(shipped_scene("collision", {"filling.radii": [0.01, 0.025]})).endswith("2 spheres of 20–50 mm")

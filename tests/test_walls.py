@@ -21,6 +21,7 @@ from gran_bench.dem.walls import (
     KIND,
     PATH,
     POINT,
+    SURFACE,
     VELOCITY,
     surface_velocity,
     wall_contact,
@@ -178,7 +179,7 @@ def test_a_pose_table_has_shapes_at_the_ends_of_steps_and_velocities_in_their_mi
     assert poses[:, 0, 3] == pytest.approx([0.25, 0.36, 0.49, 0.64])
     assert poses[:, 0, 13] == pytest.approx([1.0, 1.1, 1.3, 1.5])
     assert (poses[1:, 0, PATH] >= np.diff(poses[:, 0, 3])).all()
-    assert not poses[:, 1, 11:].any()
+    assert not poses[:, 1, 11:SURFACE].any()
 
 
 def test_motion_is_a_function_of_the_clock_alone_so_that_a_restart_finds_the_walls():

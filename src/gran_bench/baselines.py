@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -57,6 +57,16 @@ def rigid_rotation(scene: Scene, settled: ParticleState) -> Trajectory:
     return _trajectory(settled, time, position, velocity, spin)
 
 
+def neighbouring_speeds(speed_rpm: float, training: Iterable[float]) -> tuple[float, float] | None:
+    """The nearest training speeds below and above a speed, rpm; None where a side has none.
+
+    Speeds of the other sense of rotation are no neighbours: their flow is a mirror image.
+    """
+    alike = [rpm for rpm in training if rpm * speed_rpm >= 0.0]
+    below, above = [rpm for rpm in alike if rpm < speed_rpm], [rpm for rpm in alike if rpm > speed_rpm]
+    return (max(below), min(above)) if below and above else None
+
+
 def interpolated_statistics(speed_rpm: float, training: Mapping[float, TrajectorySummary]) -> TrajectorySummary:
     """Statistics at a speed, linear in the speed between the neighbouring training cases, state by state.
 
@@ -71,12 +81,11 @@ def interpolated_statistics(speed_rpm: float, training: Mapping[float, Trajector
         ValueError: the speed lies outside the training speeds, or the cases are not comparable.
     """
     check_arguments(speed_rpm=(speed_rpm, float), training=(training, Mapping))
-    slower = [rpm for rpm in training if rpm <= speed_rpm]
-    faster = [rpm for rpm in training if rpm >= speed_rpm]
-    if not (slower and faster):
+    found = (speed_rpm, speed_rpm) if speed_rpm in training else neighbouring_speeds(speed_rpm, training)
+    if found is None:
         known = ", ".join(f"{rpm:g}" for rpm in sorted(training))
         raise ValueError(f"speed_rpm={speed_rpm:g} lies outside the training speeds {known}; interpolate between them")
-    below, above = max(slower), min(faster)
+    below, above = found
     low, high = training[below], training[above]
     if low.velocity_kind != high.velocity_kind:
         raise ValueError(

@@ -193,7 +193,7 @@ def checked_config(composed: DictConfig, schema: type[Config]) -> Config:
         data = config.dataset
         if scene.takes_speeds:
             speeds = data.training_speeds_rpm + data.validation_speeds_rpm + data.holdout_speeds_rpm
-            scene = scene.at_speed(max(speeds, default=0.0))
+            scene = scene.at_speed(max(speeds, key=abs, default=0.0))
         choose_time_step(scene, config.dem.time_step, config.dem.allow_unsafe_step)
     return config
 

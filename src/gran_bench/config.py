@@ -75,11 +75,13 @@ CONTAINER_SCHEMAS: dict[str, type] = {
 
 @dataclass
 class SizesConfig(Section, place="scene.filling.sizes"):
-    """Distribution of the diameters, by number, as factors of filling.diameter."""
+    """Distribution of the diameters as factors of filling.diameter, by number or by mass."""
 
-    kind: str = key("one", one_of("one", "listed", "uniform", "lognormal"))
+    kind: str = key("one", one_of("one", "listed", "uniform", "lognormal", "histogram"))
+    by: str = key("number", one_of("number", "mass"))  # what fractions and spread are of; sieve curves are by mass
     factors: list[float] = key([], positive())  # of listed
-    fractions: list[float] = key([], FRACTION)  # share of each factor, sum 1
+    edges: list[float] = key([], positive())  # of histogram, rising; uniform between two of them
+    fractions: list[float] = key([], FRACTION)  # share of each factor, or between two edges, sum 1
     # Half-width of uniform, standard deviation of ln d of lognormal (cut at two of them).
     spread: float = key(0.0, Range(0.0, 1.0, open_high=True))
 
@@ -100,6 +102,7 @@ class FillingConfig(Section, place="scene.filling"):
     positions: list[list[float]] = key([], Range(unit="m"))  # of each sphere; empty: a lattice
     velocities: list[list[float]] = key([], Range(unit="m/s"))  # of placed spheres; empty: at rest
     spins: list[list[float]] = key([], Range(unit="rad/s"))  # of placed spheres; empty: none
+    radii: list[float] = key([], positive("m"))  # of placed spheres; empty: by diameter and sizes
     expansion: float = key(0.0, Range(unit="1/s"))  # H of a start with velocity H × position
 
 
@@ -162,9 +165,10 @@ class DatasetConfig(Section, place="dataset"):
     """Which cases are made, and which may be seen by training."""
 
     root: str = "data"  # folder of the HDF5 cases, relative to where the command runs
-    training_speeds_rpm: list[float] = key([20.0, 25.0, 35.0, 40.0, 50.0, 60.0], at_least(0, "rpm"))
-    validation_speeds_rpm: list[float] = key([], at_least(0, "rpm"))  # held out of training, used to choose
-    holdout_speeds_rpm: list[float] = key([30.0], at_least(0, "rpm"))  # never read in training
+    # Speeds below 0 turn the other way: the mirror image. 0 is a drum at rest.
+    training_speeds_rpm: list[float] = key([20.0, 25.0, 35.0, 40.0, 50.0, 60.0], Range(unit="rpm"))
+    validation_speeds_rpm: list[float] = key([], Range(unit="rpm"))  # held out of training, used to choose
+    holdout_speeds_rpm: list[float] = key([30.0], Range(unit="rpm"))  # never read in training
     packing_seed: int = key(0, SEED)  # the filling shared by all cases
     unseen_packing_seed: int = key(1, SEED)  # the filling that only judging sees
     replicas: int = key(5, at_least(2))  # nudged runs of the held-out case for the noise floor

@@ -149,6 +149,16 @@ def check_filling(filling: Any) -> None:
             f"scene.filling.{name} does not give three numbers for each of scene.filling.count={filling.count} "
             "spheres; give them, or [] for none",
         )
+    _require(
+        len(filling.radii) in (0, filling.count if filling.positions else 0),
+        f"scene.filling.radii has {len(filling.radii)} entries for {len(filling.positions)} scene.filling.positions; "
+        "give one for each placed sphere, or [] for none",
+    )
+    _require(
+        not filling.radii or filling.sizes.kind == "one",
+        f"scene.filling.sizes.kind={filling.sizes.kind} and scene.filling.radii both say how large the spheres are; "
+        "give one of them",
+    )
 
 
 def _check_materials(scene: SceneConfig) -> None:
@@ -213,6 +223,11 @@ def _check_dataset(dataset: DatasetConfig) -> None:
                 speed not in seen,
                 f"dataset.{name}={getattr(dataset, name)} has {speed:g} rpm, which dataset.{seen.get(speed)} has "
                 "already; a speed belongs to one split, once",
+            )
+            _require(
+                seen.get(-speed, name) == name,
+                f"dataset.{name}={getattr(dataset, name)} has {speed:g} rpm, whose mirror image "
+                f"dataset.{seen.get(-speed)} has; keep both in one split",
             )
             seen[speed] = name
     _require(

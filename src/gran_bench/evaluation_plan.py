@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from gran_bench.baselines import neighbouring_speeds
 from gran_bench.config import DatasetConfig, DemConfig, JudgeConfig
 from gran_bench.dataset import CaseSpec, half_step, replicas
 from gran_bench.dem.simulate import choose_time_step
@@ -77,9 +78,7 @@ class Plan:
     @property
     def neighbours_rpm(self) -> tuple[float, float] | None:
         """The training speeds below and above the judged one, rpm; None where a side has none."""
-        below = [rpm for rpm in self.dataset.training_speeds_rpm if rpm < self.judged_rpm]
-        above = [rpm for rpm in self.dataset.training_speeds_rpm if rpm > self.judged_rpm]
-        return (max(below), min(above)) if below and above else None
+        return neighbouring_speeds(self.judged_rpm, self.dataset.training_speeds_rpm)
 
     @property
     def cases(self) -> list[CaseSpec]:

@@ -200,7 +200,8 @@ def _refuse_unfair(config: EvaluateConfig, origin: dict[str, Any]) -> None:
     """Refuse to call a speed or a packing unseen that the model was trained on."""
     dataset = config.dataset
     speeds = dataset.validation_speeds_rpm or dataset.holdout_speeds_rpm
-    seen = sorted({*speeds} & {*origin["training_speeds_rpm"]})
+    # The other sense of rotation is the mirror image.
+    seen = [rpm for rpm in origin["training_speeds_rpm"] if abs(rpm) in map(abs, speeds)]
     if seen:
         raise ConfigError(
             f"dataset.holdout_speeds_rpm={speeds}: this model was trained on {seen[0]:g} rpm; judge another speed, "

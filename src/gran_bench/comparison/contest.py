@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from gran_bench.baselines import neighbouring_speeds
 from gran_bench.comparison.jobs import BASELINES, with_modulus
 from gran_bench.comparison.method import Method
 from gran_bench.comparison.suitability import why_unfit
@@ -56,12 +57,10 @@ class Contest:
     @property
     def neighbours(self) -> dict[float, CaseSpec]:
         """The training speeds below and above, rpm, from the packing of training; none where a side lacks one."""
-        data = self.config.dataset
-        below = [rpm for rpm in data.training_speeds_rpm if rpm < self.rpm]
-        above = [rpm for rpm in data.training_speeds_rpm if rpm > self.rpm]
-        if not (below and above and build_scene(self.config.scene).takes_speeds):
+        found = neighbouring_speeds(self.rpm, self.config.dataset.training_speeds_rpm)
+        if found is None or not build_scene(self.config.scene).takes_speeds:
             return {}
-        return {rpm: self._training_case(rpm) for rpm in (max(below), min(above))}
+        return {rpm: self._training_case(rpm) for rpm in found}
 
     @property
     def cases(self) -> list[CaseSpec]:

@@ -18,7 +18,7 @@ def why_unfit(card: ModelCard, scene: Scene, packing_seed: int) -> str:
     """
     home = build_scene(read_config(SceneConfig, card.scene))
     known = {
-        "spheres of one size": scene.filling.sizes.kind == "one",
+        "spheres of one size": not scene.needs.polydispersity,
         "one material": len(scene.materials) == 1,
         "planes and cylinders": all(isinstance(wall, Plane | Cylinder) for wall in scene.walls),
         "containers without an outlet": scene.outlet is None,
@@ -27,7 +27,7 @@ def why_unfit(card: ModelCard, scene: Scene, packing_seed: int) -> str:
         if not holds:
             return f"it knows {what} alone"
     same = {
-        "diameter": (scene.filling.diameter, home.filling.diameter),
+        "diameter": (2.0 * scene.filling.largest_radius, 2.0 * home.filling.largest_radius),
         "frame interval": (scene.frame_interval, home.frame_interval),
         "gravity": (scene.gravity, home.gravity),
         "material": (scene.material, home.material),
@@ -36,8 +36,9 @@ def why_unfit(card: ModelCard, scene: Scene, packing_seed: int) -> str:
     for what, (here, there) in same.items():
         if here != there:
             return f"it was trained with another {what}"
-    speeds = set(scene.rotation.speeds_rpm)
-    if scene.takes_speeds and speeds & set(card.origin.get("training_speeds_rpm", ())):
+    # The other sense of rotation is the mirror image.
+    speeds = set(map(abs, scene.rotation.speeds_rpm))
+    if scene.takes_speeds and speeds & set(map(abs, card.origin.get("training_speeds_rpm", ()))):
         return f"it was trained at {max(speeds):g} rpm"
     if scene.takes_speeds and card.origin.get("packing_seed") == packing_seed:
         return f"it was trained on packing {packing_seed}"

@@ -171,6 +171,12 @@ def split_cases(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> Split:
                     f"dataset.{side}_speeds_rpm has {speed:g} rpm, which is also in dataset.{seen[speed]}_speeds_rpm; "
                     "a speed may be in one place only, or training would see what it is judged on"
                 )
+            if seen.get(-speed, side) != side:
+                raise DatasetError(
+                    f"dataset.{side}_speeds_rpm has {speed:g} rpm, whose mirror image is in "
+                    f"dataset.{seen[-speed]}_speeds_rpm; keep both in one split, or training would see what it is "
+                    "judged on"
+                )
             seen[speed] = side
     if not sides["training"]:
         raise DatasetError("dataset.training_speeds_rpm is empty; give at least one speed to train on")

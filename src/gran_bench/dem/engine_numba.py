@@ -56,7 +56,7 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
         state: where the stretch starts.
         physics: laws, walls and gravity; skin, threads and precision.
         time_step: Δt, s.
-        walls: ``(steps + 1, W, 21)`` poses of the walls at each force evaluation (walls.py).
+        walls: ``(steps + 1, W, 22)`` poses of the walls at each force evaluation (walls.py).
 
     Raises:
         Divergence: a speed that crosses a quarter of a radius in a step, or is not finite.

@@ -12,7 +12,8 @@ import numpy as np
 from gran_bench.dem.contact import ContactForce, ContactLaw, contact_force, sphere_mass
 from gran_bench.dem.integrate import Divergence, Physics, into_period
 from gran_bench.dem.rolling import CONTACT_INERTIA, rolling_moment
-from gran_bench.dem.walls import SPIN, surface_velocity, wall_contact
+from gran_bench.dem.seams import Touching, wall_touching
+from gran_bench.dem.walls import SPIN, surface_velocity
 from gran_bench.neighbors import nearest_image, tree_pairs
 from gran_bench.state import ContactHistory, FloatArray, ParticleState
 
@@ -39,7 +40,7 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
         state: where the stretch starts.
         physics: laws and gravity.
         time_step: Δt, s.
-        walls: ``(steps + 1, W, 21)`` pose of each wall at each force evaluation (see walls.py).
+        walls: ``(steps + 1, W, 22)`` pose of each wall at each force evaluation (see walls.py).
 
     Raises:
         Divergence: a speed that crosses a quarter of a radius in a step, or is not finite.
@@ -94,8 +95,9 @@ def _loads(bodies: _Bodies, physics: Physics, time_step: float, walls: FloatArra
     """Force and torque on each particle, ``(N, 3)`` each; the history becomes that of this instant."""
     force, torque = np.zeros_like(bodies.position), np.zeros_like(bodies.position)
     parts = [_pair_loads(bodies, physics, time_step, force, torque)]
-    for index, pose in enumerate(walls):
-        parts.append(_wall_loads(bodies, physics, index, pose, time_step, force, torque))
+    on_walls, bodies.history = wall_touching(walls, bodies.position, bodies.radius, bodies.history)
+    for index, touching in enumerate(on_walls):
+        parts.append(_wall_loads(bodies, physics, index, walls[index], touching, time_step, force, torque))
     names = ("first", "second", "force", "overlap", "rolling_moment")
     bodies.history = ContactHistory(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
     return force, torque
@@ -149,14 +151,13 @@ def _wall_loads(
     physics: Physics,
     index: int,
     pose: FloatArray,
+    touching: Touching,
     time_step: float,
     force: FloatArray,
     torque: FloatArray,
 ) -> ContactHistory:
     """Adds the loads of one wall; returns what its contacts remember."""
-    distance, normal = wall_contact(pose, bodies.position)
-    i = np.flatnonzero(distance < bodies.radius)
-    distance, normal = distance[i], normal[i]
+    i, distance, normal = touching
     point = bodies.position[i] + distance[:, None] * normal
     arm = bodies.radius[i] if physics.full_radius else distance
     old = _recall(bodies.history, i, np.full(len(i), -1 - index))

@@ -67,7 +67,7 @@ def search(
         sphere, velocity: ``(N + 2, 4)`` x, y, z, r, m, and v, m/s.
         bounds: ``(C + 1,)`` first particle of each chunk.
         chunk, stop: range of chunks.
-        walls: ``(steps + 1, W, 21)`` poses.
+        walls: ``(steps + 1, W, 22)`` poses.
         evaluation: number of the force evaluation that these positions are for, from 1.
         skin: m.
         period: of y, m; 0 for none.

@@ -61,7 +61,7 @@ def march(
         near_start: ``(chunks + 1,)`` ones.
         buffer, wall_buffer: of :func:`contact_blocks.block_buffer`.
         pair_laws, wall_laws: ``(S, S, 5)``, ``(S, W, 5)``.
-        walls: ``(steps + 1, W, 21)`` poses.
+        walls: ``(steps + 1, W, 22)`` poses.
         gravity, period, dt: SI.
         fastest_allowed: m²/s², beyond which a particle diverges.
         tangential, rolling: what the scene needs.

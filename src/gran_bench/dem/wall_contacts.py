@@ -45,6 +45,7 @@ from gran_bench.dem.contact_blocks import (
 from gran_bench.dem.kernel import shared
 from gran_bench.dem.rolling import CONTACT_INERTIA
 from gran_bench.dem.rows import four_from, four_of, four_on, four_remembered, gather_rows, scatter_rows, scatter_sum
+from gran_bench.dem.seams import another_answers, hand_over
 from gran_bench.dem.wall_list import shape_of, toward_wall
 
 
@@ -61,7 +62,7 @@ def wall_forces(
         start: ``(W + 1,)`` place of the chunk's first contact with each wall, and of the end of the last.
         geometry: ``(≥ M + 4, 4)`` scratch: direction and distance of the touching ones.
         laws: ``(S, W, 5)`` of each material with each wall.
-        walls: ``(W, 21)`` poses of this evaluation.
+        walls: ``(W, 22)`` poses of this evaluation.
         The others: as in :func:`contact_blocks.pair_forces`.
 
     Returns:
@@ -69,7 +70,7 @@ def wall_forces(
     """
     found = contacts
     for w in range(len(walls)):
-        shape = shape_of(walls, w)
+        shape, pieces = shape_of(walls, w), walls[w, 21] != 0.0
         for p in range(start[w], start[w + 1]):
             i = wall_i[p]
             distance, nx, ny, nz = toward_wall(shape, sphere[i, 0], sphere[i, 1], sphere[i, 2])
@@ -78,7 +79,14 @@ def wall_forces(
             geometry[found, 2] = nz
             geometry[found, 3] = distance
             active[found] = p
-            found += distance < sphere[i, 3]
+            touches = distance < sphere[i, 3]
+            if pieces and touches:
+                x, y, z, r = sphere[i, 0], sphere[i, 1], sphere[i, 2], sphere[i, 3]
+                touches = not another_answers(walls, w, x, y, z, r, distance, nx, ny, nz)
+                row = memory[p]
+                if touches and not (0 < row < remembered and touched[row] == p):
+                    hand_over(walls, w, p, x, y, z, r, distance, wall_i, start, memory, touched, remembered)
+            found += touches
     for row in range(found, found + 3):
         active[row] = 0
     for first in range(contacts, found, BLOCK):

@@ -17,7 +17,7 @@ from gran_bench.state import FloatArray
 
 @shared
 def shape_of(walls, w):
-    """Kind, point, direction and sizes of wall w of ``(W, 21)`` poses, as a tuple that stays in registers."""
+    """Kind, point, direction and sizes of wall w of ``(W, 22)`` poses, as a tuple that stays in registers."""
     return (
         walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3], walls[w, 4], walls[w, 5], walls[w, 6],
         walls[w, 7], walls[w, 8], walls[w, 9], walls[w, 10],
@@ -87,7 +87,7 @@ def list_wall_contacts(
         sphere: ``(N + 2, 4)`` x, y, z, r, m.
         bounds: ``(C + 1,)`` first particle of each chunk.
         chunk, stop: range of chunks.
-        walls: ``(steps + 1, W, 21)`` poses.
+        walls: ``(steps + 1, W, 22)`` poses.
         row: of the poses that belong to these positions.
         margin: ``(N,)`` m that no particle moves further than while the list lives.
         known_first, known_wall: ``(C,)`` particle and wall that touch; their rows of history are 1 … C.
@@ -114,7 +114,7 @@ def list_near(sphere, bounds, chunk, stop, walls, paths, margin, known, wall_i, 
     """Fills ``wall_i``, ``wall_w``, ``memory`` and ``start`` of :func:`list_wall_contacts`, which allocates them.
 
     Args:
-        walls: ``(W, 21)`` poses that belong to these positions.
+        walls: ``(W, 22)`` poses that belong to these positions.
         paths: ``(W,)`` how far each wall goes in the rest of the stretch, m.
         known: ``(n, W)`` row of history of each of the n particles with each wall, 0 for none.
         The others: of :func:`list_wall_contacts`.

@@ -10,6 +10,7 @@ A row of a pose table is one wall at one instant, in SI and world coordinates:
     14 … 16  ω, angular velocity
     17 … 19  c, reference point: the surface moves with v + ω × (x − c)
     20       path that its geometry travels in the step that ends here, m; 0 where only the surface moves
+    21       number of the surface that it is a piece of; 0 for a wall that meets no other
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ from gran_bench.state import FloatArray
 PLANE, CYLINDER, REVOLUTION, ABSENT = 0.0, 1.0, 2.0, -1.0
 KIND, POINT, DIRECTION, SIZES = 0, slice(1, 4), slice(4, 7), slice(7, 11)
 VELOCITY, SPIN, REFERENCE, PATH = slice(11, 14), slice(14, 17), slice(17, 20), 20
-COLUMNS = 21
+SURFACE = 21
+COLUMNS = 22
 
 
 def wall_poses(scene: Scene, start: float, time_step: float, steps: int) -> FloatArray:
-    """Every wall at every force evaluation of a stretch, ``(steps + 1, W, 21)``.
+    """Every wall at every force evaluation of a stretch, ``(steps + 1, W, 22)``.
 
     Row 0 is the start. Row k has the walls' shape at the end of step k and their velocity at its middle. Where
     nothing changes the rows are one row, broadcast.
@@ -39,6 +41,7 @@ def wall_poses(scene: Scene, start: float, time_step: float, steps: int) -> Floa
         steps: of the stretch.
     """
     rest = np.array([_drawn(wall) for wall in scene.walls]).reshape(-1, COLUMNS)
+    rest[:, SURFACE] = scene.surfaces
     end = middle = None
     table = rest[None]
     for index, wall in enumerate(scene.walls):
@@ -79,7 +82,7 @@ def _moved(
     middle: FloatArray,
     time_step: float,
 ) -> FloatArray:
-    """Rows of one wall, ``(1, 21)`` where all are equal, else ``(steps + 1, 21)``."""
+    """Rows of one wall, ``(1, 22)`` where all are equal, else ``(steps + 1, 22)``."""
     if isinstance(motion, Rotation):
         rows = _turned(wall, drawn, motion, end, middle)
     elif motion is not None:
@@ -140,7 +143,7 @@ def wall_contact(pose: FloatArray, position: FloatArray) -> tuple[FloatArray, Fl
     """Closest point of a wall: distance of each centre, and the unit vector from it to the wall.
 
     Args:
-        pose: ``(21,)`` a row of the table.
+        pose: ``(22,)`` a row of the table.
         position: ``(N, 3)`` m.
 
     Returns:
@@ -182,7 +185,7 @@ def surface_velocity(pose: FloatArray, point: FloatArray) -> FloatArray:
     """Velocity of a wall's material points, v + ω × (x − c), ``(N, 3)`` m/s.
 
     Args:
-        pose: ``(21,)`` a row of the table.
+        pose: ``(22,)`` a row of the table.
         point: ``(N, 3)`` on the wall, m.
     """
     return pose[VELOCITY] + np.cross(pose[SPIN], point - pose[REFERENCE])
@@ -193,7 +196,7 @@ def largest_excess(scene: Scene, poses: FloatArray, position: FloatArray) -> Flo
 
     Args:
         scene: says which walls contain: those that have one side.
-        poses: ``(W, 21)`` of this instant.
+        poses: ``(W, 22)`` of this instant.
         position: ``(N, 3)`` m.
     """
     excess = np.full(len(position), -np.inf)

@@ -65,9 +65,11 @@ def case_card(trajectory: Trajectory, scene: Scene, path: Path | str, title: str
 
 
 def default_title(scene: Scene) -> str:
-    """The scene's name, its speed or speeds, and how many spheres it has."""
+    """The scene's name, its speed or speeds, how many spheres it has, and their diameter or its ends."""
     speeds = " → ".join(f"{speed:g}" for speed in dict.fromkeys(scene.rotation.speeds_rpm))
-    return f"{scene.name}, {speeds} rpm, {scene.filling.count} spheres of {1e3 * scene.filling.diameter:g} mm"
+    ends = dict.fromkeys((scene.filling.smallest_radius, scene.filling.largest_radius))
+    sizes = "–".join(f"{2e3 * radius:.3g}" for radius in ends)
+    return f"{scene.name}, {speeds} rpm, {scene.filling.count} spheres of {sizes} mm"
 
 
 def _instants(scene: Scene) -> list[float]:

@@ -52,12 +52,20 @@ def build_filling(config: FillingConfig) -> Filling:
         settled_speed=config.settled_speed,
         longest_settling=config.longest_settling,
         settles=config.settles,
-        sizes=Sizes(config.sizes.kind, tuple(config.sizes.factors), tuple(config.sizes.fractions), config.sizes.spread),
+        sizes=Sizes(
+            config.sizes.kind,
+            tuple(config.sizes.factors),
+            tuple(config.sizes.fractions),
+            config.sizes.spread,
+            tuple(config.sizes.edges),
+            config.sizes.by,
+        ),
         fractions=(1.0 - share, share) if share else (),
         positions=tuple(map(tuple, config.positions)),
         velocities=tuple(map(tuple, config.velocities)),
         spins=tuple(map(tuple, config.spins)),
         expansion=config.expansion,
+        radii=tuple(config.radii),
     )
 
 

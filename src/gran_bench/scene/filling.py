@@ -50,6 +50,7 @@ class Filling:
         positions: ``(N, 3)`` centres instead of a lattice, m; empty for the lattice.
         velocities, spins: ``(N, 3)`` of placed spheres, m/s and rad/s; empty for rest.
         expansion: H of a start with velocity v = H x, 1/s: spheres fly apart and never meet.
+        radii: ``(N,)`` of placed spheres instead of sizes about d, m; empty for these.
     """
 
     count: int
@@ -65,6 +66,7 @@ class Filling:
     velocities: tuple[Vector, ...] = ()
     spins: tuple[Vector, ...] = ()
     expansion: float = 0.0
+    radii: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         hold(self, FillingConfig.place, FillingConfig, fractions=FRACTION)
@@ -84,12 +86,12 @@ class Filling:
     @property
     def smallest_radius(self) -> float:
         """m, of all that can come."""
-        return self.radius * self.sizes.smallest
+        return min(self.radii, default=self.radius * self.sizes.smallest)
 
     @property
     def largest_radius(self) -> float:
         """m, of all that can come."""
-        return self.radius * self.sizes.largest
+        return max(self.radii, default=self.radius * self.sizes.largest)
 
     @property
     def largest_speed(self) -> float:

@@ -14,6 +14,7 @@ class Needs:
     walls: bool
     wall_motion: bool  # wall velocities: only where a wall's surface moves
     wall_geometry: bool  # walls that are elsewhere, or gone, in the next step
+    wall_seams: bool  # walls that are pieces of one surface, which answers a sphere once
     end_caps: bool
     periodic: bool
     gravity: bool

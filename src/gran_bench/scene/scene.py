@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from gran_bench.scene.filling import Filling, Room, drum_sites, open_sites, room
 from gran_bench.scene.material import Material, PairCoefficients, mixed_coefficients
 from gran_bench.scene.motion import RADIANS_PER_SECOND_PER_RPM, Motion, Rotation
 from gran_bench.scene.needs import Needs
+from gran_bench.scene.seams import SAME_POINT, surfaces
 from gran_bench.scene.walls import Outlet, Plane, Wall, turns_into_itself
 from gran_bench.state import FloatArray, ParticleState
 
@@ -127,6 +129,7 @@ class Scene:
             walls=bool(self.walls),
             wall_motion=any(self.motion_of(wall) is not None for wall in self.walls),
             wall_geometry=any(self._moves_geometry(wall) for wall in self.walls),
+            wall_seams=any(self.surfaces),
             end_caps=self.drum_radius is not None and any(isinstance(w, Plane) for w in self.walls),
             periodic=self.periodic_axis,
             gravity=self.gravity_strength > 0,
@@ -139,6 +142,12 @@ class Scene:
         """What a wall does: its own motion, or the scene's rotation; None where it rests for ever."""
         motion = self.rotation if wall.motion is None and wall.turns else wall.motion
         return None if motion is None or motion.is_still else motion
+
+    @cached_property
+    def surfaces(self) -> tuple[int, ...]:
+        """Number of the surface that each wall is a piece of, from 1; 0 for a wall that meets no other."""
+        motions = tuple(map(self.motion_of, self.walls))
+        return surfaces(self.walls, motions, SAME_POINT * self.filling.largest_radius)
 
     def _moves_geometry(self, wall: Wall) -> bool:
         motion = self.motion_of(wall)
@@ -200,7 +209,11 @@ class Scene:
             seed = checked_value(int, SEED, seed, "seed")
         filling, rng = self.filling, np.random.default_rng(seed)
         position = self._placed() if filling.positions else self._on_lattice(rng)
-        radius = filling.radius * filling.sizes.sample(filling.count, rng)
+        radius = (
+            np.array(filling.radii, float)
+            if filling.radii
+            else filling.radius * filling.sizes.sample(filling.count, rng)
+        )
         velocity, spin = (
             np.array(given, float).reshape(-1, 3) if given else np.zeros_like(position)
             for given in (filling.velocities, filling.spins)

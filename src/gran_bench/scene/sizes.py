@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -16,36 +17,51 @@ CUT = 2.0  # standard deviations at which a lognormal distribution ends
 
 @dataclass(frozen=True)
 class Sizes:
-    """A distribution of diameters by number, as factors of the filling's diameter.
+    """A distribution of diameters as factors of the filling's diameter, by number or by mass.
+
+    By mass the share of a size is its share of the bed's mass, as a sieve curve gives it: a share m of spheres of
+    diameter d is a number in proportion to m/d³.
 
     Attributes:
         kind: ``one``; ``listed``; ``uniform`` in 1 ± spread; ``lognormal`` with median 1 and standard deviation
-            ``spread`` of ln d, cut at two standard deviations.
+            ``spread`` of ln d, cut at two standard deviations; ``histogram``, uniform within each bin.
         factors: of ``listed``, −.
-        fractions: share of each factor, by number; they sum to 1.
+        fractions: share of each factor or bin; they sum to 1.
         spread: −.
+        edges: of the bins of ``histogram``, one more than there are fractions, −.
+        by: ``number`` or ``mass``: what is shared out.
     """
 
     kind: str = "one"
     factors: tuple[float, ...] = ()
     fractions: tuple[float, ...] = ()
     spread: float = 0.0
+    edges: tuple[float, ...] = ()
+    by: str = "number"
 
     def __post_init__(self) -> None:
         hold(self, SizesConfig.place, SizesConfig)
+        needed = {"factors": ("listed",), "edges": ("histogram",), "fractions": ("listed", "histogram"),
+                  "spread": ("uniform", "lognormal")}  # fmt: skip
+        for name, kinds in needed.items():
+            value = getattr(self, name)
+            if value and self.kind not in kinds:
+                shown = list(value) if isinstance(value, tuple) else f"{value:g}"
+                raise SceneError(
+                    f"scene.filling.sizes.{name}={shown} needs scene.filling.sizes.kind={' or '.join(kinds)}"
+                )
         if self.kind == "listed":
             if not self.factors:
                 raise SceneError(f"scene.filling.sizes.factors={list(self.factors)} is impossible; give values > 0")
             check_fractions("scene.filling.sizes.fractions", self.fractions, len(self.factors))
-        elif self.factors or self.fractions:
-            raise SceneError(f"scene.filling.sizes.factors={list(self.factors)} needs scene.filling.sizes.kind=listed")
-        if self.kind in ("uniform", "lognormal"):
-            if not self.spread:
-                raise SceneError(f"scene.filling.sizes.spread={self.spread:g} is impossible; choose a value in (0, 1)")
-        elif self.spread:
-            raise SceneError(
-                f"scene.filling.sizes.spread={self.spread:g} needs scene.filling.sizes.kind=uniform or lognormal"
-            )
+        if self.kind == "histogram":
+            if len(self.edges) < 2 or not all(a < b for a, b in pairwise(self.edges)):
+                raise SceneError(
+                    f"scene.filling.sizes.edges={list(self.edges)} is impossible; give two or more values > 0 that rise"
+                )
+            check_fractions("scene.filling.sizes.fractions", self.fractions, len(self.edges) - 1)
+        if self.kind in ("uniform", "lognormal") and not self.spread:
+            raise SceneError(f"scene.filling.sizes.spread={self.spread:g} is impossible; choose a value in (0, 1)")
 
     @property
     def smallest(self) -> float:
@@ -61,11 +77,19 @@ class Sizes:
     def _ends(self) -> tuple[float, ...]:
         if self.kind == "listed":
             return tuple(f for f, share in zip(self.factors, self.fractions, strict=True) if share > 0)
-        if self.kind == "uniform":
-            return (1.0 - self.spread, 1.0 + self.spread)
         if self.kind == "lognormal":
             return (math.exp(-CUT * self.spread), math.exp(CUT * self.spread))
-        return (1.0,)
+        if self.kind == "one":
+            return (1.0,)
+        edges, fractions = self._bins
+        return tuple(f for bin, share in zip(pairwise(edges), fractions, strict=True) if share > 0 for f in bin)
+
+    @property
+    def _bins(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Edges and shares of a histogram; uniform sizes are one bin."""
+        if self.kind == "uniform":
+            return (1.0 - self.spread, 1.0 + self.spread), (1.0,)
+        return self.edges, self.fractions
 
     def sample(self, count: int, rng: np.random.Generator) -> FloatArray:
         """``(count,)`` factors in random order: the same sizes for every seed.
@@ -75,16 +99,36 @@ class Sizes:
         if self.kind == "one":
             return np.ones(count)
         share = (np.arange(count) + 0.5) / max(count, 1)
+        by_mass = self.by == "mass"
         if self.kind == "listed":
-            factors = np.repeat(self.factors, apportioned(count, self.fractions))
-        elif self.kind == "uniform":
-            factors = 1.0 + self.spread * (2.0 * share - 1.0)
-        else:
+            numbers = np.array(self.fractions) / np.array(self.factors) ** (3.0 if by_mass else 0.0)
+            factors = np.repeat(self.factors, apportioned(count, tuple(numbers / numbers.sum())))
+        elif self.kind == "lognormal":
             from scipy.special import ndtri  # a fifth of a second to load, and no other kind of sizes needs it
 
-            low, high = (0.5 * math.erfc(-z / math.sqrt(2.0)) for z in (-CUT, CUT))
-            factors = np.exp(self.spread * ndtri(low + (high - low) * share))
+            # The numbers of a lognormal distribution of mass are lognormal too, with a median 3 σ² lower.
+            shift = 3.0 * self.spread if by_mass else 0.0
+            low, high = (0.5 * math.erfc(-(z + shift) / math.sqrt(2.0)) for z in (-CUT, CUT))
+            factors = np.exp(self.spread * (ndtri(low + (high - low) * share) - shift))
+        else:
+            factors = _of_bins(share, *self._bins, by_mass)
         return rng.permutation(factors)
+
+
+def _of_bins(share: FloatArray, edges: tuple[float, ...], fractions: tuple[float, ...], by_mass: bool) -> FloatArray:
+    """Quantiles of a histogram at shares of the number of spheres.
+
+    Where mass is uniform in d, the number is in proportion to 1/d³: uniform in 1/d².
+    """
+    places = np.array(edges)
+    numbers = np.array(fractions)
+    if by_mass:
+        numbers *= -np.diff(places**-2.0) / (2.0 * np.diff(places))
+        places = -(places**-2.0)
+    reached = np.concatenate(([0.0], np.cumsum(numbers / numbers.sum())))
+    # Of a bin without spheres both ends are reached at once, and no quantile lies inside.
+    found = np.interp(share, reached, places)
+    return (-found) ** -0.5 if by_mass else found
 
 
 def check_fractions(name: str, fractions: tuple[float, ...], count: int) -> None:

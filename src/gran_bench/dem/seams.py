@@ -1,0 +1,153 @@
+"""One contact where pieces of one surface meet.
+
+A sphere over the edge of two pieces is near both, but touches their surface once: where the surface is closest. The
+contact of a piece is left out when its closest point lies on another piece of the surface that is nearer, or as near
+and earlier among the walls. Two real contacts, as in the corner of a tube and its lid, have closest points inside their
+pieces and both stay. What a contact remembers goes over to the piece that answers in its place, so that a sphere rolls
+over a seam as over one piece.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from gran_bench.dem.kernel import shared
+from gran_bench.dem.wall_list import shape_of, toward_wall
+from gran_bench.dem.walls import REVOLUTION, SURFACE, wall_contact
+from gran_bench.scene.seams import SAME_POINT
+from gran_bench.state import ContactHistory, FloatArray
+
+# Sphere radii within which two distances are equal: well above rounding, and too little to tilt a contact.
+EQUAL = 1e-10
+
+
+class Touching(NamedTuple):
+    """Spheres that a wall answers.
+
+    Attributes:
+        sphere: ``(M,)`` their indices.
+        distance: ``(M,)`` of their centres, m.
+        normal: ``(M, 3)`` unit vectors from them to the wall.
+    """
+
+    sphere: np.ndarray
+    distance: FloatArray
+    normal: FloatArray
+
+
+def wall_touching(
+    poses: FloatArray, position: FloatArray, radius: FloatArray, history: ContactHistory
+) -> tuple[list[Touching], ContactHistory]:
+    """What each wall answers, and the history with what goes over from one piece of a surface to another.
+
+    Args:
+        poses: ``(W, 22)`` of this instant.
+        position, radius: ``(N, 3)`` and ``(N,)`` m.
+        history: of the last instant.
+    """
+    reached = [wall_contact(pose, position) for pose in poses]
+    touches = [distance < radius for distance, _ in reached]
+    answers, merged = [near.copy() for near in touches], []
+    for w in np.flatnonzero(poses[:, SURFACE]):
+        distance, normal = reached[w]
+        for v in np.flatnonzero(poses[:, SURFACE] == poses[w, SURFACE]):
+            i = np.flatnonzero(touches[v] & np.isfinite(distance))
+            if v == w or not len(i):
+                continue
+            point = position[i] + distance[i, None] * normal[i]
+            here = np.abs(wall_contact(poses[v], point)[0]) <= SAME_POINT * radius[i]
+            ranks = (np.floor(reached[k][0][i] / (EQUAL * radius[i])) for k in (v, w))
+            first, second = ranks
+            i = i[here & ((first < second) | ((first == second) & (v < w)))]
+            answers[w][i] = False
+            merged.append((w, v, i))
+    for w, v, i in merged:
+        history = _handed_over(history, w, v, i[answers[v][i]])
+    found = map(np.flatnonzero, answers)
+    return [Touching(i, d[i], n[i]) for i, (d, n) in zip(found, reached, strict=True)], history
+
+
+def _handed_over(history: ContactHistory, source: int, target: int, spheres: np.ndarray) -> ContactHistory:
+    """The history in which contacts of some spheres with one wall are with another, where they have none with it."""
+    own = history.first[history.second == -1 - target]
+    leaving = (history.second == -1 - source) & np.isin(history.first, np.setdiff1d(spheres, own))
+    if not leaving.any():
+        return history
+    second = np.where(leaving, -1 - target, history.second)
+    return ContactHistory(history.first, second, history.force, history.overlap, history.rolling_moment)
+
+
+@shared
+def another_answers(walls, w, x, y, z, radius, distance, nx, ny, nz):
+    """Whether another piece of wall w's surface answers a sphere that touches w.
+
+    Args:
+        walls: ``(W, 22)`` poses.
+        w: wall, a piece of a surface.
+        x, y, z, radius: of the sphere, m.
+        distance, nx, ny, nz: of its centre from the wall, m, and the unit vector to it.
+    """
+    for v in range(len(walls)):
+        if v != w and walls[v, 21] == walls[w, 21] and not _is_far(walls, v, x, y, z, radius):
+            other = shape_of(walls, v)
+            away = toward_wall(other, x, y, z)[0]
+            if away < radius and _goes_before(other, v, away, w, x, y, z, radius, distance, nx, ny, nz):
+                return True
+    return False
+
+
+@shared
+def _is_far(walls, v, x, y, z, radius):
+    """Whether a sphere lies before or behind the whole of wall v: what is cheap to see, and true of most."""
+    if walls[v, 0] != REVOLUTION:
+        return False
+    along = (x - walls[v, 1]) * walls[v, 4] + (y - walls[v, 2]) * walls[v, 5] + (z - walls[v, 3]) * walls[v, 6]
+    s0, s1 = walls[v, 8], walls[v, 10]
+    return along < min(s0, s1) - radius or along > max(s0, s1) + radius
+
+
+@shared
+def hand_over(walls, w, p, x, y, z, radius, distance, wall_i, start, memory, touched, remembered):
+    """Gives a new contact what the contact that it takes the place of remembers.
+
+    Args:
+        walls, w, x, y, z, radius, distance: as in :func:`another_answers`; wall w answers the sphere.
+        p: place of the contact.
+        wall_i, start, memory, touched, remembered: as in :func:`wall_contacts.wall_forces`; ``memory[p]`` and
+            ``touched`` change.
+    """
+    i = wall_i[p]
+    for v in range(len(walls)):
+        if v == w or walls[v, 21] != walls[w, 21]:
+            continue
+        low, high = start[v], start[v + 1]
+        while low < high:
+            middle = (low + high) // 2
+            if wall_i[middle] < i:
+                low = middle + 1
+            else:
+                high = middle
+        if low == start[v + 1] or wall_i[low] != i:
+            continue
+        row = memory[low]
+        if 0 < row < remembered and touched[row] == low:
+            away, nx, ny, nz = toward_wall(shape_of(walls, v), x, y, z)
+            shape = shape_of(walls, w)
+            if away < np.inf and _goes_before(shape, w, distance, v, x, y, z, radius, away, nx, ny, nz):
+                memory[p] = row
+                touched[row] = p
+                return
+
+
+@shared
+def _goes_before(shape, v, away, w, x, y, z, radius, distance, nx, ny, nz):
+    """Whether wall v, of a shape and this far away, answers in the place of wall w, whose closest point is given."""
+    step = EQUAL * radius
+    first, second = math.floor(away / step), math.floor(distance / step)
+    if first > second or (first == second and v > w):
+        return False
+    gap = toward_wall(shape, x + distance * nx, y + distance * ny, z + distance * nz)[0]
+    return abs(gap) <= SAME_POINT * radius
