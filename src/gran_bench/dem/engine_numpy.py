@@ -5,21 +5,21 @@ Pairs come from a KD-tree at every step; nothing is sorted, packed or remembered
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gran_bench.dem.contact import ContactForce, ContactLaw, contact_force, sphere_mass
-from gran_bench.dem.integrate import Divergence, Physics, into_period
+from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, into_period
 from gran_bench.dem.rolling import rolling_moment
 from gran_bench.dem.walls import SPIN, surface_velocity, wall_contact
 from gran_bench.neighbors import nearest_image, tree_pairs
-from gran_bench.state import ContactHistory, FloatArray, ParticleState
+from gran_bench.state import ContactHistory, FloatArray, Held, ParticleState
 
 
 @dataclass
 class _Bodies:
-    """The particles while they move, ``(N, 3)`` and ``(N,)`` arrays, and what their contacts remember."""
+    """The particles while they move, ``(N, 3)`` and ``(N,)`` arrays, and what their contacts remember and reached."""
 
     position: FloatArray
     velocity: FloatArray
@@ -30,6 +30,7 @@ class _Bodies:
     inertia: FloatArray
     material: np.ndarray
     history: ContactHistory
+    peaks: Peaks
 
 
 def advance(state: ParticleState, physics: Physics, time_step: float, walls: FloatArray) -> ParticleState:
@@ -46,34 +47,67 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
     """
     if state.count == 0:
         return state
-    position, velocity, spin = (
-        np.array(a, np.float64) for a in (state.position, state.velocity, state.angular_velocity)
-    )
-    radius = np.asarray(state.radius, np.float64)
-    mass = sphere_mass(physics.density[state.material], radius)
-    inertia = 0.4 * mass * radius**2
-    bodies = _Bodies(
-        position, velocity, np.zeros_like(velocity), spin, radius, mass, inertia, state.material, state.history
-    )
-    steps, fastest = len(walls) - 1, 0.25 * radius.min() / time_step
-    force, torque = _loads(bodies, physics, 0.0, walls[0])
-    for step in range(steps):
-        _kick(bodies, physics, force, torque, 0.5 * time_step)
-        _check_speeds(bodies, fastest, step)
-        bodies.position += time_step * bodies.velocity
-        force, torque = _loads(bodies, physics, time_step, walls[step + 1])
-        _kick(bodies, physics, force, torque, 0.5 * time_step)
-    if steps:
-        _check_speeds(bodies, fastest, steps)
-    return ParticleState(
-        into_period(bodies.position, physics.period),
-        bodies.velocity,
-        bodies.spin,
-        state.radius,
-        state.time + steps * time_step,
-        bodies.history,
-        state.material,
-    )
+    stretch = Stretch(state, physics, time_step, walls)
+    stretch.run(len(walls) - 1)
+    return stretch.state()
+
+
+class Stretch:
+    """Steps between two looks at a bed; what :class:`engine_numba.Stretch` is, with the same arguments and methods."""
+
+    def __init__(
+        self, state: ParticleState, physics: Physics, time_step: float, walls: FloatArray, held: Held | None = None
+    ) -> None:
+        position, velocity, spin = (
+            np.array(a, np.float64) for a in (state.position, state.velocity, state.angular_velocity)
+        )
+        check_finite(0, position, velocity, spin)
+        radius = np.asarray(state.radius, np.float64)
+        mass = sphere_mass(physics.density[state.material], radius)
+        inertia = 0.4 * mass * radius**2
+        self._given, self._physics, self._time_step, self._walls = state, physics, time_step, walls
+        self._bodies = _Bodies(
+            position, velocity, np.zeros_like(velocity), spin, radius, mass, inertia, state.material, state.history,
+            Peaks(),
+        )  # fmt: skip
+        self._step, self._fastest = 0, 0.25 * radius.min() / time_step
+        if held is None:
+            self._force, self._torque = _loads(self._bodies, physics, 0.0, walls[0])
+        else:
+            self._force, self._torque = held.force, held.torque
+
+    def run(self, steps: int) -> None:
+        """Goes on, so many steps."""
+        bodies, physics, dt = self._bodies, self._physics, self._time_step
+        for _ in range(steps):
+            _kick(bodies, physics, self._force, self._torque, 0.5 * dt)
+            _check_speeds(bodies, self._fastest, self._step)
+            bodies.position += dt * bodies.velocity
+            self._step += 1
+            self._force, self._torque = _loads(bodies, physics, dt, self._walls[self._step])
+            _kick(bodies, physics, self._force, self._torque, 0.5 * dt)
+
+    def state(self) -> ParticleState:
+        """The state of this pause, with its touching contacts and what they remember."""
+        bodies = self._bodies
+        check_finite(self._step, bodies.position, bodies.velocity, bodies.spin)
+        return replace(
+            self._given,
+            position=into_period(bodies.position.copy(), self._physics.period),
+            velocity=bodies.velocity.copy(),
+            angular_velocity=bodies.spin.copy(),
+            time=self._given.time + self._step * self._time_step,
+            history=bodies.history,
+        )
+
+    def held(self) -> Held:
+        """What goes on from this pause beside the state."""
+        return Held(self._bodies.position.copy(), self._force, self._torque, np.arange(self._given.count))
+
+    def take_peaks(self) -> Peaks:
+        """Largest overlaps and approach since they were last asked for."""
+        peaks, self._bodies.peaks = self._bodies.peaks, Peaks()
+        return peaks
 
 
 def _kick(bodies: _Bodies, physics: Physics, force: FloatArray, torque: FloatArray, duration: float) -> None:
@@ -132,6 +166,8 @@ def _pair_loads(
         overlap_before=old.overlap,
         time_step=time_step,
     )
+    approach = np.einsum("mk,mk->m", bodies.velocity[i] - bodies.velocity[j], normal)
+    _watch(bodies, contact.overlap, radius[i] + radius[j], approach, "overlap")
     force += _sums(i, contact.force, len(force)) - _sums(j, contact.force, len(force))
     torque += _sums(i, arm[:, None] * contact.twist, len(torque))
     torque += _sums(j, (distance - arm)[:, None] * contact.twist, len(torque))
@@ -172,6 +208,8 @@ def _wall_loads(
         overlap_before=old.overlap,
         time_step=time_step,
     )
+    approach = np.einsum("mk,mk->m", bodies.velocity[i] - surface_velocity(pose, point), normal)
+    _watch(bodies, contact.overlap, 2.0 * bodies.radius[i], approach, "wall_overlap")
     force[i] += contact.force
     torque[i] += arm[:, None] * contact.twist
     moment = old.rolling_moment
@@ -180,6 +218,13 @@ def _wall_loads(
         moment = _moment(law, contact, moment, bodies.spin[i] - pose[SPIN], time_step)
         torque[i] += moment
     return ContactHistory(i, np.full(len(i), -1 - index), contact.history, contact.overlap, moment)
+
+
+def _watch(bodies: _Bodies, overlap: FloatArray, diameter: FloatArray, approach: FloatArray, kind: str) -> None:
+    """Keeps the most that contacts of one kind reached."""
+    if len(overlap):
+        found = Peaks(share=float((overlap / diameter).max()), approach=float(approach.max()))
+        bodies.peaks = bodies.peaks.and_of(found._replace(**{kind: float(overlap.max())}))
 
 
 def _moment(

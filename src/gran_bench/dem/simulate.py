@@ -3,33 +3,35 @@
 from __future__ import annotations
 
 import time as clock
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from types import ModuleType
 
 import numpy as np
 from tqdm import tqdm
 
 from gran_bench.config import DemConfig
 from gran_bench.dem import engine_numba, engine_numpy
-from gran_bench.dem.frame import advance_frame, first_contacts
-from gran_bench.dem.initial_checks import STIFFEN, check_initial_speed, check_initial_state
+from gran_bench.dem.frame import Run, steps_between_looks
+from gran_bench.dem.initial_checks import STIFFEN, check_initial_speed, check_initial_state, closing_speed
 from gran_bench.dem.integrate import Physics
-from gran_bench.dem.record import FrameRecord, SimulationError
-from gran_bench.dem.time_step import TimeStepError, choose_time_step, dividing_step
+from gran_bench.dem.record import FrameRecord, SimulationError, impact_warnings
+from gran_bench.dem.time_step import TimeStepError, check_closing_speed, choose_time_step, dividing_step, impact_speed
 from gran_bench.dem.tuning import Tuner
 from gran_bench.scene import Scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
 
 __all__ = [
-    "SimulationError", "SimulationResult", "TimeStepError", "choose_time_step", "dividing_step", "settle", "simulate",
+    "SettlingWarning", "SimulationError", "SimulationResult", "TimeStepError", "choose_time_step", "dividing_step",
+    "settle", "simulate",
 ]  # fmt: skip
 
-ENGINES: dict[str, Callable[[ParticleState, Physics, float, FloatArray], ParticleState]] = {
-    "numba": engine_numba.advance,
-    "numpy": engine_numpy.advance,
-}
-# Longest stretch between two looks at a bed that settles: short enough not to overshoot rest by much.
-SETTLING_LOOK = 0.01  # s
+ENGINES: dict[str, ModuleType] = {"numba": engine_numba, "numpy": engine_numpy}
+
+
+class SettlingWarning(UserWarning):
+    """What a reader of a settled bed must know of how it settled."""
 
 
 @dataclass(frozen=True)
@@ -86,33 +88,37 @@ def simulate(
     frames = _frames_between(scene, state.time, end_time)
     check_initial_state(scene, state)
     smallest, largest = _radius_range(scene, state)
-    time_step, warnings = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step, smallest)
+    time_step, said = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step, smallest)
     check_initial_speed(state, time_step)
+    closing = closing_speed(state)
+    judged = max(impact_speed(scene), closing)
+    if closing == judged:
+        said += check_closing_speed(scene, smallest, time_step, closing, dem.allow_unsafe_step)
     substeps = round(scene.frame_interval / time_step)
-    physics, advance = _physics(scene, largest, dem), _engine(dem)
-    state = _as_float64(state)
     record = FrameRecord(scene, state.radius)
-    record.add(first_contacts(advance, state, physics, scene, time_step), state.time)
-    tuner = Tuner(physics, state.count, dem.skin is not None, dem.threads)
+    tuner = Tuner(_physics(scene, largest, dem), state.count, dem.skin is not None, dem.threads)
+    run = Run(_engine(dem), _as_float64(state), scene, time_step, tuner, lambda *frame: record.trajectory(tuple(frame)))
+    record.add(run.state(), state.time, run.take_peaks())
     times = _frame_times(scene, state.time, frames)
     started = clock.perf_counter()
     listen = progress if callable(progress) else _nobody
     with _bar(progress is True, frames * substeps, "DEM") as bar:
         for time in times:
-            began = clock.perf_counter()
-            state = advance_frame(advance, state, tuner.physics, scene, time_step, substeps, time, record)
-            tuner.took(clock.perf_counter() - began)
-            record.add(state, time)
+            run.advance(substeps)
+            # The frame's clock, not the sum of its steps: a restart finds the same number.
+            state = replace(run.state(), time=time)
+            record.add(state, time, run.take_peaks())
             bar.update(substeps)
             bar.set_postfix_str(f"t = {time:.2f} s", refresh=False)
             listen(time)
+    run.check_escapes()
     return SimulationResult(
         trajectory=record.trajectory(),
-        final=replace(state, history=_sorted_history(state.history)),
+        final=run.continued(replace(state, history=_sorted_history(state.history))),
         time_step=time_step,
         steps=frames * substeps,
         wall_seconds=clock.perf_counter() - started,
-        warnings=warnings + record.warnings(),
+        warnings=said + impact_warnings(scene, smallest, time_step, judged, record.time, record.peaks),
         skin=tuner.chosen.skin,
         threads=tuner.chosen.threads,
     )
@@ -137,6 +143,9 @@ def settle(
         SceneError: a filling that does not fit.
         SimulationError: divergence, escape, or a bed that still moves after ``filling.longest_settling``.
         StateError: a bed that its own weight crushes, so that nothing could start from it.
+
+    Warns:
+        SettlingWarning: an impact on the way that was too deep for Hertz's law, or too short for the step.
     """
     dem, still, filling = dem or DemConfig(), scene.at_rest(), scene.filling
     state = scene.fresh_filling(seed)
@@ -144,12 +153,10 @@ def settle(
     if not filling.settles:
         return replace(state, time=scene.start_time)
     time_step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
-    look = min(SETTLING_LOOK, scene.frame_interval)
-    substeps = max(1, round(look / time_step))
-    physics, advance = _physics(still, filling.largest_radius, dem), _engine(dem)
-    first_contacts(advance, state, physics, still, time_step)
-    tuner = Tuner(physics, state.count, dem.skin is not None, dem.threads)
-    speed, looks = np.inf, 0
+    substeps = steps_between_looks(time_step)
+    tuner = Tuner(_physics(still, filling.largest_radius, dem), state.count, dem.skin is not None, dem.threads)
+    run = Run(_engine(dem), state, still, time_step, tuner, lambda *frame: _one_frame(state, *frame))
+    speed = np.inf
     listen = progress if callable(progress) else _nobody
     with _bar(progress is True, None, "settling") as bar:
         while state.count and (speed >= filling.settled_speed or state.time < scene.start_time - 1e-9):
@@ -158,29 +165,27 @@ def settle(
                     f"the bed of {scene.name!r} still moves at {speed:.2g} m/s after "
                     f"{filling.longest_settling:g} s of settling; raise scene.filling.longest_settling or "
                     "scene.filling.settled_speed",
-                    _one_frame(state),
+                    _one_frame(state, state.time, state.position, state.velocity, state.angular_velocity),
                 )
-            looks += 1
-            began = clock.perf_counter()
-            state = advance_frame(
-                advance, state, tuner.physics, still, time_step, substeps, looks * substeps * time_step, None
-            )
-            tuner.took(clock.perf_counter() - began)
+            run.advance(substeps)
+            state = replace(run.state(), time=run.time)
             speed = float(np.linalg.norm(state.velocity, axis=1).mean())
             bar.update(substeps)
             bar.set_postfix_str(f"t = {state.time:.2f} s, mean speed {speed:.2g} m/s", refresh=False)
             listen(state.time)
     check_initial_state(still, state, remedy=STIFFEN)
+    for said in impact_warnings(
+        still, filling.smallest_radius, time_step, impact_speed(scene), [run.time], [run.take_peaks()]
+    ):
+        warnings.warn(f"while the bed of {scene.name!r} settled: {said}", SettlingWarning, stacklevel=2)
     return replace(state, time=scene.start_time, history=_sorted_history(state.history))
 
 
-def _one_frame(state: ParticleState) -> Trajectory:
-    return Trajectory(
-        np.array([state.time]), state.position[None], state.velocity[None], state.angular_velocity[None], state.radius
-    )
+def _one_frame(state: ParticleState, time: float, *frame: FloatArray) -> Trajectory:
+    return Trajectory(np.array([time]), *(array[None] for array in frame), state.radius)
 
 
-def _engine(dem: DemConfig) -> Callable[..., ParticleState]:
+def _engine(dem: DemConfig) -> ModuleType:
     if dem.engine not in ENGINES:
         raise ValueError(f"dem.engine={dem.engine!r} is unknown; choose {' or '.join(ENGINES)}")
     return ENGINES[dem.engine]
