@@ -138,6 +138,7 @@ class Stretch:
             *self._moving, self._radius, self._material, physics.density, float(physics.period), order
         )
         self._known = [known_contacts(self._given.history, self.bodies.row, physics.rolling)] * self.threads
+        self._known_at = [self._last_evaluation(0)] * self.threads
         if held is not None:
             for rows, load in zip(self._loads, (held.force, held.torque), strict=True):
                 for chunk, begin, end in self._chunks():
@@ -163,7 +164,7 @@ class Stretch:
         chunk, stop = (t * (len(bounds) - 1) // self.threads for t in (thread, thread + 1))
         while True:
             if self._shares[thread] is None:
-                step, last = int(progress[STEP]), int(progress[STEP] - progress[DUE])
+                step, last = int(progress[STEP]), self._last_evaluation(thread)
                 lists = search(
                     sphere, velocity, bounds, chunk, stop, self._walls, step, last, physics.skin,
                     float(physics.period), self._known[thread], physics.rolling,
@@ -176,16 +177,19 @@ class Stretch:
                 np.maximum(found, take_peaks(buffer), out=found)
             if culprit != SEARCH:
                 return culprit
-            self._known[thread] = self._touching(thread)
+            self._known[thread], self._known_at[thread] = self._touching(thread), self._last_evaluation(thread)
             self._shares[thread] = None
 
+    def _last_evaluation(self, thread: int) -> int:
+        return int(self._progress[thread, STEP] - self._progress[thread, DUE])
+
     def _touching(self, thread: int) -> tuple[Known, Known]:
-        """Contacts of a thread that the last evaluation found touching."""
-        if self._shares[thread] is None:
+        """Contacts of a thread that the last evaluation found touching; all threads' where that was before it began."""
+        last, progress = self._last_evaluation(thread), self._progress[thread]
+        if last == self._known_at[thread]:
             return self._known[thread]
-        (lists, room), progress = self._shares[thread], self._progress[thread]
+        lists, room = self._shares[thread]
         inner, pairs, on_walls = room[2:5]
-        last = int(progress[STEP] - progress[DUE])
         return touching(
             lists, inner[NEAR_I], inner[NEAR_J], pairs[last % 2, 1 : progress[PAIRS]],
             on_walls[last % 2, 1 : progress[WALLS]], last,
@@ -198,7 +202,9 @@ class Stretch:
             Divergence: a value that is not finite.
         """
         position, velocity, spin = as_given(self.bodies._replace(**self._whole_velocities()))
-        steps = int(self._progress[0, STEP])
+        steps, threads = int(self._progress[0, STEP]), self.threads
+        if self._last_evaluation(0) == self._known_at[0]:
+            threads = 1
         check_finite(steps, position, velocity, spin)
         return replace(
             self._given,
@@ -206,7 +212,7 @@ class Stretch:
             velocity=velocity,
             angular_velocity=spin,
             time=self._given.time + steps * self._time_step,
-            history=contact_history([self._touching(thread) for thread in range(self.threads)], self.bodies.order),
+            history=contact_history([self._touching(thread) for thread in range(threads)], self.bodies.order),
         )
 
     def held(self) -> Held:

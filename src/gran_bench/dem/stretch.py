@@ -85,14 +85,15 @@ def march(
         # What the lists brought may lie in any row.
         remembered, walls_remembered, pairs = np.int64(slot.shape[1]), np.int64(wall_slot.shape[1]), np.int64(1)
     while True:
-        if travelled > INNER_SHARE:
-            _prune_chunks(
-                sphere, margin, pruned_at, bounds, reach, chunk, stop, start, pair_i, pair_j, memory, inner_list,
-                near_start, touching[(step - progress[DUE]) % 2], pairs, period,
-            )  # fmt: skip
-            travelled = 0.0
         if progress[DUE]:
             old, new = (step - 1) % 2, step % 2
+            if travelled > INNER_SHARE:
+                # Only before an evaluation: what the outer list knows of histories lasts for one inner list.
+                _prune_chunks(
+                    sphere, margin, pruned_at, bounds, reach, chunk, stop, start, pair_i, pair_j, memory, inner_list,
+                    near_start, touching[old], pairs, period,
+                )  # fmt: skip
+                travelled = 0.0
             span = 0.0 if step == 0 else dt
             pairs, wall_contacts = np.int64(1), np.int64(1)
             for c in range(chunk, stop):
@@ -140,7 +141,9 @@ def march(
         # reach of the inner list are the true displacements looked at.
         travelled += dt * math.sqrt(pace)
         if travelled > INNER_SHARE:
-            told[thread, SINCE_PRUNING] = largest_displacement(sphere, pruned_at, inverse_square, begin, end)
+            told[thread, SINCE_PRUNING] = travelled
+            if travelled < np.inf:
+                told[thread, SINCE_PRUNING] = largest_displacement(sphere, pruned_at, inverse_square, begin, end)
             told[thread, SINCE_SEARCH] = largest_displacement(sphere, searched_at, inverse_square, begin, end)
             meet(gate, threads)
             travelled, since_search = 0.0, 0.0
