@@ -33,6 +33,7 @@ from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, i
 from gran_bench.dem.search import Lists, search, touching
 from gran_bench.dem.stretch import (
     DUE,
+    FIRST_POSE,
     NEAR_I,
     NEAR_J,
     PAIRS,
@@ -45,6 +46,7 @@ from gran_bench.dem.stretch import (
     march,
 )
 from gran_bench.dem.wall_list import list_near
+from gran_bench.dem.walls import PATH
 from gran_bench.state import FloatArray, Held, ParticleState
 
 # Particles from which on a bed is cut into 2, 4, 8, 16 chunks: each large beside what lies at its rim.
@@ -106,7 +108,7 @@ class Stretch:
         check_finite(0, *self._moving)
         self._radius, self._material = np.asarray(state.radius, np.float64), np.asarray(state.material, np.uint8)
         self.precision = np.float32 if physics.single_precision else np.float64
-        self._physics, self._walls, self._time_step = physics, np.array(walls, np.float64, order="C"), time_step
+        self._physics, self._time_step = physics, time_step
         self._bounds = chunk_bounds(state.count)
         chunks = len(self._bounds) - 1
         self.threads, self.gate = max(1, min(physics.threads, chunks)), barrier.new_gate()
@@ -114,13 +116,14 @@ class Stretch:
         self._shared = self.gate, self._bounds, np.zeros(chunks, np.int64), self._told
         self._loads = tuple(_zeros(2, chunks, state.count + 2, 4))
         fastest = 0.25 * float(self._radius.min()) / time_step
+        self._laws = physics.pair_laws, physics.wall_laws
         self._constants = (
-            physics.pair_laws, physics.wall_laws, self._walls, np.array(physics.gravity, np.float64),
-            float(physics.period), float(time_step), fastest * fastest,
+            np.array(physics.gravity, np.float64), float(physics.period), float(time_step), fastest * fastest,
             physics.tangential, physics.rolling, bool((self._radius != self._radius[0]).any()), physics.full_radius,
         )  # fmt: skip
         self._shares: list[tuple[Lists, tuple] | None] = [None] * self.threads
-        self._progress = np.array([(0, 0, held is None, 1, 1, 1)] * self.threads)
+        self._progress = np.array([(0, 0, 0, held is None, 1, 1, 1)] * self.threads)
+        self.set_walls(walls)
         self._peaks = np.zeros((self.threads, 2, 3))
         if march.overloads:
             self._begin(held)
@@ -144,6 +147,13 @@ class Stretch:
                 for chunk, begin, end in self._chunks():
                     rows[chunk, begin:end, :3] = load[self.bodies.order[begin:end]]
 
+    def set_walls(self, walls: FloatArray) -> None:
+        """Gives the poses of the steps to come, the first of them of this pause."""
+        self._walls = np.array(walls, np.float64, order="C")
+        self._progress[:, FIRST_POSE] = self._progress[:, STEP]
+        # Lists know the way that walls go for as long as poses were given.
+        self._lists_end = [bool(self._walls[:, :, PATH].any())] * self.threads
+
     def run(self, steps: int) -> None:
         """Goes on, so many steps.
 
@@ -162,11 +172,13 @@ class Stretch:
         bounds, physics, progress = self._bounds, self._physics, self._progress[thread]
         sphere, velocity = self.bodies.sphere, self.bodies.velocity
         chunk, stop = (t * (len(bounds) - 1) // self.threads for t in (thread, thread + 1))
+        if self._lists_end[thread]:
+            self._drop_lists(thread)
         while True:
             if self._shares[thread] is None:
-                step, last = int(progress[STEP]), self._last_evaluation(thread)
+                row, last = int(progress[STEP] - progress[FIRST_POSE]), self._last_evaluation(thread)
                 lists = search(
-                    sphere, velocity, bounds, chunk, stop, self._walls, step, last, physics.skin,
+                    sphere, velocity, bounds, chunk, stop, self._walls, row, last, physics.skin,
                     float(physics.period), self._known[thread], physics.rolling,
                 )  # fmt: skip
                 self._shares[thread] = lists, self._room(sphere, velocity, stop - chunk, lists, last)
@@ -177,8 +189,11 @@ class Stretch:
                 np.maximum(found, take_peaks(buffer), out=found)
             if culprit != SEARCH:
                 return culprit
-            self._known[thread], self._known_at[thread] = self._touching(thread), self._last_evaluation(thread)
-            self._shares[thread] = None
+            self._drop_lists(thread)
+
+    def _drop_lists(self, thread: int) -> None:
+        self._known[thread], self._known_at[thread] = self._touching(thread), self._last_evaluation(thread)
+        self._shares[thread], self._lists_end[thread] = None, False
 
     def _last_evaluation(self, thread: int) -> int:
         return int(self._progress[thread, STEP] - self._progress[thread, DUE])
@@ -233,15 +248,19 @@ class Stretch:
         if self._progress[0, WHOLE]:
             return {}
         half, closed = 0.5 * self._time_step, []
-        for body, rows, field in zip((velocity, spin), self._loads, (self._physics.gravity, 0.0), strict=True):
-            whole = body.copy()
-            whole[:-2, :3] += half * (body[:-2, 3:] * self._own(rows)[:, :3] + field)
-            closed.append(whole)
+        for body, rows, field in zip((velocity, spin), self._loads, ((*self._physics.gravity, 0.0), None), strict=True):
+            gain = body[:-2, 3:] * self._own(rows)
+            if field is not None:
+                gain += field
+            gain *= half
+            gain += body[:-2]
+            closed.append(gain)
         return {"velocity": closed[0], "spin": closed[1]}
 
     def _own(self, rows: FloatArray) -> FloatArray:
         """``(N, 4)`` loads of the particles from the rows of their own chunks."""
-        return np.concatenate([rows[chunk, begin:end] for chunk, begin, end in self._chunks()])
+        parts = [rows[chunk, begin:end] for chunk, begin, end in self._chunks()]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def _chunks(self) -> list[tuple[int, int, int]]:
         return [(c, int(self._bounds[c]), int(self._bounds[c + 1])) for c in range(len(self._bounds) - 1)]
@@ -256,7 +275,7 @@ class Stretch:
             *(place, place, place, number, histories, histories),
             *(margin, margin),
         )
-        arguments = self._of_march(0, np.zeros(6, np.int64), bodies, lists, self._room(row, row, 1, lists, 0))
+        arguments = self._of_march(0, np.zeros(7, np.int64), bodies, lists, self._room(row, row, 1, lists, 0))
         # First what else needs a wall's distance: meanwhile, the process beside gets ahead.
         near = row, number, 0, 1, row, margin, margin, place[None], place, place, place, number
         list_near.compile(tuple(map(numba.typeof, near)))
@@ -280,7 +299,7 @@ class Stretch:
     def _of_march(self, thread: int, progress: np.ndarray, bodies: Bodies, lists: Lists, room: tuple) -> tuple:
         return (
             thread, self.threads, *self._shared, progress, *bodies[2:], *self._loads, *lists, *room,
-            *self._constants,
+            *self._laws, self._walls, *self._constants,
         )  # fmt: skip
 
 

@@ -65,16 +65,21 @@ class Stretch:
         radius = np.asarray(state.radius, np.float64)
         mass = sphere_mass(physics.density[state.material], radius)
         inertia = 0.4 * mass * radius**2
-        self._given, self._physics, self._time_step, self._walls = state, physics, time_step, walls
+        self._given, self._physics, self._time_step = state, physics, time_step
         self._bodies = _Bodies(
             position, velocity, np.zeros_like(velocity), spin, radius, mass, inertia, state.material, state.history,
             Peaks(),
         )  # fmt: skip
         self._step, self._fastest = 0, 0.25 * radius.min() / time_step
+        self.set_walls(walls)
         if held is None:
             self._force, self._torque = _loads(self._bodies, physics, 0.0, walls[0])
         else:
             self._force, self._torque = held.force, held.torque
+
+    def set_walls(self, walls: FloatArray) -> None:
+        """Gives the poses of the steps to come, the first of them of this pause."""
+        self._walls, self._first_pose = walls, self._step
 
     def run(self, steps: int) -> None:
         """Goes on, so many steps."""
@@ -84,7 +89,7 @@ class Stretch:
             _check_speeds(bodies, self._fastest, self._step)
             bodies.position += dt * bodies.velocity
             self._step += 1
-            self._force, self._torque = _loads(bodies, physics, dt, self._walls[self._step])
+            self._force, self._torque = _loads(bodies, physics, dt, self._walls[self._step - self._first_pose])
             _kick(bodies, physics, self._force, self._torque, 0.5 * dt)
 
     def state(self) -> ParticleState:

@@ -1,8 +1,8 @@
 """A run between its frames: stretches of an engine, the walls' poses, who has left, and what may have gone wrong.
 
-What changes a run happens on a grid of steps that is counted from the run's start: every 10 ms particles are sorted
-anew, spheres beyond the outlet leave, and whoever came through a wall stops the run. Frames are copies, wherever they
-are, so they change no bit; and the last one comes with what another run needs to go on
+What changes a run happens on a grid of steps that is counted from the run's start: every 10 ms spheres beyond the
+outlet leave and whoever came through a wall stops the run, every 50 ms particles are sorted anew. Frames are copies,
+wherever they are, so they change no bit; and the last one comes with what another run needs to go on
 (``ParticleState.continuation``): the forces that move it next, the order in which they are summed, the run's clock.
 """
 
@@ -26,10 +26,12 @@ from gran_bench.dem.record import SimulationError
 from gran_bench.dem.tuning import Tuner
 from gran_bench.dem.walls import largest_excess, wall_poses
 from gran_bench.scene import Scene
-from gran_bench.state import Continuation, Held, ParticleState, Trajectory, name_some
+from gran_bench.state import Continuation, FloatArray, Held, ParticleState, Trajectory, name_some
 
-# Between two looks at who leaves and who escaped, and between two orders of the particles, s.
+# Between two looks at who leaves and who escaped, s.
 LOOK = 0.01
+# Looks until the particles are sorted anew: neighbours in space soon lie apart in memory, and sorting takes new lists.
+LOOKS_BETWEEN_SORTS = 5
 
 
 def steps_between_looks(time_step: float) -> int:
@@ -59,9 +61,10 @@ class Run:
         failed: Callable[..., Trajectory],
     ) -> None:
         self._engine, self._scene, self._time_step, self._tuner, self._failed = engine, scene, time_step, tuner, failed
-        self._grid = steps_between_looks(time_step)
+        self._look_steps = steps_between_looks(time_step)
+        self._sort_steps = LOOKS_BETWEEN_SORTS * self._look_steps
         self._start, self._steps, self._held, self._state = state.time, 0, None, state
-        self._stretch, self._inside, self._peaks, self._spent = None, None, Peaks(), 0.0
+        self._stretch, self._inside, self._peaks, self._now = None, None, Peaks(), None
         with _compiling_notice():
             # Where the run goes on, this tells what the first frame's contacts do, and nothing else.
             self._begin()
@@ -86,22 +89,26 @@ class Run:
             began = clock.perf_counter()
             if self._stretch is None:
                 self._begin()
-            some = min(steps, self._grid - self._steps % self._grid)
+            elif self._steps == self._poses_end:
+                self._stretch.set_walls(self._next_poses())
+            some = min(steps, self._look_steps - self._steps % self._look_steps)
             if self._stretch is not None:
                 with self._divergence():
                     self._stretch.run(some)
-            self._steps, steps = self._steps + some, steps - some
+            self._steps, steps, self._now = self._steps + some, steps - some, None
             self._spent += clock.perf_counter() - began
-            if self._steps % self._grid == 0:
+            if self._steps % self._look_steps == 0:
                 self._look()
 
     def state(self) -> ParticleState:
         """As it is now; spheres beyond the outlet keep the state that they left with."""
         if self._stretch is None:
             return self._state
-        with self._divergence():
-            part = self._stretch.state()
-        return part if self._inside is None else rejoined(self._state, self._inside, part)
+        if self._now is None:
+            with self._divergence():
+                part = self._stretch.state()
+            self._now = part if self._inside is None else rejoined(self._state, self._inside, part)
+        return self._now
 
     def take_peaks(self) -> Peaks:
         """Largest overlaps and approach since they were last asked for."""
@@ -123,43 +130,52 @@ class Run:
             self._check(self.state())
 
     def _begin(self) -> None:
-        """A stretch from here to the next look; none where nobody takes part."""
-        whole, held, first = self._state, self._held, self._steps
-        self._begun, self._spent, self._inside = first, 0.0, None
-        on_grid = first % self._grid == 0
-        part = whole
-        if held is None or on_grid:
-            self._inside = taking_part(self._scene, whole.position)
+        """A stretch from here on; none where nobody takes part."""
+        part, held, self._begun, self._spent = self._state, self._held, self._steps, 0.0
+        if held is None or self._steps % self._look_steps == 0:
+            inside = taking_part(self._scene, part.position)
         else:
-            part = replace(whole, position=held.position)
-            if len(held.order) < whole.count:
-                self._inside = np.zeros(whole.count, bool)
-                self._inside[held.order] = True
-        if held is not None and on_grid:
-            held = held._replace(order=None)
+            inside = np.zeros(part.count, bool)
+            inside[held.order] = True
+        self._inside = None if inside is None or inside.all() else inside
+        number = np.arange(part.count) if self._inside is None else np.flatnonzero(inside)
+        if held is not None:
+            order = None
+            if self._steps % self._sort_steps and len(held.order) == len(number):
+                # Nothing is sorted, so all is as it was left.
+                part, order = replace(part, position=held.position), np.searchsorted(number, held.order)
+            held = Held(*(array[number] for array in held[:3]), order)
         if self._inside is not None:
-            part = part_of(part, self._inside)
-            if held is not None:
-                order = None if held.order is None else (np.cumsum(self._inside) - 1)[held.order]
-                held = Held(*(array[self._inside] for array in held[:3]), order)
-        if part.count == 0:
-            return
-        poses = wall_poses(self._scene, self._start, self._time_step, self._grid - first % self._grid, first)
-        with self._divergence():
-            self._stretch = self._engine.Stretch(part, self._tuner.physics, self._time_step, poses, held)
+            part = part_of(part, inside)
+        poses = self._next_poses()
+        if part.count:
+            with self._divergence():
+                self._stretch = self._engine.Stretch(part, self._tuner.physics, self._time_step, poses, held)
+
+    def _next_poses(self) -> FloatArray:
+        """Poses from here to the next look."""
+        first = self._steps
+        steps = self._look_steps - first % self._look_steps
+        self._poses_begin, self._poses_end = first, first + steps
+        self._poses = wall_poses(self._scene, self._start, self._time_step, steps, first)
+        return self._poses
 
     def _look(self) -> None:
-        """Who has left, and who came through a wall; the next stretch begins here."""
+        """Who came through a wall, and who has left; after some of the looks a new stretch begins."""
         state = self.state()
         self._check(state)
-        self._peaks_of_stretch()
-        self._state, self._held, self._stretch = state, self._holds(), None
-        if self._begun % self._grid == 0:
-            self._tuner.took(self._spent)
+        inside = taking_part(self._scene, state.position)
+        taking = state.count if inside is None else np.count_nonzero(inside)
+        part = state.count if self._inside is None else np.count_nonzero(self._inside)
+        if self._steps % self._sort_steps == 0 or taking < part:
+            self._peaks_of_stretch()
+            self._held, self._state, self._stretch = self._holds(), state, None
+            if self._steps - self._begun == self._sort_steps:
+                self._tuner.took(self._spent)
 
     def _check(self, state: ParticleState) -> None:
         scene, when = self._scene, self.time
-        excess = largest_excess(scene, wall_poses(scene, when, 0.0, 0)[0], state.position)
+        excess = largest_excess(scene, self._poses[self._steps - self._poses_begin], state.position)
         gone = np.flatnonzero((excess > state.radius) & (True if self._inside is None else self._inside))
         if len(gone):
             what = f"particle {gone[0]} is {excess[gone[0]]:.3g} m beyond a wall, more than its radius"

@@ -55,7 +55,7 @@ def search(
     chunk: int,
     stop: int,
     walls: FloatArray,
-    step: int,
+    row: int,
     last: int,
     skin: float,
     period: float,
@@ -69,7 +69,7 @@ def search(
         bounds: ``(C + 1,)`` first particle of each chunk.
         chunk, stop: range of chunks.
         walls: ``(steps + 1, W, 21)`` poses.
-        step: of the stretch after which these positions are.
+        row: of the poses that belong to these positions.
         last: step of the last evaluation, these positions' own or the one before.
         skin: m.
         period: of y, m; 0 for none.
@@ -83,7 +83,7 @@ def search(
     first, second = list_pairs(reaching, 0.0, period, begin, end)
     pair_i, pair_j, start, memory = sorted_pairs(first, second, begin, end, count, pairs.first, pairs.second)
     wall_i, wall_w, wall_memory, wall_start = list_wall_contacts(
-        sphere, bounds, chunk, stop, walls, step, margin, on_walls.first, on_walls.second
+        sphere, bounds, chunk, stop, walls, row, margin, on_walls.first, on_walls.second
     )
     return Lists(
         pair_i, pair_j, start, memory, *_history(pairs, len(pair_i), last, rolling),

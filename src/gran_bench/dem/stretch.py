@@ -25,10 +25,10 @@ from gran_bench.dem.wall_contacts import wall_forces
 # What threads tell each other: places of a thread's row. The last is its own: how far the fastest went, in margins,
 # since its inner list was made; infinite where its lists are new.
 PACE, CULPRIT, SINCE_PRUNING, SINCE_SEARCH, TRAVELLED = range(5)
-# Places of a thread's progress: the step that the positions are at, that at which to pause, whether the forces there
-# are still to come, whether the velocities are those of a whole step, and one more than the number of pairs and of
-# walls that the last evaluation found touching.
-STEP, PAUSE, DUE, WHOLE, PAIRS, WALLS = range(6)
+# Places of a thread's progress: the step that the positions are at, that at which to pause, that of the first pose,
+# whether the forces are still to come, whether the velocities are those of a whole step, and one more than the number
+# of pairs and of walls that the last evaluation found touching.
+STEP, PAUSE, FIRST_POSE, DUE, WHOLE, PAIRS, WALLS = range(7)
 # Rows of a thread's inner list: place of each pair in the outer one, its particles, its row of history.
 NEAR, NEAR_I, NEAR_J, NEAR_MEMORY = range(4)
 # What the loop comes back with, beside a row that diverged.
@@ -52,7 +52,7 @@ def march(
         gate: of barrier.py.
         bounds, reach: ``(C + 1,)`` first particle of each chunk; ``(C,)`` end of what its pairs touch.
         told: ``(threads, ≥ 5)`` what threads tell each other.
-        progress: ``(6,)`` see above.
+        progress: ``(7,)`` see above.
         sphere, velocity, spin, ahead, material: rows of the bodies and two spare ones; they hold the state at the end.
         force, torque: ``(C, N + 2, 4)`` zeros where forces are due; else a chunk's rows hold those of its particles.
         pair_i, …, inverse_square: of :func:`search.search`. Histories come twice: an evaluation reads the one of the
@@ -65,7 +65,7 @@ def march(
         near_start: ``(chunks + 1,)`` ones.
         buffer, wall_buffer: of :func:`contact_blocks.block_buffer`.
         pair_laws, wall_laws: ``(S, S, 5)``, ``(S, W, 5)``.
-        walls: ``(steps + 1, W, 21)`` poses.
+        walls: ``(≥ steps + 1, W, 21)`` poses of the first step and of those to the pause.
         gravity, period, dt: SI.
         fastest_allowed: m²/s², beyond which a particle diverges.
         tangential, rolling: what the scene needs.
@@ -108,7 +108,7 @@ def march(
                     wall_start[(c - chunk) * len(walls[0]) :], wall_touching[old], walls_remembered,
                     wall_touching[new], wall_contacts, geometry,
                     wall_slot[old], wall_slot[new], wall_moment[old], wall_moment[new],
-                    wall_buffer, wall_laws, walls[step], tangential, rolling, full_radius, span,
+                    wall_buffer, wall_laws, walls[step - progress[FIRST_POSE]], tangential, rolling, full_radius, span,
                 )  # fmt: skip
             remembered, walls_remembered = pairs, wall_contacts
             progress[PAIRS], progress[WALLS], progress[DUE] = pairs, wall_contacts, 0
