@@ -23,15 +23,10 @@ from gran_bench.scene import Scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
 
 __all__ = [
-    "SettlingWarning", "SimulationError", "SimulationResult", "TimeStepError", "choose_time_step", "dividing_step",
-    "settle", "simulate",
+    "SimulationError", "SimulationResult", "TimeStepError", "choose_time_step", "dividing_step", "settle", "simulate",
 ]  # fmt: skip
 
 ENGINES: dict[str, ModuleType] = {"numba": engine_numba, "numpy": engine_numpy}
-
-
-class SettlingWarning(UserWarning):
-    """What a reader of a settled bed must know of how it settled."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +120,12 @@ def simulate(
 
 
 def settle(
-    scene: Scene, seed: int, *, dem: DemConfig | None = None, progress: bool | Callable[[float], None] = False
+    scene: Scene,
+    seed: int,
+    *,
+    dem: DemConfig | None = None,
+    progress: bool | Callable[[float], None] = False,
+    warn: Callable[[str], None] = warnings.warn,
 ) -> ParticleState:
     """Fills the container, lets the spheres fall and come to rest between walls that stand still.
 
@@ -138,14 +138,13 @@ def settle(
         seed: of the filling.
         dem: engine, time step and skin.
         progress: whether to show a bar, or a function that is called with the simulated time in s.
+        warn: is called with what a reader of the bed must know: an impact on the way that was too deep for Hertz's
+            law, or too short for the step.
 
     Raises:
         SceneError: a filling that does not fit.
         SimulationError: divergence, escape, or a bed that still moves after ``filling.longest_settling``.
         StateError: a bed that its own weight crushes, so that nothing could start from it.
-
-    Warns:
-        SettlingWarning: an impact on the way that was too deep for Hertz's law, or too short for the step.
     """
     dem, still, filling = dem or DemConfig(), scene.at_rest(), scene.filling
     state = scene.fresh_filling(seed)
@@ -177,7 +176,7 @@ def settle(
     for said in impact_warnings(
         still, filling.smallest_radius, time_step, impact_speed(scene), [run.time], [run.take_peaks()]
     ):
-        warnings.warn(f"while the bed of {scene.name!r} settled: {said}", SettlingWarning, stacklevel=2)
+        warn(f"while the bed of {scene.name!r} settled: {said}")
     return replace(state, time=scene.start_time, history=_sorted_history(state.history))
 
 
