@@ -66,7 +66,7 @@ def test_an_overlap_from_which_no_run_could_start_is_a_warning_of_the_result(sce
     head_on = replace(at((0, 0, 0), (0.06, 0, 0)), velocity=np.array([[3.0, 0, 0], [-3.0, 0, 0]]))
     free = replace(scene, walls=(), gravity=(0.0, 0.0, 0.0), material=soft, wall_material=soft)
     (warning,) = simulate(free, head_on, 0.05, dem=DemConfig(time_step=1e-4)).warnings
-    assert "of the smallest diameter" in warning
+    assert "of the mean diameter" in warning
     assert "t = 0.0" in warning
     assert simulate(free, replace(head_on, velocity=0.1 * head_on.velocity), 0.05).warnings == ()
 

@@ -9,7 +9,7 @@ import pytest
 from gran_bench.config import SceneConfig
 from gran_bench.dem import tuning
 from gran_bench.dem.integrate import Physics
-from gran_bench.dem.tuning import FRAMES_BETWEEN, Tuner
+from gran_bench.dem.tuning import STRETCHES_BETWEEN, Tuner
 from gran_bench.scene import build_scene
 
 
@@ -57,7 +57,7 @@ def test_what_the_user_chose_stays(physics):
 def test_a_bed_that_changes_is_tuned_again(physics):
     tuner = Tuner(physics, 3000, skin_is_given=False, threads=1)
     tuned(tuner, cost(physics.skin, 1.0), 60)
-    later = tuned(tuner, cost(0.5 * physics.skin, 1.0), FRAMES_BETWEEN + 60)
+    later = tuned(tuner, cost(0.5 * physics.skin, 1.0), STRETCHES_BETWEEN + 60)
     assert later.skin == pytest.approx(0.5 * physics.skin)
 
 

@@ -7,7 +7,7 @@ Angular velocity is in rad/s and in the lab frame, like position and velocity.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,38 @@ class ContactHistory:
         return len(self.first)
 
 
+class Held(NamedTuple):
+    """What an engine needs beside a state to go on from it as if it had not stopped.
+
+    Attributes:
+        position: ``(N, 3)`` m, not brought into the period.
+        force, torque: ``(N, 3)`` of the last evaluation, N and N m.
+        order: ``(n,)`` int64, those that take part, in the order in which their forces are summed.
+    """
+
+    position: FloatArray
+    force: FloatArray
+    torque: FloatArray
+    order: np.ndarray
+
+
+@dataclass(frozen=True)
+class Continuation:
+    """What a run left beside its last state, so that another goes on bit for bit.
+
+    Attributes:
+        key: of the state, the physics, the walls and the time step that it holds for; for others it is not looked at.
+        start: s, where the run's clock begins.
+        steps: since then.
+        held: of the engine.
+    """
+
+    key: str
+    start: float
+    steps: int
+    held: Held
+
+
 @dataclass(frozen=True)
 class ParticleState:
     """N spheres at one instant.
@@ -76,6 +108,7 @@ class ParticleState:
         time: s, in the scene's clock.
         history: what the contacts remember; empty for a fresh filling.
         material: ``(N,)`` uint8, index into the scene's ``materials``; zeros unless given.
+        continuation: of the run that ended here; None where none did.
 
     Lists will do for arrays.
 
@@ -91,6 +124,7 @@ class ParticleState:
     time: float = 0.0
     history: ContactHistory = field(default_factory=ContactHistory.empty)
     material: NDArray[np.uint8] | None = None
+    continuation: Continuation | None = None
 
     def __post_init__(self) -> None:
         for name in ("position", "velocity", "angular_velocity", "radius"):

@@ -138,8 +138,11 @@ def _run(jobs: list[Job], workers: int, bar: SimulatedTimeBar) -> None:
 
 def _make_settled(job: Job, report: Report) -> None:
     spec, began = job.spec, time.perf_counter()
-    state = _simulation(lambda: settle(spec.settling_scene, spec.packing_seed, dem=spec.bed_dem, progress=report))
-    facts = _facts(spec) | {"wall_seconds": time.perf_counter() - began}
+    said: list[str] = []
+    state = _simulation(
+        lambda: settle(spec.settling_scene, spec.packing_seed, dem=spec.bed_dem, progress=report, warn=said.append)
+    )
+    facts = _facts(spec) | {"warnings": "\n".join(said), "wall_seconds": time.perf_counter() - began}
     write_settled(job.path, spec.settling_key, state, facts)
 
 
@@ -163,7 +166,7 @@ def _make_case(job: Job, report: Report) -> None:
         "steps": result.steps,
         "nudge": float(spec.nudge),
         "nudge_seed": int(spec.nudge_seed),
-        "warnings": "\n".join(result.warnings),
+        "warnings": "\n".join((*bed_facts["warnings"].splitlines(), *result.warnings)),
         "wall_seconds": float(result.wall_seconds),
         "settling_wall_seconds": float(bed_facts["wall_seconds"]),
         "settled_digest": bed_facts["digest"],

@@ -64,6 +64,9 @@ def generate(config: GenerateConfig) -> list[Path]:
         print("it keeps its own motion, so it makes one case; dataset.*_speeds_rpm are not read")
     paths = ensure_cases(specs, root, config.dataset.workers)
     print(table(case_rows(split, root) if split else [_row(paths[0], "–")]))
+    for path in paths:
+        for warning in read_attributes(path)["warnings"].splitlines():
+            print(f"warning, {path.name}: {warning}")
     beds = {spec.settled_path(root) for spec in specs}
     for path in sorted(path for path in beds if path.exists()):
         print(f"settled bed {path}: {read_attributes(path)['wall_seconds']:.1f} s")

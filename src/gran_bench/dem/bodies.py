@@ -102,8 +102,9 @@ def bodies_in_order(
     material: np.ndarray,
     density: FloatArray,
     period: float,
+    order: np.ndarray | None = None,
 ) -> Bodies:
-    """Particles cell by cell, slab after slab along the longest axis, as rows.
+    """Particles cell by cell, slab after slab along the longest axis, as rows; or in an order that is given.
 
     Two spare bodies that just touch follow.
 
@@ -112,17 +113,11 @@ def bodies_in_order(
         radius, material: ``(N,)`` m and index.
         density: ``(S,)`` kg/m³.
         period: of y, m; 0 for none.
+        order: ``(N,)`` particle of each row; None for the order in space.
     """
-    # Column by column: along short rows NumPy's reductions take ten times as long.
-    count, extent = len(position), [float(position[:, k].max() - position[:, k].min()) for k in range(3)]
-    # Slabs across the longest axis meet in the fewest pairs. A periodic axis would make the first meet the last.
-    axes = [2, 1, 0] if extent[0] > extent[2] else [0, 1, 2]
-    if period == 0.0 and extent[1] > extent[axes[2]]:
-        axes[1], axes[2] = axes[2], 1
-    place = np.empty((count, 4))
-    for k, axis in enumerate(axes):
-        place[:, k] = position[:, axis]
-    order = bin_cells(place, 2.0 * CELL_EDGE * float(radius.max()), period)[0]
+    count = len(position)
+    if order is None:
+        order = _order_in_space(position, radius, period)
     mass = 4.0 / 3.0 * math.pi * density[material] * (radius * radius * radius)
     sphere, rates = _rows(position, radius, order), _rows(velocity, 1.0 / mass, order)
     spins = _rows(spin, 1.0 / (0.4 * mass * (radius * radius)), order)
@@ -134,6 +129,19 @@ def bodies_in_order(
     row = np.empty(count, np.int64)
     row[order] = np.arange(count)
     return Bodies(order, row, sphere, rates, spins, np.zeros((count + 2, 4)), materials)
+
+
+def _order_in_space(position: FloatArray, radius: FloatArray, period: float) -> np.ndarray:
+    # Column by column: along short rows NumPy's reductions take ten times as long.
+    count, extent = len(position), [float(position[:, k].max() - position[:, k].min()) for k in range(3)]
+    # Slabs across the longest axis meet in the fewest pairs. A periodic axis would make the first meet the last.
+    axes = [2, 1, 0] if extent[0] > extent[2] else [0, 1, 2]
+    if period == 0.0 and extent[1] > extent[axes[2]]:
+        axes[1], axes[2] = axes[2], 1
+    place = np.empty((count, 4))
+    for k, axis in enumerate(axes):
+        place[:, k] = position[:, axis]
+    return bin_cells(place, 2.0 * CELL_EDGE * float(radius.max()), period)[0]
 
 
 def as_given(bodies: Bodies) -> tuple[FloatArray, FloatArray, FloatArray]:

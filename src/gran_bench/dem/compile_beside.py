@@ -47,7 +47,7 @@ def compile_share(precision: str = "float64") -> None:
         piece.compile(tuple(map(typeof, arguments)))
     nothing = np.zeros(0, np.int64)
     none = Known(nothing, nothing, np.zeros((0, 4)), np.zeros((0, 4)))
-    search(rows, rows, numbers, 0, 1, np.zeros((1, 1, COLUMNS)), 1, 0.1, 0.0, (none, none), False)
+    search(rows, rows, numbers, 0, 1, np.zeros((1, 1, COLUMNS)), 0, -1, 0.1, 0.0, (none, none), False)
 
 
 def main() -> None:

@@ -51,7 +51,9 @@ MODULUS, SHEAR, DAMPING, FRICTION, ROLLING = (k * BLOCK for k in range(50, 55)) 
 # What the tangential law takes from the normal one.
 APPROACH, CONTACT_RADIUS, DRAG, LOAD = (k * BLOCK for k in range(55, 59))
 RESCALE = 59 * BLOCK  # squared factor of the history that is turned
-BUFFER_SIZE = 60 * BLOCK
+# Of each lane, the most that it has held since the buffer was made: overlap, its share of the mean diameter, approach.
+PEAK_OVERLAP, PEAK_SHARE, PEAK_APPROACH = (k * BLOCK for k in range(60, 63))
+BUFFER_SIZE = 63 * BLOCK
 
 
 def block_buffer(buffer: FloatArray, radius: float, inverse_mass: float, law: FloatArray) -> FloatArray:
@@ -152,6 +154,7 @@ def pair_forces(
         if tangential:
             slip_spins(buffer, size, unequal, full_radius)
         contact_laws(buffer, size, tangential, rolling, dt)
+        watch(buffer, size, REACH, buffer.dtype.type(1.0))
         if unequal:
             second_torques(buffer, size)
         contact_torques(buffer, size)
@@ -368,3 +371,24 @@ def contact_laws(buffer, size, tangential, rolling, dt):
         tangential_law(buffer, size, dt)
     for k in range(size):
         buffer[BEFORE + k] = buffer[DELTA + k]
+
+
+@kernel
+def watch(buffer, size, length, times):
+    """Keeps the largest overlaps and approaches of a block; after contact_laws.
+
+    Args:
+        length, times: first element of the column of a length, and how many of it are the mean diameter.
+    """
+    for k in range(size):
+        buffer[PEAK_OVERLAP + k] = max(buffer[PEAK_OVERLAP + k], buffer[DELTA + k])
+        buffer[PEAK_SHARE + k] = max(buffer[PEAK_SHARE + k], buffer[DELTA + k] / (times * buffer[length + k]))
+        buffer[PEAK_APPROACH + k] = max(buffer[PEAK_APPROACH + k], buffer[APPROACH + k])
+
+
+def take_peaks(buffer: FloatArray) -> FloatArray:
+    """Largest overlap, m, its share of the mean diameter, and approach, m/s, ``(3,)``; from now on they count anew."""
+    lanes = buffer[PEAK_OVERLAP:].reshape(-1, BLOCK)
+    peaks = lanes.max(axis=1).astype(np.float64)
+    lanes[:] = 0.0
+    return peaks

@@ -5,22 +5,22 @@ Pairs come from a KD-tree at every step; nothing is sorted, packed or remembered
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gran_bench.dem.contact import ContactForce, ContactLaw, contact_force, sphere_mass
-from gran_bench.dem.integrate import Divergence, Physics, into_period
+from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, into_period
 from gran_bench.dem.rolling import CONTACT_INERTIA, rolling_moment
 from gran_bench.dem.seams import Touching, wall_touching
 from gran_bench.dem.walls import SPIN, surface_velocity
 from gran_bench.neighbors import nearest_image, tree_pairs
-from gran_bench.state import ContactHistory, FloatArray, ParticleState
+from gran_bench.state import ContactHistory, FloatArray, Held, ParticleState
 
 
 @dataclass
 class _Bodies:
-    """The particles while they move, ``(N, 3)`` and ``(N,)`` arrays, and what their contacts remember."""
+    """The particles while they move, ``(N, 3)`` and ``(N,)`` arrays, and what their contacts remember and reached."""
 
     position: FloatArray
     velocity: FloatArray
@@ -31,6 +31,7 @@ class _Bodies:
     inertia: FloatArray
     material: np.ndarray
     history: ContactHistory
+    peaks: Peaks
 
 
 def advance(state: ParticleState, physics: Physics, time_step: float, walls: FloatArray) -> ParticleState:
@@ -47,34 +48,72 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
     """
     if state.count == 0:
         return state
-    position, velocity, spin = (
-        np.array(a, np.float64) for a in (state.position, state.velocity, state.angular_velocity)
-    )
-    radius = np.asarray(state.radius, np.float64)
-    mass = sphere_mass(physics.density[state.material], radius)
-    inertia = 0.4 * mass * radius**2
-    bodies = _Bodies(
-        position, velocity, np.zeros_like(velocity), spin, radius, mass, inertia, state.material, state.history
-    )
-    steps, fastest = len(walls) - 1, 0.25 * radius.min() / time_step
-    force, torque = _loads(bodies, physics, 0.0, walls[0])
-    for step in range(steps):
-        _kick(bodies, physics, force, torque, 0.5 * time_step)
-        _check_speeds(bodies, fastest, step)
-        bodies.position += time_step * bodies.velocity
-        force, torque = _loads(bodies, physics, time_step, walls[step + 1])
-        _kick(bodies, physics, force, torque, 0.5 * time_step)
-    if steps:
-        _check_speeds(bodies, fastest, steps)
-    return ParticleState(
-        into_period(bodies.position, physics.period),
-        bodies.velocity,
-        bodies.spin,
-        state.radius,
-        state.time + steps * time_step,
-        bodies.history,
-        state.material,
-    )
+    stretch = Stretch(state, physics, time_step, walls)
+    stretch.run(len(walls) - 1)
+    return stretch.state()
+
+
+class Stretch:
+    """Steps between two looks at a bed; what :class:`engine_numba.Stretch` is, with the same arguments and methods."""
+
+    def __init__(
+        self, state: ParticleState, physics: Physics, time_step: float, walls: FloatArray, held: Held | None = None
+    ) -> None:
+        position, velocity, spin = (
+            np.array(a, np.float64) for a in (state.position, state.velocity, state.angular_velocity)
+        )
+        check_finite(0, position, velocity, spin)
+        radius = np.asarray(state.radius, np.float64)
+        mass = sphere_mass(physics.density[state.material], radius)
+        inertia = 0.4 * mass * radius**2
+        self._given, self._physics, self._time_step = state, physics, time_step
+        self._bodies = _Bodies(
+            position, velocity, np.zeros_like(velocity), spin, radius, mass, inertia, state.material, state.history,
+            Peaks(),
+        )  # fmt: skip
+        self._step, self._fastest = 0, 0.25 * radius.min() / time_step
+        self.set_walls(walls)
+        if held is None:
+            self._force, self._torque = _loads(self._bodies, physics, 0.0, walls[0])
+        else:
+            self._force, self._torque = held.force, held.torque
+
+    def set_walls(self, walls: FloatArray) -> None:
+        """Gives the poses of the steps to come, the first of them of this pause."""
+        self._walls, self._first_pose = walls, self._step
+
+    def run(self, steps: int) -> None:
+        """Goes on, so many steps."""
+        bodies, physics, dt = self._bodies, self._physics, self._time_step
+        for _ in range(steps):
+            _kick(bodies, physics, self._force, self._torque, 0.5 * dt)
+            _check_speeds(bodies, self._fastest, self._step)
+            bodies.position += dt * bodies.velocity
+            self._step += 1
+            self._force, self._torque = _loads(bodies, physics, dt, self._walls[self._step - self._first_pose])
+            _kick(bodies, physics, self._force, self._torque, 0.5 * dt)
+
+    def state(self) -> ParticleState:
+        """The state of this pause, with its touching contacts and what they remember."""
+        bodies = self._bodies
+        check_finite(self._step, bodies.position, bodies.velocity, bodies.spin)
+        return replace(
+            self._given,
+            position=into_period(bodies.position.copy(), self._physics.period),
+            velocity=bodies.velocity.copy(),
+            angular_velocity=bodies.spin.copy(),
+            time=self._given.time + self._step * self._time_step,
+            history=bodies.history,
+        )
+
+    def held(self) -> Held:
+        """What goes on from this pause beside the state."""
+        return Held(self._bodies.position.copy(), self._force, self._torque, np.arange(self._given.count))
+
+    def take_peaks(self) -> Peaks:
+        """Largest overlaps and approach since they were last asked for."""
+        peaks, self._bodies.peaks = self._bodies.peaks, Peaks()
+        return peaks
 
 
 def _kick(bodies: _Bodies, physics: Physics, force: FloatArray, torque: FloatArray, duration: float) -> None:
@@ -134,6 +173,8 @@ def _pair_loads(
         overlap_before=old.overlap,
         time_step=time_step,
     )
+    approach = np.einsum("mk,mk->m", bodies.velocity[i] - bodies.velocity[j], normal)
+    _watch(bodies, contact.overlap, radius[i] + radius[j], approach, "overlap")
     force += _sums(i, contact.force, len(force)) - _sums(j, contact.force, len(force))
     torque += _sums(i, arm[:, None] * contact.twist, len(torque))
     torque += _sums(j, (distance - arm)[:, None] * contact.twist, len(torque))
@@ -175,6 +216,8 @@ def _wall_loads(
         overlap_before=old.overlap,
         time_step=time_step,
     )
+    approach = np.einsum("mk,mk->m", bodies.velocity[i] - surface_velocity(pose, point), normal)
+    _watch(bodies, contact.overlap, 2.0 * bodies.radius[i], approach, "wall_overlap")
     force[i] += contact.force
     torque[i] += arm[:, None] * contact.twist
     rolling = old.rolling_moment
@@ -184,6 +227,13 @@ def _wall_loads(
         moment, rolling = _rolling(law, contact, old, bodies.spin[i] - pose[SPIN], inertia, time_step)
         torque[i] += moment
     return ContactHistory(i, np.full(len(i), -1 - index), contact.history, contact.overlap, rolling)
+
+
+def _watch(bodies: _Bodies, overlap: FloatArray, diameter: FloatArray, approach: FloatArray, kind: str) -> None:
+    """Keeps the most that contacts of one kind reached."""
+    if len(overlap):
+        found = Peaks(share=float((overlap / diameter).max()), approach=float(approach.max()))
+        bodies.peaks = bodies.peaks.and_of(found._replace(**{kind: float(overlap.max())}))
 
 
 def _rolling(

@@ -1,106 +1,253 @@
-"""One frame of a run: the walls' poses, the engine's stretch, who has left, and what may have gone wrong."""
+"""A run between its frames: stretches of an engine, the walls' poses, who has left, and what may have gone wrong.
+
+What changes a run happens on a grid of steps that is counted from the run's start: every 10 ms spheres beyond the
+outlet leave and whoever came through a wall stops the run, every 50 ms particles are sorted anew. Frames are copies,
+wherever they are, so they change no bit; and the last one comes with what another run needs to go on
+(``ParticleState.continuation``): the forces that move it next, the order in which they are summed, the run's clock.
+"""
 
 from __future__ import annotations
 
 import gc
+import hashlib
 import sys
 import threading
+import time as clock
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from types import ModuleType
 
 import numpy as np
 
-from gran_bench.dem.integrate import Divergence, Physics
+from gran_bench.dem.integrate import Divergence, Peaks
 from gran_bench.dem.outlet import leaked, part_of, rejoined, taking_part
-from gran_bench.dem.record import FrameRecord, SimulationError
+from gran_bench.dem.record import SimulationError
+from gran_bench.dem.tuning import Tuner
 from gran_bench.dem.walls import largest_excess, wall_poses
 from gran_bench.scene import Scene
-from gran_bench.state import FloatArray, ParticleState, Trajectory, name_some
+from gran_bench.state import Continuation, FloatArray, Held, ParticleState, Trajectory, name_some
 
-Advance = Callable[[ParticleState, Physics, float, FloatArray], ParticleState]
+# Between two looks at who leaves and who escaped, s.
+LOOK = 0.01
+# Looks until the particles are sorted anew: neighbours in space soon lie apart in memory, and sorting takes new lists.
+LOOKS_BETWEEN_SORTS = 5
 
 
-def advance_frame(
-    advance: Advance,
-    state: ParticleState,
-    physics: Physics,
-    scene: Scene,
-    time_step: float,
-    substeps: int,
-    time: float,
-    record: FrameRecord | None,
-) -> ParticleState:
-    """The state one frame on. Spheres beyond the outlet at its start keep their state.
+def steps_between_looks(time_step: float) -> int:
+    """Whole steps of about 10 ms."""
+    return max(1, round(LOOK / time_step))
+
+
+class Run:
+    """A state on its way.
 
     Args:
-        advance: of an engine.
-        state: at the start.
-        physics: of the scene.
+        engine: module with a ``Stretch``.
+        state: start, in float64; it goes on from its continuation where that holds for this scene and step.
         scene: walls, motion, outlet.
         time_step: s.
-        substeps: of the frame.
-        time: of its end, s.
-        record: the frames so far; None where there is none.
-
-    Raises:
-        SimulationError: divergence, or a centre further than its radius outside the container; it carries the
-            frames so far and its own.
+        tuner: gives the physics of each stretch.
+        failed: makes frames of a time and positions, velocities and spins that a run ended with.
     """
 
-    def failed(position: FloatArray, velocity: FloatArray, spin: FloatArray) -> Trajectory:
-        if record is not None:
-            return record.trajectory((time, position, velocity, spin))
-        return Trajectory(np.array([time]), position[None], velocity[None], spin[None], state.radius)
+    def __init__(
+        self,
+        engine: ModuleType,
+        state: ParticleState,
+        scene: Scene,
+        time_step: float,
+        tuner: Tuner,
+        failed: Callable[..., Trajectory],
+    ) -> None:
+        self._engine, self._scene, self._time_step, self._tuner, self._failed = engine, scene, time_step, tuner, failed
+        self._look_steps = steps_between_looks(time_step)
+        self._sort_steps = LOOKS_BETWEEN_SORTS * self._look_steps
+        self._start, self._steps, self._held, self._state = state.time, 0, None, state
+        self._stretch, self._inside, self._peaks, self._now = None, None, Peaks(), None
+        with _compiling_notice():
+            # Where the run goes on, this tells what the first frame's contacts do, and nothing else.
+            self._begin()
+        kept = state.continuation
+        if kept is not None and kept.key == self._key(state):
+            self._peaks_of_stretch()
+            self._start, self._steps, self._held, self._stretch = kept.start, kept.steps, kept.held, None
 
-    poses = wall_poses(scene, state.time, time_step, substeps)
-    inside = taking_part(scene, state.position)
-    part = state if inside is None else part_of(state, inside)
-    try:
-        part = advance(part, physics, time_step, poses)
-    except Divergence as divergence:
-        number = np.arange(state.count) if inside is None else np.flatnonzero(inside)
-        frame = [np.array(a, np.float64) for a in (state.position, state.velocity, state.angular_velocity)]
-        found = (divergence.position, divergence.velocity, divergence.angular_velocity)
-        for whole, part in zip(frame, found, strict=True):
-            whole[number] = part
-        i, when = number[divergence.particle], state.time + divergence.steps * time_step
-        speed = float(np.linalg.norm(frame[1][i]))
-        raise SimulationError(
-            f"the run diverged at t = {when:.6g} s: particle {i} moves at {speed:.3g} m/s, more than a quarter of "
-            f"the smallest radius in one step of {time_step:g} s; choose a smaller dem.time_step",
-            failed(*frame),
-        ) from divergence
-    state = part if inside is None else rejoined(state, inside, part)
-    remedy = "choose a smaller dem.time_step or a stiffer material"
-    excess = largest_excess(scene, poses[-1], state.position)
-    gone = np.flatnonzero((excess > state.radius) & (True if inside is None else inside))
-    if len(gone):
-        raise SimulationError(
-            f"particles {name_some(gone)} escaped by t = {time:.6g} s: particle {gone[0]} is {excess[gone[0]]:.3g} m "
-            f"beyond a wall, more than its radius; {remedy}",
-            failed(state.position, state.velocity, state.angular_velocity),
-        )
-    astray = leaked(scene, state.position)
-    if len(astray):
-        raise SimulationError(
-            f"particles {name_some(astray)} escaped by t = {time:.6g} s: they passed the outlet more than "
-            f"{scene.outlet.radius:g} m from its middle, so they came through a wall; {remedy}",
-            failed(state.position, state.velocity, state.angular_velocity),
-        )
-    # The frame's clock, not the sum of its steps: a restart finds the same number.
-    return replace(state, time=time)
+    @property
+    def time(self) -> float:
+        """The run's clock, s."""
+        return self._start + self._steps * self._time_step
 
+    def advance(self, steps: int) -> None:
+        """Goes on, so many steps.
 
-def first_contacts(
-    advance: Advance, state: ParticleState, physics: Physics, scene: Scene, time_step: float
-) -> ParticleState:
-    """The state with a list of its touching contacts; the first call of an engine, so it compiles here."""
-    poses, inside = wall_poses(scene, state.time, time_step, 0), taking_part(scene, state.position)
-    with _compiling_notice():
+        Raises:
+            SimulationError: divergence, or a centre further than its radius outside the container; it carries the
+                frames so far and its own.
+        """
+        while steps:
+            began = clock.perf_counter()
+            if self._stretch is None:
+                self._begin()
+            elif self._steps == self._poses_end:
+                self._stretch.set_walls(self._next_poses())
+            some = min(steps, self._look_steps - self._steps % self._look_steps)
+            if self._stretch is not None:
+                with self._divergence():
+                    self._stretch.run(some)
+            self._steps, steps, self._now = self._steps + some, steps - some, None
+            self._spent += clock.perf_counter() - began
+            if self._steps % self._look_steps == 0:
+                self._look()
+
+    def state(self) -> ParticleState:
+        """As it is now; spheres beyond the outlet keep the state that they left with."""
+        if self._stretch is None:
+            return self._state
+        if self._now is None:
+            with self._divergence():
+                part = self._stretch.state()
+            self._now = part if self._inside is None else rejoined(self._state, self._inside, part)
+        return self._now
+
+    def take_peaks(self) -> Peaks:
+        """Largest overlaps and approach since they were last asked for."""
+        self._peaks_of_stretch()
+        peaks, self._peaks = self._peaks, Peaks()
+        return peaks
+
+    def continued(self, state: ParticleState) -> ParticleState:
+        """The state, which is the present one, with what another run needs to go on from it."""
+        return replace(state, continuation=Continuation(self._key(state), self._start, self._steps, self._holds()))
+
+    def check_escapes(self) -> None:
+        """Looks whether anybody came through a wall, who would be found at the next look.
+
+        Raises:
+            SimulationError: a centre further than its radius outside the container, or beyond the outlet's rim.
+        """
+        if self._stretch is not None:
+            self._check(self.state())
+
+    def _begin(self) -> None:
+        """A stretch from here on; none where nobody takes part."""
+        part, held, self._begun, self._spent = self._state, self._held, self._steps, 0.0
+        if held is None or self._steps % self._look_steps == 0:
+            inside = taking_part(self._scene, part.position)
+        else:
+            inside = np.zeros(part.count, bool)
+            inside[held.order] = True
+        self._inside = None if inside is None or inside.all() else inside
+        number = np.arange(part.count) if self._inside is None else np.flatnonzero(inside)
+        if held is not None:
+            order = None
+            if self._steps % self._sort_steps and len(held.order) == len(number):
+                # Nothing is sorted, so all is as it was left.
+                part, order = replace(part, position=held.position), np.searchsorted(number, held.order)
+            held = Held(*(array[number] for array in held[:3]), order)
+        if self._inside is not None:
+            part = part_of(part, inside)
+        poses = self._next_poses()
+        if part.count:
+            with self._divergence():
+                self._stretch = self._engine.Stretch(part, self._tuner.physics, self._time_step, poses, held)
+
+    def _next_poses(self) -> FloatArray:
+        """Poses from here to the next look."""
+        first = self._steps
+        steps = self._look_steps - first % self._look_steps
+        self._poses_begin, self._poses_end = first, first + steps
+        self._poses = wall_poses(self._scene, self._start, self._time_step, steps, first)
+        return self._poses
+
+    def _look(self) -> None:
+        """Who came through a wall, and who has left; after some of the looks a new stretch begins."""
+        state = self.state()
+        self._check(state)
+        inside = taking_part(self._scene, state.position)
+        taking = state.count if inside is None else np.count_nonzero(inside)
+        part = state.count if self._inside is None else np.count_nonzero(self._inside)
+        if self._steps % self._sort_steps == 0 or taking < part:
+            self._peaks_of_stretch()
+            self._held, self._state, self._stretch = self._holds(), state, None
+            if self._steps - self._begun == self._sort_steps:
+                self._tuner.took(self._spent)
+
+    def _check(self, state: ParticleState) -> None:
+        scene, when = self._scene, self.time
+        excess = largest_excess(scene, self._poses[self._steps - self._poses_begin], state.position)
+        gone = np.flatnonzero((excess > state.radius) & (True if self._inside is None else self._inside))
+        if len(gone):
+            what = f"particle {gone[0]} is {excess[gone[0]]:.3g} m beyond a wall, more than its radius"
+        else:
+            gone = leaked(scene, state.position)
+            rim = None if scene.outlet is None else scene.outlet.radius
+            what = f"they passed the outlet more than {rim} m from its middle, so they came through a wall"
+        if len(gone):
+            raise SimulationError(
+                f"particles {name_some(gone)} escaped by t = {when:.6g} s: {what}; choose a smaller dem.time_step or "
+                "a stiffer material",
+                self._failed(when, state.position, state.velocity, state.angular_velocity),
+            )
+
+    def _holds(self) -> Held | None:
+        """What goes on beside the state, of all particles."""
+        if self._stretch is None:
+            return self._held
+        held, inside = self._stretch.held(), self._inside
         if inside is None:
-            return replace(state, history=advance(state, physics, time_step, poses).history)
-        return rejoined(state, inside, advance(part_of(state, inside), physics, time_step, poses))
+            return held
+        position = self._state.position.copy()
+        position[inside] = held.position
+        loads = np.zeros((2, *position.shape))
+        loads[:, inside] = held.force, held.torque
+        return Held(position, *loads, np.flatnonzero(inside)[held.order])
+
+    def _peaks_of_stretch(self) -> None:
+        if self._stretch is not None:
+            self._peaks = self._peaks.and_of(self._stretch.take_peaks())
+
+    def _key(self, state: ParticleState) -> str:
+        """Of everything that a continuation holds for; frames, threads, skin and engine are not part of it."""
+        scene, physics, history = self._scene, self._tuner.physics, state.history
+        text = (
+            scene.walls,
+            scene.rotation,
+            scene.outlet,
+            physics.period,
+            physics.full_radius,
+            self._time_step,
+            state.time,
+        )
+        digest = hashlib.sha256(repr(text).encode())
+        for array in (
+            physics.pair_laws, physics.wall_laws, physics.density, physics.gravity,
+            state.position, state.velocity, state.angular_velocity, state.radius, state.material,
+            history.first, history.second, history.force, history.overlap, history.rolling_moment,
+        ):  # fmt: skip
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+    @contextmanager
+    def _divergence(self) -> Iterator[None]:
+        """A divergence in the body becomes an error that carries the frames so far and its own."""
+        try:
+            yield
+        except Divergence as divergence:
+            whole = self._state
+            number = np.arange(whole.count) if self._inside is None else np.flatnonzero(self._inside)
+            frame = [np.array(a, np.float64) for a in (whole.position, whole.velocity, whole.angular_velocity)]
+            found = (divergence.position, divergence.velocity, divergence.angular_velocity)
+            for array, part in zip(frame, found, strict=True):
+                array[number] = part
+            when = self._start + (self._begun + divergence.steps) * self._time_step
+            i = number[divergence.particle]
+            raise SimulationError(
+                f"the run diverged at t = {when:.6g} s: particle {i} moves at {np.linalg.norm(frame[1][i]):.3g} m/s, "
+                f"more than a quarter of the smallest radius in one step of {self._time_step:g} s; choose a smaller "
+                "dem.time_step",
+                self._failed(when, *frame),
+            ) from divergence
 
 
 @contextmanager

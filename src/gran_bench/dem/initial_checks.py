@@ -76,6 +76,16 @@ def check_initial_speed(state: ParticleState, time_step: float) -> None:
         )
 
 
+def closing_speed(state: ParticleState) -> float:
+    """A bound of how fast two spheres can close in, or one on a wall at rest, m/s; exact for two, and for one."""
+    if state.count == 0:
+        return 0.0
+    velocity = np.asarray(state.velocity, np.float64)
+    apart = 2.0 * np.linalg.norm(velocity - velocity.mean(axis=0), axis=1).max()
+    apart = min(apart, np.linalg.norm(np.ptp(velocity, axis=0)))
+    return float(max(apart, np.linalg.norm(velocity, axis=1).max()))
+
+
 def _check_overlaps(scene: Scene, state: ParticleState, number: np.ndarray, remedy: str) -> None:
     pairs = tree_pairs(state.position, 2.0 * float(state.radius.max()), scene.period)
     offset = nearest_image(state.position[pairs[:, 1]] - state.position[pairs[:, 0]], scene.period)

@@ -4,13 +4,16 @@
 
 with a_{n+1} from x_{n+1}, v_{n+1/2} and the walls' speed at the middle of the step; spin likewise. The damping of the
 normal force takes v_{n+1/2} + ½ a_n Δt, the prediction of v_{n+1}: with v_{n+1/2} alone, which lags by half a step,
-an impact of e = 0.3 loses up to 1.2e-3 of its restitution at a step of t_c/200, more than it may. A stretch of steps
-starts with the forces of its state alone: histories as they are, nothing added to them.
+an impact of e = 0.3 loses up to 1.2e-3 of its restitution at a step of t_c/200, more than it may. The two halves of a
+kick are two, rounded at v_n, so that it makes no difference whether anybody looks at v_n. A run starts with the forces
+of its state alone: histories as they are, nothing added to them.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,6 +47,41 @@ class Divergence(ArithmeticError):
         super().__init__(f"particle {particle} diverged")
         self.particle, self.steps = particle, steps
         self.position, self.velocity, self.angular_velocity = position, velocity, angular_velocity
+
+
+def check_finite(steps: int, position: FloatArray, velocity: FloatArray, spin: FloatArray) -> None:
+    """Refuses values that are no numbers.
+
+    Raises:
+        Divergence: the first particle of which one is not finite, or the square of whose speed is not.
+    """
+    if all(math.isfinite(np.vdot(array, array)) for array in (position, velocity, spin)):
+        return
+    with np.errstate(over="ignore", invalid="ignore"):
+        sound = np.isfinite(np.einsum("nk,nk->n", velocity, velocity))
+    wild = np.flatnonzero(~(sound & np.isfinite(position).all(axis=1) & np.isfinite(spin).all(axis=1)))
+    if len(wild):
+        raise Divergence(int(wild[0]), steps, position, velocity, spin)
+
+
+class Peaks(NamedTuple):
+    """The most of every contact in every step of some span.
+
+    Attributes:
+        overlap: largest of a pair, m.
+        wall_overlap: largest with a wall, m.
+        share: largest as a share of the pair's mean diameter, or of the diameter at a wall, −.
+        approach: fastest of two surfaces that touch, along their normal, m/s.
+    """
+
+    overlap: float = 0.0
+    wall_overlap: float = 0.0
+    share: float = 0.0
+    approach: float = 0.0
+
+    def and_of(self, later: Peaks) -> Peaks:
+        """Those of both spans."""
+        return Peaks(*map(max, self, later))
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,9 @@ import numpy as np
 
 from gran_bench.dem.contact import sphere_mass
 from gran_bench.dem.initial_checks import LARGEST_INITIAL_OVERLAP
+from gran_bench.dem.integrate import Peaks
 from gran_bench.dem.outlet import taking_part
+from gran_bench.dem.time_step import unresolved
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, ParticleState, Trajectory
 
@@ -55,6 +57,49 @@ def contact_diagnostics(scene: Scene, state: ParticleState) -> dict[str, float]:
     return figures
 
 
+def peak_diagnostics(peaks: Peaks) -> dict[str, float]:
+    """The most of any contact in any step since the last frame (of the first frame, in its state alone).
+
+    Largest overlap of a pair and with a wall in m, largest overlap as a share of the pair's mean diameter (of the
+    diameter at a wall), fastest approach of touching surfaces in m/s; 0 where nothing touched.
+    """
+    return {
+        "overlap_peak": peaks.overlap,
+        "wall_overlap_peak": peaks.wall_overlap,
+        "overlap_share_peak": peaks.share,
+        "approach_peak": peaks.approach,
+    }
+
+
+def impact_warnings(
+    scene: Scene, radius: float, time_step: float, judged: float, times: FloatArray, peaks: list[Peaks]
+) -> tuple[str, ...]:
+    """What a reader must know of the impacts: too deep for Hertz's law, or too short for the step.
+
+    Args:
+        scene: materials and walls.
+        radius: of the smallest sphere, m.
+        time_step: s.
+        judged: speed that the step has been held against, m/s.
+        times: s, at which the spans end that the peaks are of.
+        peaks: of each span.
+    """
+    warnings = []
+    if peaks and max(p.share for p in peaks) >= LARGEST_INITIAL_OVERLAP:
+        worst = int(np.argmax([p.share for p in peaks]))
+        deepest = max(peaks[worst].overlap, peaks[worst].wall_overlap)
+        warnings.append(
+            f"an overlap that reached {peaks[worst].share:.0%} of the mean diameter (the deepest {deepest:.3g} m) by "
+            f"t = {times[worst]:.6g} s: Hertz's law is for less than {LARGEST_INITIAL_OVERLAP:.0%}, and deeper spheres "
+            "pass through each other or through walls; choose a stiffer material or lower speeds"
+        )
+    if peaks and (fastest := max(p.approach for p in peaks)) > judged:
+        when = times[int(np.argmax([p.approach for p in peaks]))]
+        if said := unresolved(scene, radius, time_step, fastest):
+            warnings.append(f"an impact at {fastest:.3g} m/s by t = {when:.6g} s: {said}")
+    return tuple(warnings)
+
+
 class FrameRecord:
     """Frames and diagnostics as they come."""
 
@@ -63,25 +108,13 @@ class FrameRecord:
         self.time: list[float] = []
         self.frames: list[tuple[FloatArray, FloatArray, FloatArray]] = []
         self.figures: list[dict[str, float]] = []
+        self.peaks: list[Peaks] = []
 
-    def add(self, state: ParticleState, time: float) -> None:
+    def add(self, state: ParticleState, time: float, peaks: Peaks) -> None:
         self.time.append(time)
         self.frames.append((state.position, state.velocity, state.angular_velocity))
-        self.figures.append(contact_diagnostics(self.scene, state))
-
-    def warnings(self) -> tuple[str, ...]:
-        """What a reader of the frames must know: that no run could start from one of them."""
-        if not len(self.radius):
-            return ()
-        deepest = [max(figures["overlap_max"], figures["wall_overlap_max"]) for figures in self.figures]
-        worst, smallest = int(np.argmax(deepest)), 2.0 * float(self.radius.min())
-        if deepest[worst] < LARGEST_INITIAL_OVERLAP * smallest:
-            return ()
-        return (
-            f"an overlap of {deepest[worst]:.3g} m at t = {self.time[worst]:.6g} s is {deepest[worst] / smallest:.0%} "
-            f"of the smallest diameter, and Hertz's law is for less than {LARGEST_INITIAL_OVERLAP:.0%}: choose a "
-            "stiffer material",
-        )
+        self.figures.append(contact_diagnostics(self.scene, state) | peak_diagnostics(peaks))
+        self.peaks.append(peaks)
 
     def trajectory(self, *failed: tuple[float, FloatArray, FloatArray, FloatArray]) -> Trajectory:
         """All frames, and a failed one that has no diagnostics."""

@@ -272,30 +272,31 @@ def squared_gap(typing, sphere, i, j):
 
 
 @intrinsic
-def kick_row(typing, body, load, i, gx, gy, gz, dt, ahead, rest):
-    """body[i] += Δt a with a = body[i, 3] load[i] + g; ahead[i] = rest × a; load[i] = 0.
+def kick_row(typing, body, load, i, gx, gy, gz, closing, ahead, opening):
+    """body[i] += closing × a, then body[i] += opening × a, with a = body[i, 3] load[i] + g; load[i] = 0.
 
-    The fourth place of a body is its 1/m or 1/I, and stays: the fourth of a load is zero.
+    Rounded in between, as where a step ends. ahead[i] becomes opening × a. The fourth place of a body is its 1/m or
+    1/I, and stays: the fourth of a load is zero.
     """
 
     def emit(context, builder, signature, values):
-        acceleration = _kick(_Writer(context, builder, signature, values), 1, 2, values[3:6], values[6])
         writer = _Writer(context, builder, signature, values)
-        writer.store(builder.fmul(writer.spread(values[8]), acceleration), writer.row(7, 2))
+        gain = _kick(writer, 1, 2, values[3:6], values[6], values[8])
+        writer.store(gain, writer.row(7, 2))
         return context.get_dummy_value()
 
-    return types.void(*(body, load, i, gx, gy, gz, dt, ahead, rest)), emit
+    return types.void(*(body, load, i, gx, gy, gz, closing, ahead, opening)), emit
 
 
 @intrinsic
-def twist_row(typing, body, load, i, dt):
-    """body[i] += Δt body[i, 3] load[i]; load[i] = 0."""
+def twist_row(typing, body, load, i, closing, opening):
+    """body[i] += closing × a, then body[i] += opening × a, with a = body[i, 3] load[i]; load[i] = 0."""
 
     def emit(context, builder, signature, values):
-        _kick(_Writer(context, builder, signature, values), 1, 2, None, values[3])
+        _kick(_Writer(context, builder, signature, values), 1, 2, None, values[3], values[4])
         return context.get_dummy_value()
 
-    return types.void(body, load, i, dt), emit
+    return types.void(body, load, i, closing, opening), emit
 
 
 @intrinsic
@@ -312,8 +313,8 @@ def move_row(typing, source, target, i):
     return types.void(source, target, i), emit
 
 
-def _kick(writer: _Writer, load: int, index: int, gravity, dt):
-    """Emits the kick of the first argument by argument ``load``; returns the acceleration."""
+def _kick(writer: _Writer, load: int, index: int, gravity, closing, opening):
+    """Emits two kicks of the first argument by argument ``load``; returns what the second adds."""
     builder, quad = writer.builder, ir.VectorType(ir.DoubleType(), _LANES)
     place, source = writer.row(0, index), writer.row(load, index)
     row = writer.load(place)
@@ -324,6 +325,8 @@ def _kick(writer: _Writer, load: int, index: int, gravity, dt):
         for axis, component in enumerate(gravity):
             g = builder.insert_element(g, component, ir.Constant(ir.IntType(32), axis))
         acceleration = builder.fadd(acceleration, g)
-    writer.store(builder.fadd(row, builder.fmul(writer.spread(dt), acceleration)), place)
+    gain = builder.fmul(writer.spread(opening), acceleration)
+    whole = builder.fadd(row, builder.fmul(writer.spread(closing), acceleration))
+    writer.store(builder.fadd(whole, gain), place)
     writer.store(ir.Constant(quad, [0.0] * _LANES), source)
-    return acceleration
+    return gain

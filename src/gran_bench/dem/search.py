@@ -55,7 +55,8 @@ def search(
     chunk: int,
     stop: int,
     walls: FloatArray,
-    evaluation: int,
+    row: int,
+    last: int,
     skin: float,
     period: float,
     known: tuple[Known, Known],
@@ -68,24 +69,25 @@ def search(
         bounds: ``(C + 1,)`` first particle of each chunk.
         chunk, stop: range of chunks.
         walls: ``(steps + 1, W, 22)`` poses.
-        evaluation: number of the force evaluation that these positions are for, from 1.
+        row: of the poses that belong to these positions.
+        last: step of the last evaluation, these positions' own or the one before.
         skin: m.
         period: of y, m; 0 for none.
         known: pairs and walls by row that touched in the last evaluation.
         rolling: whether rolling moments are remembered.
     """
-    count, before, begin, end = len(sphere) - 2, evaluation - 1, int(bounds[chunk]), int(bounds[stop])
+    count, begin, end = len(sphere) - 2, int(bounds[chunk]), int(bounds[stop])
     pairs, on_walls = known
     # All threads come here between the same two steps, so they find the same margins.
     margin, inverse_square, reaching = with_margins(sphere, velocity, skin)
     first, second = list_pairs(reaching, 0.0, period, begin, end)
     pair_i, pair_j, start, memory = sorted_pairs(first, second, begin, end, count, pairs.first, pairs.second)
     wall_i, wall_w, wall_memory, wall_start = list_wall_contacts(
-        sphere, bounds, chunk, stop, walls, before, margin, on_walls.first, on_walls.second
+        sphere, bounds, chunk, stop, walls, row, margin, on_walls.first, on_walls.second
     )
     return Lists(
-        pair_i, pair_j, start, memory, *_history(pairs, len(pair_i), before, rolling),
-        wall_i, wall_w, wall_memory, wall_start, *_history(on_walls, len(wall_memory), before, rolling),
+        pair_i, pair_j, start, memory, *_history(pairs, len(pair_i), last, rolling),
+        wall_i, wall_w, wall_memory, wall_start, *_history(on_walls, len(wall_memory), last, rolling),
         margin, inverse_square,
     )  # fmt: skip
 

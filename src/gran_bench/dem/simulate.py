@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time as clock
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from types import ModuleType
 
 import numpy as np
 from tqdm import tqdm
@@ -13,12 +15,12 @@ from gran_bench.config import DemConfig
 from gran_bench.config_consistency import check_dem
 from gran_bench.config_rules import check_arguments
 from gran_bench.dem import engine_numba, engine_numpy
-from gran_bench.dem.frame import advance_frame, first_contacts
-from gran_bench.dem.initial_checks import STIFFEN, check_initial_speed, check_initial_state
+from gran_bench.dem.frame import Run, steps_between_looks
+from gran_bench.dem.initial_checks import STIFFEN, check_initial_speed, check_initial_state, closing_speed
 from gran_bench.dem.integrate import Physics
-from gran_bench.dem.record import FrameRecord, SimulationError
+from gran_bench.dem.record import FrameRecord, SimulationError, impact_warnings
 from gran_bench.dem.rest import Rest
-from gran_bench.dem.time_step import TimeStepError, choose_time_step, dividing_step
+from gran_bench.dem.time_step import TimeStepError, check_closing_speed, choose_time_step, dividing_step, impact_speed
 from gran_bench.dem.tuning import Tuner
 from gran_bench.scene import Scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
@@ -27,12 +29,7 @@ __all__ = [
     "SimulationError", "SimulationResult", "TimeStepError", "choose_time_step", "dividing_step", "settle", "simulate",
 ]  # fmt: skip
 
-ENGINES: dict[str, Callable[[ParticleState, Physics, float, FloatArray], ParticleState]] = {
-    "numba": engine_numba.advance,
-    "numpy": engine_numpy.advance,
-}
-# Longest stretch between two looks at a bed that settles: short enough not to overshoot rest by much.
-SETTLING_LOOK = 0.01  # s
+ENGINES: dict[str, ModuleType] = {"numba": engine_numba, "numpy": engine_numpy}
 
 
 @dataclass(frozen=True)
@@ -94,40 +91,50 @@ def simulate(
     frames = _frames_between(scene, state.time, end_time)
     check_initial_state(scene, state)
     smallest, largest = _radius_range(scene, state)
-    time_step, warnings = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step, smallest)
+    time_step, said = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step, smallest)
     check_initial_speed(state, time_step)
+    closing = closing_speed(state)
+    judged = max(impact_speed(scene), closing)
+    if closing == judged:
+        said += check_closing_speed(scene, smallest, time_step, closing, dem.allow_unsafe_step)
     substeps = round(scene.frame_interval / time_step)
-    physics, advance = _physics(scene, largest, dem), ENGINES[dem.engine]
-    state = _as_float64(state)
     record = FrameRecord(scene, state.radius)
-    record.add(first_contacts(advance, state, physics, scene, time_step), state.time)
-    tuner = Tuner(physics, state.count, dem.skin is not None, dem.threads)
+    tuner = Tuner(_physics(scene, largest, dem), state.count, dem.skin is not None, dem.threads)
+    engine, state = ENGINES[dem.engine], _as_float64(state)
+    run = Run(engine, state, scene, time_step, tuner, lambda *frame: record.trajectory(tuple(frame)))
+    record.add(run.state(), state.time, run.take_peaks())
     times = _frame_times(scene, state.time, frames)
     started = clock.perf_counter()
     listen = progress if callable(progress) else _nobody
     with _bar(progress is True, frames * substeps, "DEM") as bar:
         for time in times:
-            began = clock.perf_counter()
-            state = advance_frame(advance, state, tuner.physics, scene, time_step, substeps, time, record)
-            tuner.took(clock.perf_counter() - began)
-            record.add(state, time)
+            run.advance(substeps)
+            # The frame's clock, not the sum of its steps: a restart finds the same number.
+            state = replace(run.state(), time=time)
+            record.add(state, time, run.take_peaks())
             bar.update(substeps)
             bar.set_postfix_str(f"t = {time:.2f} s", refresh=False)
             listen(time)
+    run.check_escapes()
     return SimulationResult(
         trajectory=record.trajectory(),
-        final=replace(state, history=_sorted_history(state.history)),
+        final=run.continued(replace(state, history=_sorted_history(state.history))),
         time_step=time_step,
         steps=frames * substeps,
         wall_seconds=clock.perf_counter() - started,
-        warnings=warnings + record.warnings(),
+        warnings=said + impact_warnings(scene, smallest, time_step, judged, record.time, record.peaks),
         skin=tuner.chosen.skin,
         threads=tuner.chosen.threads,
     )
 
 
 def settle(
-    scene: Scene, seed: int, *, dem: DemConfig | None = None, progress: bool | Callable[[float], None] = False
+    scene: Scene,
+    seed: int,
+    *,
+    dem: DemConfig | None = None,
+    progress: bool | Callable[[float], None] = False,
+    warn: Callable[[str], None] = warnings.warn,
 ) -> ParticleState:
     """Fills the container, lets the spheres fall and come to rest between walls that stand still.
 
@@ -141,6 +148,8 @@ def settle(
         seed: of the filling.
         dem: engine, time step and skin.
         progress: whether to show a bar, or a function that is called with the simulated time in s.
+        warn: is called with what a reader of the bed must know: an impact on the way that was too deep for Hertz's
+            law, or too short for the step.
 
     Raises:
         ConfigError: an argument of a wrong type, or settings that contradict each other.
@@ -158,12 +167,10 @@ def settle(
         return replace(state, time=scene.start_time)
     time_step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
     rest = Rest(still)
-    look = min(SETTLING_LOOK, scene.frame_interval, rest.look_interval)
-    substeps = max(1, round(look / time_step))
-    physics, advance = _physics(still, filling.largest_radius, dem), ENGINES[dem.engine]
-    first_contacts(advance, state, physics, still, time_step)
-    tuner = Tuner(physics, state.count, dem.skin is not None, dem.threads)
-    rests, looks = False, 0
+    substeps = min(steps_between_looks(time_step), max(1, round(rest.look_interval / time_step)))
+    tuner = Tuner(_physics(still, filling.largest_radius, dem), state.count, dem.skin is not None, dem.threads)
+    run = Run(ENGINES[dem.engine], state, still, time_step, tuner, lambda *frame: _one_frame(state, *frame))
+    rests = False
     listen = progress if callable(progress) else _nobody
     with _bar(progress is True, None, "settling") as bar:
         while state.count and (not rests or state.time < scene.start_time - 1e-9):
@@ -171,26 +178,24 @@ def settle(
                 raise SimulationError(
                     f"the bed of {scene.name!r} is not at rest after {filling.longest_settling:g} s of settling: "
                     f"{rest.what_moves()}",
-                    _one_frame(state),
+                    _one_frame(state, state.time, state.position, state.velocity, state.angular_velocity),
                 )
-            looks += 1
-            began = clock.perf_counter()
-            state = advance_frame(
-                advance, state, tuner.physics, still, time_step, substeps, looks * substeps * time_step, None
-            )
-            tuner.took(clock.perf_counter() - began)
+            run.advance(substeps)
+            state = replace(run.state(), time=run.time)
             rests = rest.look(state)
             bar.update(substeps)
             bar.set_postfix_str(f"t = {state.time:.2f} s, speed {rest.speed:.2g} m/s", refresh=False)
             listen(state.time)
     check_initial_state(still, state, remedy=STIFFEN)
+    for said in impact_warnings(
+        still, filling.smallest_radius, time_step, impact_speed(scene), [run.time], [run.take_peaks()]
+    ):
+        warn(f"while the bed of {scene.name!r} settled: {said}")
     return replace(state, time=scene.start_time, history=_sorted_history(state.history))
 
 
-def _one_frame(state: ParticleState) -> Trajectory:
-    return Trajectory(
-        np.array([state.time]), state.position[None], state.velocity[None], state.angular_velocity[None], state.radius
-    )
+def _one_frame(state: ParticleState, time: float, *frame: FloatArray) -> Trajectory:
+    return Trajectory(np.array([time]), *(array[None] for array in frame), state.radius)
 
 
 def _physics(scene: Scene, largest_radius: float, dem: DemConfig) -> Physics:

@@ -2,6 +2,9 @@
 
 pruned list, where something moved far → forces → meet → kick and drift → meet
 
+It pauses between forces and kick, so a pause changes nothing: who wants the state of a pause takes copies, and closes
+their step with half a kick.
+
 Chunk c adds the loads of its pairs to rows of its own, ``force[c]`` and ``torque[c]``, for its particles and for those
 of later chunks that its pairs reach. Before a kick the owner of a particle takes over what earlier chunks left there.
 """
@@ -19,15 +22,17 @@ from gran_bench.dem.kernel import entry, kernel, shared
 from gran_bench.dem.rows import kick_row, move_row, twist_row
 from gran_bench.dem.wall_contacts import wall_forces
 
-# What threads tell each other: places of a thread's row.
-PACE, CULPRIT, SINCE_PRUNING, SINCE_SEARCH = range(4)
-# Places of a thread's progress: the evaluation whose forces come next, the completed steps, and one more than the
-# number of pairs and of walls that the last evaluation found touching.
-EVALUATION, DONE, PAIRS, WALLS = range(4)
+# What threads tell each other: places of a thread's row. The last is its own: how far the fastest went, in margins,
+# since its inner list was made; infinite where its lists are new.
+PACE, CULPRIT, SINCE_PRUNING, SINCE_SEARCH, TRAVELLED = range(5)
+# Places of a thread's progress: the step that the positions are at, that at which to pause, that of the first pose,
+# whether the forces are still to come, whether the velocities are those of a whole step, and one more than the number
+# of pairs and of walls that the last evaluation found touching.
+STEP, PAUSE, FIRST_POSE, DUE, WHOLE, PAIRS, WALLS = range(7)
 # Rows of a thread's inner list: place of each pair in the outer one, its particles, its row of history.
 NEAR, NEAR_I, NEAR_J, NEAR_MEMORY = range(4)
 # What the loop comes back with, beside a row that diverged.
-FINISHED, SEARCH = -1, -2
+PAUSED, SEARCH = -1, -2
 
 
 @entry
@@ -38,22 +43,21 @@ def march(
     buffer, wall_buffer, pair_laws, wall_laws, walls, gravity, period, dt, fastest_allowed, tangential, rolling,
     unequal, full_radius,
 ):  # fmt: skip
-    """One thread's share of the steps from new lists to where the next ones are needed, or to the stretch's end.
+    """One thread's share of the steps, until the next lists are needed or it is to pause.
 
-    Evaluation 1 is of the state itself and loads no history. Number steps + 1 is the last of the stretch; after it
-    comes half a kick.
+    Evaluation k is of the positions after step k. Number 0 is of the state itself and loads no history.
 
     Args:
         thread, threads: which of how many.
         gate: of barrier.py.
         bounds, reach: ``(C + 1,)`` first particle of each chunk; ``(C,)`` end of what its pairs touch.
-        told: ``(threads, ≥ 4)`` what threads tell each other.
-        progress: ``(4,)`` see above.
+        told: ``(threads, ≥ 5)`` what threads tell each other.
+        progress: ``(7,)`` see above.
         sphere, velocity, spin, ahead, material: rows of the bodies and two spare ones; they hold the state at the end.
-        force, torque: ``(C, N + 2, 4)`` zeros where the stretch begins.
-        pair_i, …, inverse_square: of :func:`search.search`, from these positions. Histories come twice: an evaluation
-            reads the one of the last and writes the other.
-        searched_at, pruned_at: ``(N, 4)`` rows of these positions, and room for others.
+        force, torque: ``(C, N + 2, 4)`` zeros where forces are due; else a chunk's rows hold those of its particles.
+        pair_i, …, inverse_square: of :func:`search.search`. Histories come twice: an evaluation reads the one of the
+            last and writes the other.
+        searched_at, pruned_at: ``(N, 4)`` rows of the positions that the lists were made for, and room for others.
         inner_list: ``(4, ≥ M + 2)`` for M pairs; room, but for place 0, which is the spare pair.
         touching: ``(2, ≥ M + 5)`` room for the places of touching pairs in even and odd evaluations.
         wall_touching, geometry: ``(2, ≥ M + 5)``, ``(≥ M + 5, 4)`` room alike for M wall contacts; the places of those
@@ -61,7 +65,7 @@ def march(
         near_start: ``(chunks + 1,)`` ones.
         buffer, wall_buffer: of :func:`contact_blocks.block_buffer`.
         pair_laws, wall_laws: ``(S, S, 5)``, ``(S, W, 5)``.
-        walls: ``(steps + 1, W, 22)`` poses.
+        walls: ``(≥ steps + 1, W, 22)`` poses of the first step and of those to the pause.
         gravity, period, dt: SI.
         fastest_allowed: m²/s², beyond which a particle diverges.
         tangential, rolling: what the scene needs.
@@ -69,70 +73,77 @@ def march(
         full_radius: whether slip is measured with full radii.
 
     Returns:
-        The row that diverged, ``FINISHED`` or ``SEARCH``.
+        The row that diverged, ``PAUSED`` or ``SEARCH``.
     """
-    steps, several = len(walls) - 1, len(pair_laws) > 1
+    several = len(pair_laws) > 1
     chunk, stop = thread * (len(bounds) - 1) // threads, (thread + 1) * (len(bounds) - 1) // threads
     begin, end = bounds[chunk], bounds[stop]
     near_i, near_j, near_memory = inner_list[NEAR_I], inner_list[NEAR_J], inner_list[NEAR_MEMORY]
-    evaluation, culprit, travelled = progress[EVALUATION], np.int64(FINISHED), np.inf
-    # What the lists brought may lie in any row.
-    remembered, walls_remembered, pairs = slot.shape[1], wall_slot.shape[1], np.int64(1)
+    step, travelled = progress[STEP], told[thread, TRAVELLED]
+    remembered, walls_remembered, pairs = progress[PAIRS], progress[WALLS], progress[PAIRS]
+    if travelled == np.inf:
+        # What the lists brought may lie in any row.
+        remembered, walls_remembered, pairs = np.int64(slot.shape[1]), np.int64(wall_slot.shape[1]), np.int64(1)
     while True:
-        old, new = (evaluation - 1) % 2, evaluation % 2
-        if travelled > INNER_SHARE:
-            _prune_chunks(
-                sphere, margin, pruned_at, bounds, reach, chunk, stop, start, pair_i, pair_j, memory, inner_list,
-                near_start, touching[old], pairs, period,
-            )  # fmt: skip
-            travelled = 0.0
-        span = 0.0 if evaluation == 1 else dt
-        pairs, wall_contacts = np.int64(1), np.int64(1)
-        for c in range(chunk, stop):
-            pairs = pair_forces(
-                sphere, velocity, spin, ahead, material, force[c], torque[c], near_i, near_j, near_memory,
-                near_start[c - chunk], near_start[c - chunk + 1], touching[old], remembered, touching[new], pairs,
-                slot[old], slot[new], moment[old], moment[new],
-                buffer, pair_laws, period, tangential, rolling, unequal, several, full_radius, span,
-            )  # fmt: skip
-            wall_contacts = wall_forces(
-                sphere, velocity, spin, ahead, material, force[c], torque[c], wall_i, wall_w, wall_memory,
-                wall_start[(c - chunk) * len(walls[0]) :], wall_touching[old], walls_remembered,
-                wall_touching[new], wall_contacts, geometry,
-                wall_slot[old], wall_slot[new], wall_moment[old], wall_moment[new],
-                wall_buffer, wall_laws, walls[evaluation - 1], tangential, rolling, full_radius, span,
-            )  # fmt: skip
-        remembered, walls_remembered = pairs, wall_contacts
-        progress[PAIRS], progress[WALLS] = pairs, wall_contacts
-        meet(gate, threads)
-        if steps == 0:
-            break
-        evaluation += 1
-        last_one = evaluation == steps + 2
-        take_over(force, torque, bounds, reach, chunk, stop, tangential)
+        if progress[DUE]:
+            old, new = (step - 1) % 2, step % 2
+            if travelled > INNER_SHARE:
+                # Only before an evaluation: what the outer list knows of histories lasts for one inner list.
+                _prune_chunks(
+                    sphere, margin, pruned_at, bounds, reach, chunk, stop, start, pair_i, pair_j, memory, inner_list,
+                    near_start, touching[old], pairs, period,
+                )  # fmt: skip
+                travelled = 0.0
+            span = 0.0 if step == 0 else dt
+            pairs, wall_contacts = np.int64(1), np.int64(1)
+            for c in range(chunk, stop):
+                pairs = pair_forces(
+                    sphere, velocity, spin, ahead, material, force[c], torque[c], near_i, near_j, near_memory,
+                    near_start[c - chunk], near_start[c - chunk + 1], touching[old], remembered, touching[new], pairs,
+                    slot[old], slot[new], moment[old], moment[new],
+                    buffer, pair_laws, period, tangential, rolling, unequal, several, full_radius, span,
+                )  # fmt: skip
+                wall_contacts = wall_forces(
+                    sphere, velocity, spin, ahead, material, force[c], torque[c], wall_i, wall_w, wall_memory,
+                    wall_start[(c - chunk) * len(walls[0]) :], wall_touching[old], walls_remembered,
+                    wall_touching[new], wall_contacts, geometry,
+                    wall_slot[old], wall_slot[new], wall_moment[old], wall_moment[new],
+                    wall_buffer, wall_laws, walls[step - progress[FIRST_POSE]], tangential, rolling, full_radius, span,
+                )  # fmt: skip
+            remembered, walls_remembered = pairs, wall_contacts
+            progress[PAIRS], progress[WALLS], progress[DUE] = pairs, wall_contacts, 0
+            meet(gate, threads)
+            take_over(force, torque, bounds, reach, chunk, stop, tangential)
+        if step == progress[PAUSE]:
+            told[thread, TRAVELLED] = travelled
+            return np.int64(PAUSED)
         told[thread, PACE], told[thread, CULPRIT] = kick(
             velocity, spin, ahead, force, torque, inverse_square, bounds, chunk, stop, gravity,
-            0.5 * dt if evaluation == 2 or last_one else dt, 0.0 if last_one else 0.5 * dt, tangential, fastest_allowed,
+            0.0 if progress[WHOLE] else 0.5 * dt, 0.5 * dt, tangential, fastest_allowed,
         )  # fmt: skip
-        drifts = not last_one and told[thread, CULPRIT] < 0.0
+        progress[WHOLE] = 0
+        drifts = told[thread, CULPRIT] < 0.0
         if drifts:
             _drift(sphere, velocity, begin, end, dt)
         meet(gate, threads)
-        pace = 0.0
+        pace, culprit = 0.0, np.int64(PAUSED)
         for other in range(threads):
             pace = max(pace, told[other, PACE])
             if culprit < 0:
                 culprit = np.int64(told[other, CULPRIT])
-        if culprit >= 0 and drifts:
-            _drift(sphere, velocity, begin, end, -dt)
-        if culprit >= 0 or last_one:
-            break
-        progress[DONE] += 1
+        if culprit >= 0:
+            if drifts:
+                _drift(sphere, velocity, begin, end, -dt)
+            return culprit
+        step += 1
+        progress[STEP], progress[DUE] = step, 1
         # The path of whoever is fastest for its margin bounds all displacements at no cost; only when it leaves the
         # reach of the inner list are the true displacements looked at.
         travelled += dt * math.sqrt(pace)
         if travelled > INNER_SHARE:
-            told[thread, SINCE_PRUNING] = largest_displacement(sphere, pruned_at, inverse_square, begin, end)
+            told[thread, SINCE_PRUNING] = travelled
+            if travelled < np.inf:
+                told[thread, SINCE_PRUNING] = largest_displacement(sphere, pruned_at, inverse_square, begin, end)
             told[thread, SINCE_SEARCH] = largest_displacement(sphere, searched_at, inverse_square, begin, end)
             meet(gate, threads)
             travelled, since_search = 0.0, 0.0
@@ -140,9 +151,7 @@ def march(
                 travelled = max(travelled, told[other, SINCE_PRUNING])
                 since_search = max(since_search, told[other, SINCE_SEARCH])
             if travelled > INNER_SHARE and since_search > 1.0 - INNER_SHARE:
-                progress[EVALUATION] = evaluation
                 return np.int64(SEARCH)
-    return culprit
 
 
 @kernel
@@ -199,10 +208,12 @@ def take_over(force, torque, bounds, reach, chunk, stop, tangential):
 
 @shared
 def kick(
-    velocity, spin, ahead, force, torque, inverse_square, bounds, chunk, stop, gravity, dt, rest, tangential,
+    velocity, spin, ahead, force, torque, inverse_square, bounds, chunk, stop, gravity, closing, opening, tangential,
     fastest_allowed,
 ):  # fmt: skip
-    """Velocities forward by dt, and in ``ahead`` what the same acceleration adds in the ``rest`` of the step.
+    """Velocities forward by what is left of a step and, in a kick of its own, by what opens the next.
+
+    ``ahead`` becomes what the same acceleration adds in the rest of the step that it opens, which is as long.
 
     Returns the largest squared speed in margins, 1/s², and the first row that is too fast or not finite.
     """
@@ -210,14 +221,14 @@ def kick(
     gx, gy, gz = gravity[0], gravity[1], gravity[2]
     for c in range(chunk, stop):
         for i in range(bounds[c], bounds[c + 1]):
-            kick_row(velocity, force[c], i, gx, gy, gz, dt, ahead, rest)
+            kick_row(velocity, force[c], i, gx, gy, gz, closing, ahead, opening)
             squared = velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2
             pace = max(pace, squared * inverse_square[i])
             if not squared <= fastest_allowed and culprit < 0.0:
                 culprit = float(i)
         if tangential:
             for i in range(bounds[c], bounds[c + 1]):
-                twist_row(spin, torque[c], i, dt)
+                twist_row(spin, torque[c], i, closing, opening)
     return pace, culprit
 
 

@@ -21,6 +21,7 @@ TIME_STEP_FRACTION = 0.093
 DAMPING_FRACTION = 0.5
 WARNING_FRACTION = 0.1  # of the contact time; restitution starts to depend on the step
 ERROR_FRACTION = 0.2  # of the contact time; a contact is no longer resolved
+ROUNDING = 1e-9  # relative; what is within it of a bound is at the bound
 # Height of fall that the impact speed is judged by where no drum states one.
 NOMINAL_FALL = 1.0  # m
 
@@ -65,8 +66,8 @@ def impact_speed(scene: Scene) -> float:
     return max(*speeds, turning * max(reaches, default=fall))
 
 
-def contact_times(scene: Scene, radius: float | None = None) -> tuple[float, float]:
-    """Duration of an elastic impact at :func:`impact_speed`, and the time of the damping at its deepest.
+def contact_times(scene: Scene, radius: float | None = None, speed: float | None = None) -> tuple[float, float]:
+    """Duration of an elastic impact, and the time of the damping at its deepest.
 
     That is m*/γ with γ = α √(m* K) δmax^{1/4}, or I*/C_r of the dashpot against rolling (rolling.py) with
     I* = 2/5 m* r², what two spheres turn against each other with. Of all pairs of materials and walls the shortest,
@@ -75,8 +76,10 @@ def contact_times(scene: Scene, radius: float | None = None) -> tuple[float, flo
     Args:
         scene: materials, walls and motion.
         radius: of the smallest sphere, m; the filling's where None.
+        speed: of the impact, m/s; :func:`impact_speed` where None.
     """
-    speed, r = impact_speed(scene), scene.filling.smallest_radius if radius is None else radius
+    speed = impact_speed(scene) if speed is None else speed
+    r = scene.filling.smallest_radius if radius is None else radius
     if speed == 0.0:
         return math.inf, math.inf
     mass = [sphere_mass(material.density, r) for material in scene.materials]
@@ -126,13 +129,14 @@ def choose_time_step(
         return dividing_step(scene.frame_interval, largest), ()
     requested = checked(DemConfig, "time_step", requested)
     step, given = dividing_step(scene.frame_interval, requested), f"dem.time_step={requested:g} s"
-    if step < requested * (1.0 - 1e-9):
+    if step < requested * (1.0 - ROUNDING):
         given += f", shortened to {step:.6g} s,"
         warnings.append(
             f"dem.time_step={requested:g} s was shortened to {step:.6g} s, "
             f"a whole fraction of the frame interval {scene.frame_interval:g} s"
         )
-    if step >= ERROR_FRACTION * contact_time:
+    share = step / contact_time * (1.0 + ROUNDING)
+    if share >= ERROR_FRACTION:
         safe = dividing_step(scene.frame_interval, WARNING_FRACTION * contact_time * (1.0 - 1e-6))
         message = (
             f"{given} is {step / contact_time:.2g} of the shortest contact time {contact_time:.3g} s "
@@ -141,7 +145,7 @@ def choose_time_step(
         if not allow_unsafe:
             raise TimeStepError(f"{message} (dem.allow_unsafe_step=true runs it all the same)")
         warnings.append(message)
-    elif step >= WARNING_FRACTION * contact_time:
+    elif share >= WARNING_FRACTION:
         warnings.append(
             f"{given} is {step / contact_time:.2g} of the shortest contact time {contact_time:.3g} s; "
             "from a tenth on, restitution depends on the step"
@@ -149,7 +153,49 @@ def choose_time_step(
     return step, tuple(warnings)
 
 
+def unresolved(scene: Scene, radius: float, time_step: float, speed: float) -> str:
+    """What is wrong with a step where spheres meet walls or each other at a speed; empty where nothing is.
+
+    Args:
+        scene: materials and walls.
+        radius: of the smallest sphere, m.
+        time_step: s.
+        speed: of the approach, m/s.
+    """
+    contact_time, _ = contact_times(scene, radius, speed)
+    share = time_step / contact_time * (1.0 + ROUNDING)
+    if share < WARNING_FRACTION:
+        return ""
+    trouble = "cannot resolve it" if share >= ERROR_FRACTION else "lets restitution depend on the step"
+    safe = dividing_step(scene.frame_interval, WARNING_FRACTION * contact_time * (1.0 - 1e-6))
+    return (
+        f"the step of {time_step:g} s is {share:.2g} of the contact time {contact_time:.3g} s at that speed and "
+        f"{trouble}; set dem.time_step to at most {safe:.10g} s"
+    )
+
+
+def check_closing_speed(
+    scene: Scene, radius: float, time_step: float, speed: float, allow_unsafe: bool
+) -> tuple[str, ...]:
+    """What is wrong with a step for the speed at which the spheres of a first state close in; nothing, or a warning.
+
+    Args:
+        scene, radius, time_step, speed: of :func:`unresolved`.
+        allow_unsafe: turns the error into a warning.
+
+    Raises:
+        TimeStepError: a step beyond 0.2 t_c that is not allowed.
+    """
+    said = unresolved(scene, radius, time_step, speed)
+    if not said:
+        return ()
+    message = f"spheres of the first state close in at up to {speed:.3g} m/s: {said}"
+    if time_step * (1.0 + ROUNDING) >= ERROR_FRACTION * contact_times(scene, radius, speed)[0] and not allow_unsafe:
+        raise TimeStepError(f"{message} (dem.allow_unsafe_step=true runs it all the same)")
+    return (message,)
+
+
 def dividing_step(interval: float, largest: float) -> float:
     """The largest step ≤ ``largest`` of which ``interval`` is a whole multiple, s."""
-    # The tolerance lets 1e-2 / 2e-4 be 50 steps, not 51.
-    return interval / max(1, math.ceil(interval / largest * (1.0 - 1e-9)))
+    # The tolerance lets 1e-2 / 2e-4 be 50 steps, not 51. Fifteen digits are one step whatever interval it divides.
+    return float(f"{interval / max(1, math.ceil(interval / largest * (1.0 - ROUNDING))):.15g}")

@@ -1,6 +1,6 @@
 """Skin and threads of the fast engine, chosen by the clock while the run goes on.
 
-Neither changes a bit of the result (engine_numba.py), so they may follow what was measured: every frame is timed, a
+Neither changes a bit of the result (engine_numba.py), so they may follow what was measured: every stretch is timed, a
 better neighbour of the present choice is looked for at the start and again from time to time, because a bed that falls
 wants another skin than one that rests, and a machine that others use another number of threads.
 """
@@ -16,8 +16,8 @@ from gran_bench.dem.integrate import Physics
 
 # Tried skins, as shares of the usual one.
 SKIN_SHARES = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
-FRAMES_A_TRIAL = 3  # the fastest counts: what disturbs a frame makes it slower
-FRAMES_BETWEEN = 200  # until the neighbours are tried again
+STRETCHES_A_TRIAL = 2  # the faster counts: what disturbs a stretch makes it slower
+STRETCHES_BETWEEN = 40  # until the neighbours are tried again
 WORTH_CHANGING = 0.97  # of the time of the present choice
 
 
@@ -27,7 +27,7 @@ def available_threads() -> int:
 
 
 class Tuner:
-    """Gives each frame its skin and threads, and learns from the time that it took.
+    """Gives each stretch its skin and threads, and learns from the time that it took.
 
     Args:
         physics: of the run, with the usual skin.
@@ -44,11 +44,11 @@ class Tuner:
         self._choice = (self._skins.index(1.0), 0)
         self._trials: list[tuple[int, int]] = [self._choice]
         self._times: dict[tuple[int, int], float] = {}
-        self._frames = 0
+        self._stretches = 0
 
     @property
     def physics(self) -> Physics:
-        """What the next frame is run with."""
+        """What the next stretch is run with."""
         return self._with(self._trials[0] if self._trials else self._choice)
 
     @property
@@ -57,17 +57,17 @@ class Tuner:
         return self._with(self._choice)
 
     def took(self, seconds: float) -> None:
-        """Learns that the frame took so long, in s."""
-        self._frames += 1
+        """Learns that a stretch took so long, in s."""
+        self._stretches += 1
         if not self._trials:
-            if self._frames >= FRAMES_BETWEEN and len(self._skins) + len(self._threads) > 2:
-                self._times, self._trials, self._frames = {}, [self._choice], 0
+            if self._stretches >= STRETCHES_BETWEEN and len(self._skins) + len(self._threads) > 2:
+                self._times, self._trials, self._stretches = {}, [self._choice], 0
             return
         trial = self._trials[0]
         self._times[trial] = min(seconds, self._times.get(trial, seconds))
-        if self._frames < FRAMES_A_TRIAL:
+        if self._stretches < STRETCHES_A_TRIAL:
             return
-        self._frames = 0
+        self._stretches = 0
         self._trials.pop(0)
         best = min(self._times, key=self._times.__getitem__)
         if self._times[best] < WORTH_CHANGING * self._times.get(self._choice, float("inf")):

@@ -41,6 +41,7 @@ from gran_bench.dem.contact_blocks import (
     contact_laws,
     contact_torques,
     fill_law,
+    watch,
 )  # fmt: skip
 from gran_bench.dem.kernel import shared
 from gran_bench.dem.rolling import CONTACT_INERTIA
@@ -135,6 +136,7 @@ def wall_forces(
             buffer[WY + k] *= arm
             buffer[WZ + k] *= arm
         contact_laws(buffer, size, tangential, rolling, dt)
+        watch(buffer, filled, RS, buffer.dtype.type(2.0))  # the lanes beyond hold nothing
         contact_torques(buffer, size)
         for k in range(0, size, 4):
             body, rows = four_of(wall_i, four_from(active, first + k)), four_on(first + k)

@@ -28,17 +28,19 @@ SURFACE = 21
 COLUMNS = 22
 
 
-def wall_poses(scene: Scene, start: float, time_step: float, steps: int) -> FloatArray:
+def wall_poses(scene: Scene, start: float, time_step: float, steps: int, first: int = 0) -> FloatArray:
     """Every wall at every force evaluation of a stretch, ``(steps + 1, W, 22)``.
 
-    Row 0 is the start. Row k has the walls' shape at the end of step k and their velocity at its middle. Where
-    nothing changes the rows are one row, broadcast.
+    Row 0 is where the stretch starts. Row k has the walls' shape at the end of its step k and their velocity at that
+    step's middle. Where nothing changes the rows are one row, broadcast. Times come from whole steps, not from sums, so
+    that a pose does not depend on where stretches begin.
 
     Args:
         scene: walls, motion.
         start: s in the scene's clock.
         time_step: Δt, s.
         steps: of the stretch.
+        first: steps from ``start`` to the stretch.
     """
     rest = np.array([_drawn(wall) for wall in scene.walls]).reshape(-1, COLUMNS)
     rest[:, SURFACE] = scene.surfaces
@@ -49,9 +51,9 @@ def wall_poses(scene: Scene, start: float, time_step: float, steps: int) -> Floa
         if motion is None and wall.opens is None:
             continue
         if end is None:
-            end = start + time_step * np.arange(steps + 1)
+            end = start + time_step * np.arange(first, first + steps + 1)
             middle = end - 0.5 * time_step
-            middle[0] = start
+            middle[0] = end[0]
         rows = _moved(wall, rest[index], motion, end, middle, time_step)
         if len(rows) == 1 and len(table) == 1:
             table = table.copy()
