@@ -28,7 +28,8 @@ from gran_bench.stability.process_group import group, kill_group
 from gran_bench.stopping import stop_on_signals
 from gran_bench.surrogate.checkpoint import load_card
 from gran_bench.sweep.run_file import SWEEPS
-from gran_bench.tracking.store import DATABASE, KEY_TAG, PARENT_TAG
+from gran_bench.tracking.address import DATABASE
+from gran_bench.tracking.store import KEY_TAG, PARENT_TAG
 
 SWEEP = "kills"  # name of the sweep
 RADII = (0.06, 0.065)  # m

@@ -107,7 +107,7 @@ def report_to_parent(folder: Path, report: SweepReport) -> bool:
         TrackingError: the store does not answer.
     """
     sweep, root = read_sweep(folder), folder.parent.parent
-    if sweep is None or not (root / tracking.DATABASE).exists():
+    if sweep is None or not tracking.has_store(root):
         return False
     config = TrackingConfig(experiment=sweep.experiment, root=str(root))
     with tracking.reopen_ended(config, sweep.key) as run:
