@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -23,10 +24,9 @@ def server_uri() -> str | None:
     return uri.rstrip("/") if urlsplit(uri).scheme in ("http", "https") else None
 
 
-def shown_uri(uri: str) -> str:
-    """A server's address as it may be printed: without a password."""
-    parts = urlsplit(uri)
-    return parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()
+def shown_uri(text: str) -> str:
+    """A server's address, or a text with one, as it may be printed: without user and password."""
+    return re.sub(r"(?<=://)[^/@\s]*@", "", text)
 
 
 def has_store(root: Path) -> bool:

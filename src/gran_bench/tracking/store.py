@@ -40,7 +40,12 @@ PARENT_TAG = "mlflow.parentRunId"
 SWEEP_TAG = "sweep"  # folder of the sweep; a child has its parent's, so that the UI can group and search by it
 
 # MLflow reads these when it is imported. Nobody is told of its use, and the terminal belongs to the run.
-QUIET = {"MLFLOW_DISABLE_TELEMETRY": "true", "DO_NOT_TRACK": "true", "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false"}
+QUIET = {
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    "DO_NOT_TRACK": "true",
+    "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
+    "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
+}
 
 # A server that does not answer is asked three times in six seconds, not eight times in four minutes.
 _PATIENCE = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2"}
@@ -328,7 +333,7 @@ class Store:
         except Exception as error:
             # Of any kind: MLflow lets those of SQLAlchemy and of its own lookups through, and none may cost a result.
             lines = [line for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
-            raise TrackingError(self._complaint(lines[0][:300])) from error
+            raise TrackingError(self._complaint(shown_uri(lines[0])[:300])) from error
 
     @property
     def shown(self) -> str:
