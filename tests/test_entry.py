@@ -113,6 +113,8 @@ def refuse(monkeypatch, capsys, tmp_path):
         ("-m seed=interval(1,2)", ["does not support sweep type"]),
         ("+experiment=sweep_radius", ["sweep over", "add -m"]),
         ("tracking.sweep=mine", ["tracking.sweep=mine", "add -m"]),
+        ("tracking.folder=../../evil", ["tracking.folder=../../evil is impossible", "never a path"]),
+        ("-m seed=1,2 tracking.sweep=x/y", ["tracking.sweep=x/y is impossible", "never a path"]),
         ("--cfg job model=cnn", ["model=cnn", "did you mean ccnn?"]),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
@@ -35,6 +36,8 @@ from gran_bench.config import (
     TrainerConfig,
     UiConfig,
 )
+
+LONGEST_NAME = 150  # bytes; file systems end at 255, and a key and an extension follow
 
 
 class ConfigError(ValueError):
@@ -94,6 +97,19 @@ class Text:
 
 
 @dataclass(frozen=True)
+class Name:
+    """A word that a file or a folder is called by; never a path, and never a pattern to a shell."""
+
+    def holds(self, value: str) -> bool:
+        """Whether ``value`` can be a part of a file's name on any file system."""
+        return re.fullmatch(r"\w[\w.+-]*", value) is not None and len(value.encode()) <= LONGEST_NAME
+
+    def __str__(self) -> str:
+        letters = "letters, digits, _ . + and -, a letter or digit first"
+        return f"a name, which is never a path: {letters}, of at most {LONGEST_NAME} bytes"
+
+
+@dataclass(frozen=True)
 class Switch:
     """true or false: the type is the whole rule."""
 
@@ -105,7 +121,7 @@ class Switch:
         return "true or false"
 
 
-Rule = Range | OneOf | Text | Switch
+Rule = Range | OneOf | Text | Name | Switch
 
 
 def positive(unit: str = "") -> Range:
@@ -179,7 +195,7 @@ RULES: dict[type, dict[str, Rule]] = {
     },
     RotationConfig: {"times": Range(unit="s"), "speeds_rpm": Range(unit="rpm")},
     SceneConfig: {
-        "name": Text(),
+        "name": Name(),
         "gravity": Range(unit="m/s²"),
         "start_time": at_least(0, "s"),
         "end_time": positive("s"),
@@ -290,13 +306,13 @@ RULES: dict[type, dict[str, Rule]] = {
     TrackingConfig: {
         "experiment": Text(),
         "root": Text(),
-        "folder": Text(),
-        "sweep": Text(),
+        "folder": Name(),
+        "sweep": Name(),
         "parent": Text(),
         "enabled": Switch(),
     },
     TrainConfig: {
-        "experiment": Text(),
+        "experiment": Name(),
         "seed": at_least(0),
         "device": OneOf(("auto", "cpu", "cuda")),
         "threads": at_least(1),
@@ -304,7 +320,7 @@ RULES: dict[type, dict[str, Rule]] = {
     GenerateConfig: {},
     EvaluateConfig: {"checkpoint": Text(), "device": OneOf(("auto", "cpu", "cuda"))},
     ProfileConfig: {
-        "name": Text(),
+        "name": Name(),
         "rounds": at_least(1),
         "judged_rounds": at_least(1),
         "step_multiples": positive("automatic steps"),
@@ -350,7 +366,7 @@ def hold_values(config: Any, path: str = "") -> None:
         elif isinstance(value, list):
             _hold_list(rules[entry.name], key, value)
         elif value is not None and entry.name in rules:
-            _hold(rules[entry.name], key, value)
+            hold(rules[entry.name], key, value)
 
 
 def _hold_list(rule: Rule, key: str, values: list) -> None:
@@ -358,9 +374,14 @@ def _hold_list(rule: Rule, key: str, values: list) -> None:
         if isinstance(element, list):
             _hold_list(rule, f"{key}[{i}]", element)
         else:
-            _hold(rule, f"{key}[{i}]", element)
+            hold(rule, f"{key}[{i}]", element)
 
 
-def _hold(rule: Rule, key: str, value: Any) -> None:
+def hold(rule: Rule, key: str, value: Any) -> None:
+    """Hold one value against a rule.
+
+    Raises:
+        ConfigError: names the key, the value and what is legal.
+    """
     if not rule.holds(value):
         raise ConfigError(f"{key}={value} is impossible; choose {rule}")

@@ -12,7 +12,7 @@ import gran_bench
 from gran_bench.composition import compose
 from gran_bench.config import GenerateConfig, SceneConfig
 from gran_bench.config_check import read_config
-from gran_bench.config_rules import ConfigError
+from gran_bench.config_rules import ConfigError, Name, hold
 from gran_bench.override_errors import explain
 from gran_bench.scene import Scene, build_scene
 
@@ -31,6 +31,7 @@ def shipped_scene(name: str, changes: Mapping[str, object] | None = None) -> Sce
         ConfigError: no such scene (names those there are), or a change that the schema does not allow.
         SceneError: a scene that cannot be.
     """
+    hold(Name(), "scene", name)
     overrides = [f"scene.{key}={value}" for key, value in (changes or {}).items()]
     try:
         composed = compose("generate", [f"scene={name}", *overrides])
@@ -50,6 +51,7 @@ def shipped_model(name: str = DEFAULT_MODEL) -> Path:
     Raises:
         ConfigError: no such model; names those there are.
     """
+    hold(Name(), "model", name)
     package = Path(gran_bench.__file__).parent
     # An installed package carries the models; a clone has them where their results are.
     places = [package / "models", package.parents[1] / "results"]
