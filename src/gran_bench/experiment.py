@@ -26,6 +26,7 @@ from gran_bench.provenance import provenance
 from gran_bench.run_identity import RunIdentity, hash_of, identify, judged_by, judging_plan, splits, wants_more
 from gran_bench.run_page import FIGURES, record_judgement
 from gran_bench.run_record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, tell, training_metrics
+from gran_bench.run_summary import cut_short
 from gran_bench.scene import build_scene
 from gran_bench.stopping import StopRequest, stop_on_signals
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model
@@ -121,7 +122,7 @@ def train_stage(
     """Train, or load what training left; the model holds the weights to judge afterwards.
 
     Returns:
-        What ``training.json`` says: steps, seconds, what stopped it, last loss, parameters, provenance, digest.
+        What ``training.json`` says: steps done and planned, seconds, what stopped it, last loss, provenance, digest.
     """
     if (folder / TRAINING).exists():
         training = json.loads((folder / TRAINING).read_text("utf-8"))
@@ -136,7 +137,7 @@ def train_stage(
         log.add(metrics, step)
         run.log_metrics(training_metrics(metrics), step)
 
-    trainer = Trainer(model, windows, config, folder, keep, lambda: stop.requested)
+    trainer = Trainer(model, windows, config, folder, keep, lambda: stop.requested, tell)
     if trainer.resume():
         tell(f"training goes on from update {trainer.step} of {config.trainer.steps} ({folder / CHECKPOINT})")
     log.drop_after(trainer.step)
@@ -148,6 +149,8 @@ def train_stage(
     except TrainingStopped as stopped:
         tell(str(stopped))
         raise KeyboardInterrupt(stop.signal_name) from None
+    if (cut := cut_short(asdict(result))) is not None:
+        tell(cut)
     weights = trainer.final_weights()
     model.load_state_dict(weights)
     training = asdict(result) | {
