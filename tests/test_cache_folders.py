@@ -53,8 +53,8 @@ def test_without_a_place_to_cache_a_temporary_one_is_used_and_said_in_one_line(p
     assert first.returncode == 0, first.stderr
     folder = package.parent / "tmp" / f"gran-bench-cache-{os.getuid()}"
     assert first.stderr == (
-        "no folder of this user's can be written to keep compiled kernels or fonts in: they are kept in "
-        f"{folder} (NUMBA_CACHE_DIR and MPLCONFIGDIR would choose another)\n"
+        "no folder of this user's can be written to keep compiled kernels and a list of fonts in: "
+        f"{folder} is used (NUMBA_CACHE_DIR and MPLCONFIGDIR would choose another)\n"
     )
     kernels, fonts = map(Path, first.stdout.split())
     assert kernels.parent == folder

@@ -38,8 +38,9 @@ def provide_cache_folders() -> None:
     os.environ.update({name: str(folder) for name in missing})
     if numba in missing and "numba" in sys.modules:  # which has read its variable already
         sys.modules["numba"].config.CACHE_DIR = str(folder)
+    kept = " and ".join({numba: "compiled kernels", matplotlib: "a list of fonts"}[name] for name in missing)
     print(
-        f"no folder of this user's can be written to keep compiled kernels or fonts in: they are kept in {folder} "
+        f"no folder of this user's can be written to keep {kept} in: {folder} is used "
         f"({' and '.join(missing)} would choose another)",
         file=sys.stderr,
         flush=True,

@@ -197,6 +197,18 @@ def checked_config(composed: DictConfig, schema: type[Config]) -> Config:
     return config
 
 
+def override(key: str, text: object) -> str:
+    """An override that gives a key a text as it is, such as a path, whatever letters of Hydra's grammar it has.
+
+    Args:
+        key: dotted.
+        text: without line breaks.
+    """
+    # Within quotes Hydra reads a backslash as itself, but for those before a quote.
+    quoted = re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), str(text))
+    return f"{key}='{quoted.replace('${', chr(92) + '${')}'"
+
+
 def swept_keys(jobs: Sequence[Sequence[str]]) -> frozenset[str]:
     """The keys that the jobs of a sweep have more than one value of.
 
