@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from beds import drum, flowing
 
 from gran_bench.metrics import Judgement, judge
+from gran_bench.run_page import description
 from gran_bench.run_summary import flat_metrics, headline, read_summary, summary_table, write_summary
 from gran_bench.state import Trajectory
 
@@ -121,3 +123,17 @@ def test_the_judgement_itself_shows_the_same_failures():
     judgement: Judgement = judge(broken(3), REPLICAS, SCENE)
     for line in judgement.failures.lines():
         assert line in str(judgement)
+
+
+@pytest.mark.parametrize("shown", [summary_table, lambda summary: description(summary, Path("runs/x"), [], None)])
+def test_a_training_that_the_clock_has_cut_says_so(shown: Callable[[dict[str, Any]], str]):
+    summary = summary_of(flowing(SCENE, seed=3))
+    plain = shown(summary)
+    assert "cut" not in plain
+    summary["training"] |= {"steps": 3398, "planned_steps": 4000, "learning_rate": 6.1e-5, "stopped_by": "time"}
+    said = "he clock has cut the training: 3398 of 4000 updates in 1.0 minutes, the last at a learning rate of 6.1e-05"
+    assert said in shown(summary)
+    summary["training"] |= {"planned_steps": 3398}
+    assert "cut" not in shown(summary)
+    summary["training"] |= {"planned_steps": None}  # a budget of time
+    assert "cut" not in shown(summary)

@@ -21,7 +21,7 @@ from gran_bench.sweep.run_file import (
     read_runs,
     recorded_runs,
 )
-from gran_bench.sweep.standing import read_standing, standing, unequal_updates
+from gran_bench.sweep.standing import cut_short, read_standing, standing, unequal_updates
 from gran_bench.sweep.sweep_file import SweepFile, SweepJob
 from gran_bench.sweep.sweep_report import report_sweep
 from gran_bench.sweep.table import axes_of, best_choices, choices_frame, newest, runs_frame, shown_table
@@ -268,3 +268,16 @@ def test_the_page_lists_what_does_not_count(tmp_path: Path):
     text = report_sweep(tmp_path).text
     assert "1 runs finished" in text
     assert re.search(rf"## Not counted, of other code or data\n\n.+\n\n- `{re.escape(old.file_name)}`", text)
+
+
+def test_the_page_says_where_the_clock_has_cut_budgets_of_steps(tmp_path: Path):
+    def trained(seed: int, steps: int, planned: int | None) -> RunFile:
+        stopped_by = "steps" if steps == planned else "time"
+        training = {"steps": steps, "planned_steps": planned, "stopped_by": stopped_by}
+        return replace(run("0.1", seed, 1.0, name=f"R{seed}", training=training), key=f"R{seed}")
+
+    sweep_in(tmp_path, trained(0, 4000, 4000), trained(1, 1000, 4000), trained(2, 3000, 4000))
+    text = report_sweep(tmp_path).text
+    assert "The clock has cut the training of 2 of 3 runs, one after 25% of its updates: compare with care." in text
+    assert "Equal processor time" not in text
+    assert cut_short([trained(0, 4000, 4000), trained(1, 700, None)]) == []

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,7 @@ from mlflow import MlflowClient
 from stored_runs import client, only_run, runs
 
 from gran_bench.config import TrackingConfig
-from gran_bench.tracking import open_run
+from gran_bench.tracking import Store, abandoned, end_child, open_run, ui, user_interface
 
 # SQLAlchemy's word to MLflow, which a user never sees either.
 pytestmark = pytest.mark.filterwarnings("ignore:The ``noload`` loader strategy")
@@ -41,7 +43,7 @@ def test_the_status_says_how_a_run_ended(config: TrackingConfig, error: BaseExce
 KILLED_BY_SIGNAL = """
 import signal, sys, time
 from gran_bench.config import TrackingConfig
-from gran_bench.tracking import open_run
+from gran_bench.tracking import Store, abandoned, end_child, open_run, ui, user_interface
 with open_run(TrackingConfig(experiment=sys.argv[2], root=sys.argv[1]), "killed", "key", {}) as run:
     run.log_metrics({"loss": 1.0}, 0)
     run.flush()
@@ -50,10 +52,8 @@ with open_run(TrackingConfig(experiment=sys.argv[2], root=sys.argv[1]), "killed"
 """
 
 
-@pytest.mark.parametrize(
-    ("number", "status"), [(signal.SIGTERM, "KILLED"), (signal.SIGINT, "KILLED"), (signal.SIGKILL, "RUNNING")]
-)
-def test_a_killed_run_is_marked_and_reopened(config: TrackingConfig, number: signal.Signals, status: str):
+def killed_by(number: signal.Signals, config: TrackingConfig) -> None:
+    """A process that has opened a run and is ended by a signal."""
     sources = str(Path(__file__).parents[1] / "src")
     process = subprocess.Popen(
         [sys.executable, "-c", KILLED_BY_SIGNAL, config.root, config.experiment],
@@ -66,6 +66,13 @@ def test_a_killed_run_is_marked_and_reopened(config: TrackingConfig, number: sig
     process.send_signal(number)
     _, complaints = process.communicate(timeout=60)
     assert "INFO" not in complaints
+
+
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGTERM, "KILLED"), (signal.SIGINT, "KILLED"), (signal.SIGKILL, "RUNNING")]
+)
+def test_a_killed_run_is_marked_and_reopened(config: TrackingConfig, number: signal.Signals, status: str):
+    killed_by(number, config)
     before = only_run(config)
     assert before.info.status == status
     with open_run(config, "killed", "key", {}) as run:
@@ -74,6 +81,89 @@ def test_a_killed_run_is_marked_and_reopened(config: TrackingConfig, number: sig
     after = only_run(config)
     assert after.info.status == "FINISHED"
     assert "ended_by" not in after.data.tags
+
+
+# ---- runs whose process is gone ------------------------------------------------------------------------------
+
+
+def another_command(config: TrackingConfig) -> None:
+    with open_run(config, "another", "another key", {}):
+        pass
+
+
+def the_ui(config: TrackingConfig) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in os.environ.items():
+            patch.setenv(name, value)  # so that what the UI sets is undone
+        patch.setattr(user_interface, "_serve", lambda port, ready: None)
+        ui(config.root, port=50124, experiment=config.experiment)
+
+
+@pytest.mark.parametrize("opens", [another_command, the_ui])
+def test_a_run_that_was_killed_outright_is_marked_by_whoever_opens_the_store_next(
+    config: TrackingConfig, opens: Callable[[TrackingConfig], None], capsys: pytest.CaptureFixture
+):
+    killed_by(signal.SIGKILL, config)
+    opens(config)
+    killed = next(run for run in runs(config) if run.info.run_name == "killed")
+    assert killed.info.status == "KILLED"
+    assert "its process is gone" in killed.data.tags["ended_by"]
+    assert "marked as KILLED, because its process is gone (killed, or the machine stopped): killed\n" in (
+        capsys.readouterr().err
+    )
+    # The same command goes on with it as ever.
+    with open_run(config, "killed", "key", {}) as run:
+        assert run.run_id == killed.info.run_id
+    assert client(config).get_run(run.run_id).info.status == "FINISHED"
+
+
+def test_a_run_that_goes_on_is_left_alone(config: TrackingConfig, capsys: pytest.CaptureFixture):
+    with open_run(config, "goes on", "key", {}) as run:
+        another_command(config)
+        the_ui(config)
+        assert client(config).get_run(run.run_id).info.status == "RUNNING"
+    assert "KILLED" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("changed", "status"),
+    [
+        ({"start": "1"}, "KILLED"),  # its number is another process's by now
+        ({"boot": "an earlier start"}, "KILLED"),
+        ({"machine": "another machine", "host": "node7", "pid": 1}, "RUNNING"),
+    ],
+)
+def test_a_process_is_known_by_its_machine_and_its_start(
+    config: TrackingConfig, changed: dict[str, object], status: str, capsys: pytest.CaptureFixture
+):
+    store = Store(config)
+    process = json.loads(abandoned.this_process()) | changed
+    run_id = store.create_run("early", "early", None, tags={abandoned.PROCESS_TAG: json.dumps(process)})
+    the_ui(config)
+    assert client(config).get_run(run_id).info.status == status
+    told = "left as RUNNING, for only their own machines know: early (node7)" in capsys.readouterr().err
+    assert told == (status == "RUNNING")
+
+
+def test_a_run_that_ends_while_it_is_looked_at_stays_as_it_ended(
+    config: TrackingConfig, monkeypatch: pytest.MonkeyPatch
+):
+    store = Store(config)
+    process = json.loads(abandoned.this_process()) | {"start": "1"}
+    run_id = store.create_run("quick", "quick", None, tags={abandoned.PROCESS_TAG: json.dumps(process)})
+    seen = store.running()
+    monkeypatch.setattr(Store, "running", lambda self: seen)
+    store.close_run(run_id, "FINISHED")
+    the_ui(config)
+    assert store.status_of(run_id) == "FINISHED"
+
+
+def test_of_a_killed_job_its_sweep_still_says_why(config: TrackingConfig):
+    killed_by(signal.SIGKILL, config)
+    another_command(config)
+    end_child(config, "key", "its process was ended by signal 9")
+    killed = next(run for run in runs(config) if run.info.run_name == "killed")
+    assert (killed.info.status, killed.data.tags["ended_by"]) == ("FAILED", "its process was ended by signal 9")
 
 
 def test_a_resumed_run_logs_a_repeated_step_once_and_a_changed_param_as_a_tag(config: TrackingConfig):

@@ -21,7 +21,7 @@ from gran_bench.tracking import (
     ui,
     user_interface,
 )
-from gran_bench.tracking.store import DATABASE, QUIET
+from gran_bench.tracking.store import QUIET
 
 # SQLAlchemy's word to MLflow, which a user never sees either.
 pytestmark = pytest.mark.filterwarnings("ignore:The ``noload`` loader strategy")
@@ -122,7 +122,7 @@ def test_the_ui_serves_this_store_in_this_process(template: Path, monkeypatch: p
     assert port == 50123
     assert f"http://127.0.0.1:50123/#/experiments/{store.experiment_id}/runs?viewStateShareKey=what-matters" in ready
     told = {name: os.environ[name] for name in user_interface.server_environment(store)}
-    assert told["_MLFLOW_SERVER_FILE_STORE"] == f"sqlite:///{template / DATABASE}"
+    assert told["_MLFLOW_SERVER_FILE_STORE"] == store.uri
     assert told["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] == "false"
 
 

@@ -148,13 +148,6 @@ def test_a_store_that_is_no_store_is_told_before_any_work(tmp_path: Path):
         Store(TrackingConfig(root=str(tmp_path / "file" / "results")))
 
 
-def test_a_moved_results_folder_is_told(own: TrackingConfig, tmp_path: Path):
-    Store(own)
-    Path(own.root).rename(tmp_path / "moved")
-    with pytest.raises(TrackingError, match="the folder was moved"):
-        Store(TrackingConfig(experiment="own", root=str(tmp_path / "moved")))
-
-
 def test_a_missing_figure_is_told_and_costs_nothing(
     config: TrackingConfig, tmp_path: Path, capsys: pytest.CaptureFixture
 ):

@@ -30,7 +30,7 @@ COMPARING = (
 # a run's key by its values.
 NEUTRAL = frozenset(
     {
-        *("atomic", "source_digest", "code_identity", "provenance", "stopping"),
+        *("cache_folders", "atomic", "source_digest", "code_identity", "provenance", "stopping"),
         *("config", "config_rules", "config_check", "config_consistency", "config_identity"),
         *("dataset.progress", "dataset.workers"),
     }

@@ -20,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from gran_bench.config import GenerateConfig, TrainConfig
 from gran_bench.config_check import read_config
 from gran_bench.config_identity import UNDECIDING
-from gran_bench.config_rules import ConfigError
+from gran_bench.config_rules import LONGEST_NAME, ConfigError
 from gran_bench.scene import build_scene
 
 CONFIG_MODULE = "gran_bench.conf"
@@ -31,7 +31,6 @@ LAUNCHER = "hydra_plugins.gran_bench.ProcessLauncher"
 
 # Two commands that differ in these alone train the same weights, so they share a folder.
 UNNAMED = UNDECIDING | {"hydra"}
-LONGEST_FOLDER = 150  # characters; file systems end at 255 bytes
 
 Config = TypeVar("Config")
 
@@ -198,6 +197,18 @@ def checked_config(composed: DictConfig, schema: type[Config]) -> Config:
     return config
 
 
+def override(key: str, text: object) -> str:
+    """An override that gives a key a text as it is, such as a path, whatever letters of Hydra's grammar it has.
+
+    Args:
+        key: dotted.
+        text: without line breaks.
+    """
+    # Within quotes Hydra reads a backslash as itself, but for those before a quote.
+    quoted = re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), str(text))
+    return f"{key}='{quoted.replace('${', chr(92) + '${')}'"
+
+
 def swept_keys(jobs: Sequence[Sequence[str]]) -> frozenset[str]:
     """The keys that the jobs of a sweep have more than one value of.
 
@@ -238,7 +249,7 @@ def run_folder(experiment: str, overrides: Sequence[str], swept: Collection[str]
     changed = changed_in(overrides, set(swept) - {"experiment"})
     # Only letters that a path in a Hydra override may have without quotes.
     name = re.sub(r"[^\w.+-]", "_", "+".join([experiment, *changed]).replace("=", "-"))
-    if len(name) > LONGEST_FOLDER:
-        digest = hashlib.sha256(name.encode()).hexdigest()[:8]
-        name = f"{name[: LONGEST_FOLDER - 9]}-{digest}"
+    letters = name.encode()
+    if len(letters) > LONGEST_NAME:
+        name = f"{letters[: LONGEST_NAME - 9].decode(errors='ignore')}-{hashlib.sha256(letters).hexdigest()[:8]}"
     return name

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from gran_bench.config_rules import Range, Section, at_least, between, key, one_of, positive
-
-MISSING = "???"  # Hydra's mark of a value that the user must choose
+from gran_bench.config_rules import MISSING, Name, Range, Section, at_least, between, key, one_of, positive
 
 FRACTION = Range(0.0, 1.0)
 RESTITUTION = Range(0.0, 1.0, open_low=True)
@@ -128,7 +126,7 @@ class RotationConfig(Section, place="scene.rotation"):
 class SceneConfig(Section, place="scene"):
     """A scene: container, filling, material, gravity, schedule."""
 
-    name: str = MISSING
+    name: str = key(MISSING, Name())
     container: ContainerConfig | BoxConfig | HopperConfig = field(default_factory=ContainerConfig)  # by its kind
     filling: FillingConfig = field(default_factory=FillingConfig)
     material: MaterialConfig = field(default_factory=MaterialConfig)
@@ -304,8 +302,8 @@ class TrackingConfig(Section, place="tracking"):
 
     experiment: str = "gran-bench"
     root: str = "results"  # folder of the database, the artifacts and the run folders
-    folder: str | None = None  # name of this run in <root>/runs/, before its key; null: the recipe, what was changed
-    sweep: str | None = None  # folder of a sweep in <root>/sweeps/; null: the recipe, what was changed
+    folder: str | None = key(None, Name())  # of this run in <root>/runs/, before its key; null: recipe, changes
+    sweep: str | None = key(None, Name())  # folder in <root>/sweeps/; null: recipe, changes
     parent: str | None = None  # id of the MLflow run that this one belongs to; a sweep sets it
     enabled: bool = True
 
@@ -314,7 +312,7 @@ class TrackingConfig(Section, place="tracking"):
 class TrainConfig(Section):
     """Everything that `python -m gran_bench.train` reads."""
 
-    experiment: str = "default"  # first word of the run's folder and of its MLflow run
+    experiment: str = key("default", Name())  # first word of the run's folder and of its MLflow run
     seed: int = key(0, SEED)
     device: str = key("auto", one_of("auto", "cpu", "cuda"))
     threads: int = key(2, at_least(1))  # CPU threads of the surrogate
@@ -356,7 +354,7 @@ class EvaluateConfig(Section):
 class ProfileConfig(Section, place="profile"):
     """How thoroughly methods are compared."""
 
-    name: str = "quick"  # of the folder of the results
+    name: str = key("quick", Name())  # of the folder of the results
     rounds: int = key(5, at_least(1))  # timed runs of every method, in turns
     judged_rounds: int = key(5, at_least(1))  # of these, from the first on, whose error is measured
     step_multiples: list[float] = key([0.5, 1.0, 2.0, 3.5, 5.0], positive("automatic steps"))

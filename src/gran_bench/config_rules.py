@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import os
+import re
 import sys
 import types
 from collections.abc import Iterator
@@ -15,7 +16,10 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 TYPE_WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "a word"}
+MISSING = "???"  # Hydra's mark of a value that the user must choose
 LONGEST_SHOWN = 80  # characters of a refused value
+
+LONGEST_NAME = 150  # bytes; file systems end at 255, and a key and an extension follow
 
 
 class ConfigError(ValueError):
@@ -62,7 +66,20 @@ class OneOf:
         return " or ".join(self.words)
 
 
-Rule = Range | OneOf
+@dataclass(frozen=True)
+class Name:
+    """A word that a file or a folder is called by; never a path, and never a pattern to a shell."""
+
+    def holds(self, value: str) -> bool:
+        """Whether ``value`` can be a part of a file's name on any file system."""
+        return re.fullmatch(r"\w[\w.+-]*", value) is not None and len(value.encode()) <= LONGEST_NAME
+
+    def __str__(self) -> str:
+        letters = "letters, digits, _ . + and -, a letter or digit first"
+        return f"a name, which is never a path: {letters}, of at most {LONGEST_NAME} bytes"
+
+
+Rule = Range | OneOf | Name
 
 
 def positive(unit: str = "") -> Range:
@@ -127,7 +144,10 @@ def checked(schema: type[Section], name: str, value: Any, place: str | None = No
     dotted, hints = (schema.place if place is None else place) + name, hints_of(schema)
     if name not in hints:
         raise ConfigError(f"{dotted}={shown(value)}: no such key; the keys are {', '.join(hints)}")
-    return checked_value(hints[name], schema.__dataclass_fields__[name].metadata.get("rule"), value, dotted)
+    declared = schema.__dataclass_fields__[name]
+    if isinstance(value, str) and value == MISSING == declared.default:
+        return value
+    return checked_value(hints[name], declared.metadata.get("rule"), value, dotted)
 
 
 def checked_value(hint: Any, rule: Rule | None, value: Any, dotted: str) -> Any:

@@ -17,7 +17,7 @@ from gran_bench import tracking
 from gran_bench.atomic import write_text
 from gran_bench.config import EvaluateConfig, SceneConfig, TrainConfig
 from gran_bench.config_check import read_config
-from gran_bench.config_rules import ConfigError
+from gran_bench.config_rules import ConfigError, hold_values
 from gran_bench.dataset import Windows, ensure_cases
 from gran_bench.evaluation import evaluate
 from gran_bench.evaluation_plan import Plan
@@ -26,6 +26,7 @@ from gran_bench.provenance import provenance
 from gran_bench.run_identity import RunIdentity, hash_of, identify, judged_by, judging_plan, splits, wants_more
 from gran_bench.run_page import FIGURES, record_judgement
 from gran_bench.run_record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, tell, training_metrics
+from gran_bench.run_summary import cut_short
 from gran_bench.scene import build_scene
 from gran_bench.stopping import StopRequest, stop_on_signals
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model
@@ -45,8 +46,10 @@ def run_experiment(config: TrainConfig) -> dict[str, Any]:
         The summary, as in ``summary.json``.
 
     Raises:
+        ConfigError: a value that no run can have.
         KeyboardInterrupt: SIGTERM or Ctrl-C; a resumable state is on disk and the MLflow run is KILLED.
     """
+    hold_values(config)
     scene = build_scene(config.scene)
     tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
     clock = Clock()
@@ -83,8 +86,10 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
 
     Raises:
         CheckpointError: the file is no model.
+        ConfigError: a value that cannot be, or a speed that the model was trained on.
         KeyboardInterrupt: as for `run_experiment`.
     """
+    hold_values(config)
     path = Path(config.checkpoint)
     model, card = load_model(path, device_named(config.device))
     scene, digest = build_scene(read_config(SceneConfig, card.scene)), file_digest(path)
@@ -93,7 +98,7 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
     _compile_ahead(card.model["name"])
     plan = Plan(scene, config.dem, config.dataset, config.judge)
     key = hash_of(digest, judged_by(plan))
-    folder = Path(config.tracking.root) / "evaluations" / f"{path.parent.name}-{key[:8]}"
+    folder = Path(config.tracking.root) / "evaluations" / f"{path.resolve().parent.name}-{key[:8]}"
     identity = RunIdentity(folder, key, judged_by(plan), card.origin["data_digest"])
     record = RunRecord(identity, config, scene.name, Clock())
     with stop_on_signals():
@@ -117,7 +122,7 @@ def train_stage(
     """Train, or load what training left; the model holds the weights to judge afterwards.
 
     Returns:
-        What ``training.json`` says: steps, seconds, what stopped it, last loss, parameters, provenance, digest.
+        What ``training.json`` says: steps done and planned, seconds, what stopped it, last loss, provenance, digest.
     """
     if (folder / TRAINING).exists():
         training = json.loads((folder / TRAINING).read_text("utf-8"))
@@ -132,7 +137,7 @@ def train_stage(
         log.add(metrics, step)
         run.log_metrics(training_metrics(metrics), step)
 
-    trainer = Trainer(model, windows, config, folder, keep, lambda: stop.requested)
+    trainer = Trainer(model, windows, config, folder, keep, lambda: stop.requested, tell)
     if trainer.resume():
         tell(f"training goes on from update {trainer.step} of {config.trainer.steps} ({folder / CHECKPOINT})")
     log.drop_after(trainer.step)
@@ -144,6 +149,8 @@ def train_stage(
     except TrainingStopped as stopped:
         tell(str(stopped))
         raise KeyboardInterrupt(stop.signal_name) from None
+    if (cut := cut_short(asdict(result))) is not None:
+        tell(cut)
     weights = trainer.final_weights()
     model.load_state_dict(weights)
     training = asdict(result) | {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +107,22 @@ def flat_metrics(summary: dict[str, Any]) -> dict[str, float]:
     }
 
 
+def cut_short(training: Mapping[str, Any]) -> str | None:
+    """A sentence that says that the clock has cut a budget of steps; None where it has not.
+
+    Args:
+        training: as in ``training.json``; one of before this was kept says nothing.
+    """
+    steps, planned = training["steps"], training.get("planned_steps")
+    if planned is None or steps >= planned:
+        return None
+    return (
+        f"the clock has cut the training: {steps} of {planned} updates in {training['seconds'] / 60.0:.1f} minutes, "
+        f"the last at a learning rate of {training['learning_rate']:.2g}; with more trainer.minutes the same command "
+        "goes on"
+    )
+
+
 def summary_table(summary: dict[str, Any]) -> str:
     """The end of the terminal output: requirements met and missed, headline figures, where things are."""
     lines = [f"{summary['experiment']}: {summary['model']['name']}, {summary['training']['parameters']} parameters"]
@@ -113,6 +130,8 @@ def summary_table(summary: dict[str, Any]) -> str:
         f"trained {summary['training']['steps']} updates in {summary['training']['seconds'] / 60:.1f} min "
         f"(stopped by {summary['training']['stopped_by']})"
     )
+    if (cut := cut_short(summary["training"])) is not None:
+        lines.append(cut)
     for packing, judged in summary["judged"].items():
         lines += ["", f"{summary['judged_rpm']:g} rpm, {summary['judged_as']}, {packing} packing"]
         lines.append(f"  {'':<56}{'found':>16}  verdict")

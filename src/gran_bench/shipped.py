@@ -12,7 +12,7 @@ import gran_bench
 from gran_bench.composition import compose
 from gran_bench.config import GenerateConfig
 from gran_bench.config_check import read_config, unknown_key
-from gran_bench.config_rules import ConfigError, check_arguments, checked_value
+from gran_bench.config_rules import ConfigError, Name, check_arguments, checked_value
 from gran_bench.override_errors import explain
 from gran_bench.scene import Scene, build_scene
 
@@ -31,7 +31,7 @@ def shipped_scene(name: str, changes: Mapping[str, object] | None = None) -> Sce
         ConfigError: no such scene (names those there are), or a change that the schema does not allow.
         SceneError: a scene that cannot be.
     """
-    name, changes = checked_value(str, None, name, "name"), {} if changes is None else changes
+    name, changes = checked_value(str, Name(), name, "scene"), {} if changes is None else changes
     check_arguments(changes=(changes, Mapping))
     try:
         composed = compose("generate", [f"scene={name}"])
@@ -59,7 +59,7 @@ def shipped_model(name: str = DEFAULT_MODEL) -> Path:
     Raises:
         ConfigError: no such model; names those there are.
     """
-    checked_value(str, None, name, "name")
+    checked_value(str, Name(), name, "model")
     package = Path(gran_bench.__file__).parent
     # An installed package carries the models; a clone has them where their results are.
     places = [package / "models", package.parents[1] / "results"]

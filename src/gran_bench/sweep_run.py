@@ -17,7 +17,7 @@ from gran_bench.code_identity import MODEL_SOURCES, judging_code, taken_hashes, 
 from gran_bench.composition import PlannedJob
 from gran_bench.config import TrackingConfig, TrainConfig
 from gran_bench.config_identity import telling_keys
-from gran_bench.config_rules import ConfigError
+from gran_bench.config_rules import ConfigError, hold_values
 from gran_bench.dataset import DatasetError
 from gran_bench.provenance import command, commit
 from gran_bench.run_identity import RunIdentity, hash_of, identify, judged_by, judging_plan, wants_more
@@ -40,10 +40,12 @@ def open_sweep(planned: Sequence[PlannedJob], name: str) -> Iterator[Sweep]:
         name: of its folder, unless the config names one.
 
     Raises:
-        ConfigError: two jobs are the same run.
+        ConfigError: two jobs are the same run, or a value that none can have.
         TrackingError: the store cannot be opened; or, at the end, something could not be recorded.
         SweepFileError: a file of an earlier sweep is damaged.
     """
+    for job in planned:
+        hold_values(job.config)
     _refuse_twins(planned)
     config: TrackingConfig = planned[0].config.tracking
     root = Path(config.root).resolve()

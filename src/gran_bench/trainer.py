@@ -52,6 +52,9 @@ class TrainingResult:
         stopped_by: ``steps`` or ``time``.
         loss: of the last update (mean over windows of Σ over frames).
         parameters: of the model, number of scalars.
+        planned_steps: updates that the budget has; None for a budget of time. Where they are more than ``steps``, the
+            clock has cut them.
+        learning_rate: of the last update.
     """
 
     steps: int
@@ -59,6 +62,8 @@ class TrainingResult:
     stopped_by: str
     loss: float
     parameters: int
+    planned_steps: int | None
+    learning_rate: float
 
 
 def learning_rate(config: OptimConfig, step: int, steps: int) -> float:
@@ -112,6 +117,7 @@ class Trainer:
         folder: holds the checkpoint; one that is there is resumed.
         log: called with ``(metrics, step)`` every ``trainer.log_every`` updates.
         should_stop: polled between updates; True saves a checkpoint and raises ``TrainingStopped``.
+        warn: called once with a sentence, if the clock is going to cut a budget of steps.
     """
 
     def __init__(
@@ -122,9 +128,10 @@ class Trainer:
         folder: Path,
         log: Callable[[dict[str, float], int], None] = lambda metrics, step: None,
         should_stop: Callable[[], bool] = lambda: False,
+        warn: Callable[[str], None] = lambda line: None,
     ) -> None:
         self.model, self.windows, self.config = model, windows, config
-        self.folder, self.log, self.should_stop = folder, log, should_stop
+        self.folder, self.log, self.should_stop, self.warn = folder, log, should_stop, warn
         self.loss = WindowLoss(config.loss)
         self.parameters = list(model.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, lr=config.optim.learning_rate)
@@ -203,6 +210,24 @@ class Trainer:
         """
         on_cpu = self.parameters[0].device.type == "cpu"
         return time.process_time() if on_cpu and self.config.trainer.budget == "time" else time.monotonic()
+
+    def _cut_ahead(self, work: np.ndarray, seconds_a_frame: float) -> str | None:
+        """A sentence that says how much of a budget of steps the clock will cut at this pace; None for nothing.
+
+        Args:
+            work: frames ahead of all updates up to each one: an update takes as long as it looks ahead.
+            seconds_a_frame: so far.
+        """
+        budget, done = self.config.trainer, work[self.step - 1]
+        needed = self.spent + (work[-1] - done) * seconds_a_frame
+        if needed <= 60.0 * budget.minutes:
+            return None
+        # The update that begins last ends beyond the cap.
+        fits = 1 + np.searchsorted(work, done + (60.0 * budget.minutes - self.spent) / seconds_a_frame)
+        return (
+            f"at this pace {fits} of {budget.steps} updates fit in {budget.minutes:g} minutes, and the schedule of the "
+            f"learning rate is cut; raise trainer.minutes to {math.ceil(needed / 60.0)} or lower trainer.steps"
+        )
 
     # ---- one update --------------------------------------------------------------------------------------
 
@@ -350,7 +375,10 @@ class Trainer:
         cap = math.inf if budget.minutes is None else 60.0 * budget.minutes
         last_saved = time.monotonic()
         before, began = (self.seconds, self.spent), (time.monotonic(), self._clock())
-        warm = False
+        warm, frames = False, 0
+        # What the clock may cut: a budget of steps with a cap of minutes. It is said once.
+        capped = budget.budget == "steps" and budget.minutes is not None
+        work = np.cumsum([frames_ahead(self.config.rollout, i, budget.steps) for i in range(budget.steps * capped)])
         threads = torch.get_num_threads()
         # Threads run whole windows. Threads inside an operation would fight them, and would sum in another order.
         # OpenMP counts threads for each thread that calls it, so the pool's own have to be told as well.
@@ -369,6 +397,8 @@ class Trainer:
                     if not warm:
                         # A process's first update loads or compiles its kernels, which is no training.
                         began, warm = (time.monotonic(), self._clock()), True
+                    else:
+                        frames += metrics["frames_ahead"]
                     self.seconds = before[0] + time.monotonic() - began[0]
                     self.spent = before[1] + self._clock() - began[1]
                     self.last_loss = metrics["loss"]
@@ -376,6 +406,10 @@ class Trainer:
                     bar.set_postfix(loss=f"{self.last_loss:.4f}", refresh=False)
                     if self.step % budget.log_every == 0 or self.step == budget.steps:
                         self.log(metrics | {"seconds": self.seconds}, self.step)
+                        if capped and frames and (said := self._cut_ahead(work, (self.spent - before[1]) / frames)):
+                            capped = False
+                            with tqdm.external_write_mode():
+                                self.warn(said)
                     due = budget.checkpoint_steps and self.step % budget.checkpoint_steps == 0
                     stop = self.should_stop()
                     if due or stop or time.monotonic() - last_saved >= budget.checkpoint_every:
@@ -389,7 +423,9 @@ class Trainer:
         self.save()
         stopped_by = "steps" if self.step >= budget.steps else "time"
         count = sum(p.numel() for p in self.parameters)
-        return TrainingResult(self.step, self.seconds, stopped_by, self.last_loss, count)
+        planned = budget.steps if budget.budget == "steps" else None
+        rate = learning_rate(self.config.optim, max(self.step - 1, 0), self.expected_steps)
+        return TrainingResult(self.step, self.seconds, stopped_by, self.last_loss, count, planned, rate)
 
     def final_weights(self) -> dict[str, Tensor]:
         """The weights to judge: the running average where there is one, else the last."""

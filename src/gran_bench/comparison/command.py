@@ -29,7 +29,7 @@ from gran_bench.comparison.results import (
 from gran_bench.comparison.sentences import softened, verdicts, winner
 from gran_bench.comparison.turns import Record, take_turns
 from gran_bench.config import BenchmarkConfig
-from gran_bench.config_rules import ConfigError
+from gran_bench.config_rules import ConfigError, hold_values
 from gran_bench.dataset import ensure_cases, read_case, rotation_label
 from gran_bench.plots.study_cost import CostLine, cost_against
 from gran_bench.plots.time_error import Contender, time_against_error
@@ -51,9 +51,11 @@ def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
 
     Raises:
         KeyboardInterrupt: SIGTERM or Ctrl-C; what was measured stays.
-        ConfigError, CheckpointError, DatasetError: a model file that is none, or runs of the DEM that failed.
+        ConfigError, CheckpointError, DatasetError: a value that cannot be, a model file that is none, or runs of the
+            DEM that failed.
         ResultsError: nothing measured yet, or with other replicas, and ``measure=false``.
     """
+    hold_values(config)
     contest = Contest(config, model_files(config.models))
     scene, profile = contest.scene, config.profile
     folder = Path(config.root) / profile.name / scene.name

@@ -79,7 +79,7 @@ def one_tracking_store(bench: Bench, jobs: int = 8, steps: int = 10) -> Observat
         warned += [line for line in errors.splitlines() if "locked" in line or line.startswith("warning:")]
         if process.returncode:
             failed.append(f"exit code {process.returncode}: {' '.join(errors.strip().splitlines()[-1:])}")
-    with sqlite3.connect(f"file:{root / 'mlflow.db'}?mode=ro", uri=True) as store:
+    with sqlite3.connect(f"{(root / 'mlflow.db').resolve().as_uri()}?mode=ro", uri=True) as store:
         finished = store.execute("select count(*) from runs where status = 'FINISHED'").fetchone()[0]
         points = store.execute("select count(*) from metrics").fetchone()[0]
     return Observation(

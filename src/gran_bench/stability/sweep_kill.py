@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from gran_bench.composition import override
 from gran_bench.run_record import MODEL
 from gran_bench.run_summary import SUMMARY
 from gran_bench.stability.finished_files import Written, done_again, finished_files, records_of
@@ -28,13 +29,15 @@ from gran_bench.stability.process_group import group, kill_group
 from gran_bench.stopping import stop_on_signals
 from gran_bench.surrogate.checkpoint import load_card
 from gran_bench.sweep.run_file import SWEEPS
-from gran_bench.tracking.store import DATABASE, KEY_TAG, PARENT_TAG
+from gran_bench.tracking.address import DATABASE, SERVER
+from gran_bench.tracking.store import KEY_TAG, PARENT_TAG
 
 SWEEP = "kills"  # name of the sweep
 RADII = (0.06, 0.065)  # m
 PATIENCE = 900.0  # s, of a sweep that would otherwise be waited for for ever
 JUDGED = ("judged_rpm", "judged", "nearest_case", "position_error", "data_digest")  # of a summary; no times
-ENVIRONMENT = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+# Runs are looked for in the sweeps' own databases, whatever server the user records on.
+ENVIRONMENT = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", SERVER: ""}
 
 
 class SweepStalled(RuntimeError):
@@ -125,7 +128,7 @@ def sweep_command(data: Path, jobs: int) -> list[str]:
     return [
         *(sys.executable, "-m", "gran_bench.train", "-m", "+experiment=smoke", "hydra/launcher=local"),
         *("scene.end_time=1.7", "trainer.steps=12", "trainer.checkpoint_steps=2", "threads=1"),
-        *("judge.speeds_rpm=[]", "judge.short_horizon_starts=2", f"dataset.root={data.resolve()}"),
+        *("judge.speeds_rpm=[]", "judge.short_horizon_starts=2", override("dataset.root", data.resolve())),
         *(f"model.radius={','.join(map(str, radii))}", f"seed={seeds}", f"tracking.sweep={SWEEP}"),
     ]
 

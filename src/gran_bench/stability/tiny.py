@@ -6,6 +6,7 @@ from pathlib import Path
 
 import torch
 
+from gran_bench.composition import override
 from gran_bench.config import ContainerConfig, FillingConfig, SceneConfig, TrainConfig
 from gran_bench.dataset import CaseSpec, Windows, ensure_cases, read_case, split_cases
 from gran_bench.entry import checked_config, compose
@@ -44,7 +45,7 @@ def tiny_training(root: Path) -> tuple[TrainConfig, Scene]:
     """
     changes = [
         "scene.end_time=1.9", "judge.short_horizon_starts=3", f"trainer.steps={STEPS}", "trainer.checkpoint_steps=3",
-        "threads=1", f"dataset.root='{root}'", "dataset.workers=1",
+        "threads=1", override("dataset.root", root), "dataset.workers=1",
     ]  # fmt: skip
     config = checked_config(compose("train", ["+experiment=smoke", *changes]), TrainConfig)
     return config, build_scene(config.scene)

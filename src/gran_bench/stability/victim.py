@@ -14,6 +14,7 @@ from typing import Any
 
 import gran_bench
 from gran_bench.atomic import write_text
+from gran_bench.tracking.address import SERVER
 
 ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 
@@ -42,7 +43,7 @@ def launch(job: str, **values: Any) -> subprocess.Popen[str]:
     paths = [sources, *filter(None, [os.environ.get("PYTHONPATH")])]
     return subprocess.Popen(
         [sys.executable, "-m", "gran_bench.stability.victim", job, json.dumps(values)],
-        env=os.environ | ONE_THREAD | {"PYTHONPATH": os.pathsep.join(paths)},
+        env=os.environ | ONE_THREAD | {"PYTHONPATH": os.pathsep.join(paths), SERVER: ""},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

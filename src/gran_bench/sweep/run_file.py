@@ -19,6 +19,7 @@ SWEEPS = "sweeps"  # folder below the results
 RUNS = "runs"  # folder below a sweep's
 FINISHED, FAILED = "finished", "failed"
 MADE = "made_with"  # among a run's facts: model, hashes of code, budget; files of before it do not have it
+TRAINING = ("steps", "planned_steps", "seconds", "stopped_by", "loss", "parameters")  # what is kept of a training
 ERRORS = ("surface_angle", "com_angle", "speed_w1")  # the distances from the DEM that are kept, by packing
 
 
@@ -41,7 +42,7 @@ class RunFile:
         judged: speed in rpm, and whether it was a validation speed or the held-out one.
         figures: headline figures by name; an undefined one is None.
         packings: errors in their unit and in noise floors, and failures, by packing.
-        training: updates, seconds, what stopped it, last loss, parameters.
+        training: updates done and planned, seconds, what stopped it, last loss, parameters.
         facts: whatever else: wall seconds by stage, data digest, provenance, …
         ended_at: ISO 8601, UTC.
     """
@@ -108,7 +109,7 @@ def finished_run(
             "requirements_failed": requirements_failed,
         },
         packings={name: _packing(judged) for name, judged in summary["judged"].items()},
-        training={name: training[name] for name in ("steps", "seconds", "stopped_by", "loss", "parameters")},
+        training={name: training[name] for name in TRAINING if name in training},
         facts={
             "wall_seconds": summary["wall_seconds"],
             "dem_ms_per_frame": rollout["dem_ms_per_frame"],

@@ -140,7 +140,7 @@ def unequal_updates(runs: Sequence[RunFile]) -> list[str]:
     """
     updates: dict[tuple[str, str], list[int]] = {}
     for run in runs:
-        if run.training.get("stopped_by") == "time":
+        if run.training.get("stopped_by") == "time" and run.training.get("planned_steps") is None:
             alike = model_of(run), str(_chosen(run, BUDGET_CHOICES))
             updates.setdefault(alike, []).append(run.training["steps"])
     return [
@@ -148,6 +148,20 @@ def unequal_updates(runs: Sequence[RunFile]) -> list[str]:
         "compare with care."
         for (model, _), found in updates.items()
         if max(found) > UNEQUAL * min(found)
+    ]
+
+
+def cut_short(runs: Sequence[RunFile]) -> list[str]:
+    """A sentence if the clock has cut the budget of steps of some of the runs.
+
+    Args:
+        runs: that stand beside each other.
+    """
+    done = [run.training["steps"] / run.training["planned_steps"] for run in runs if run.training.get("planned_steps")]
+    cut = [share for share in done if share < 1.0]
+    return cut and [
+        f"The clock has cut the training of {len(cut)} of {len(runs)} runs, one after {min(cut):.0%} of its updates: "
+        "compare with care. With more trainer.minutes the same command goes on with them."
     ]
 
 

@@ -13,7 +13,7 @@ from gran_bench.atomic import write_text
 from gran_bench.config import TrackingConfig
 from gran_bench.plots import drawn_for, sweep_axis
 from gran_bench.sweep.run_file import FAILED, FINISHED, RunFile, SweepFileError
-from gran_bench.sweep.standing import Standing, read_standing, unequal_updates
+from gran_bench.sweep.standing import Standing, cut_short, read_standing, unequal_updates
 from gran_bench.sweep.sweep_file import SweepJob, read_sweep
 from gran_bench.sweep.table import COLUMNS, SEED, axes_of, best_choices, runs_frame, shown_table
 
@@ -107,7 +107,7 @@ def report_to_parent(folder: Path, report: SweepReport) -> bool:
         TrackingError: the store does not answer.
     """
     sweep, root = read_sweep(folder), folder.parent.parent
-    if sweep is None or not (root / tracking.DATABASE).exists():
+    if sweep is None or not tracking.has_store(root):
         return False
     config = TrackingConfig(experiment=sweep.experiment, root=str(root))
     with tracking.reopen_ended(config, sweep.key) as run:
@@ -149,7 +149,7 @@ def _page(name: str, judged: str, stands: Standing, figures: list[Path]) -> str:
         lines += ["", *_made_on(runs)]
         lines += ["", "Mean ± standard deviation over seeds, shared packing; a floor is the DEM against itself.", ""]
         lines.append(shown_table(runs))
-        if said := unequal_updates(runs):
+        if said := [*unequal_updates(runs), *cut_short(runs)]:
             lines += ["", " ".join(said)]
     headings = {column.name: column.heading for column in COLUMNS}
     best = best_choices(runs)

@@ -1,14 +1,14 @@
 """Runs in MLflow: recorded in batches, reopened on resume, never at the cost of a result."""
 
+from gran_bench.tracking.address import has_store
 from gran_bench.tracking.names import HEADLINE, HEADLINE_FIGURES, shown_name
 from gran_bench.tracking.opening import Child, end_child, open_run, reopen_ended, schedule_children
 from gran_bench.tracking.run import Run
 from gran_bench.tracking.stand_in import fill_stand_ins
-from gran_bench.tracking.store import DATABASE, SWEEP_TAG, Store, TrackingError
+from gran_bench.tracking.store import SWEEP_TAG, Store, TrackingError
 from gran_bench.tracking.user_interface import ui
 
 __all__ = [
-    "DATABASE",
     "HEADLINE",
     "HEADLINE_FIGURES",
     "SWEEP_TAG",
@@ -18,6 +18,7 @@ __all__ = [
     "TrackingError",
     "end_child",
     "fill_stand_ins",
+    "has_store",
     "open_run",
     "reopen_ended",
     "schedule_children",

@@ -11,12 +11,12 @@ from dataclasses import asdict, dataclass, is_dataclass
 from typing import Any
 
 from gran_bench.config import TrackingConfig
+from gran_bench.tracking.abandoned import ENDED_TAG, GONE, PROCESS_TAG, close_abandoned, this_process
+from gran_bench.tracking.address import said_place
 from gran_bench.tracking.names import shown_name
 from gran_bench.tracking.run import Run, StoredRun, send_kept
 from gran_bench.tracking.stand_in import dismiss_stand_ins, let_stand_in
 from gran_bench.tracking.store import SWEEP_TAG, Store, TrackingError
-
-ENDED_TAG = "ended_by"  # what ended a run that did not finish
 
 
 @contextmanager
@@ -31,7 +31,7 @@ def open_run(
     """Open a run, a new one or the one that the same key has already, and close it with the right status.
 
     ``FINISHED`` when the block ends, ``KILLED`` on Ctrl-C and SIGTERM, ``FAILED`` on any other exception. A run
-    whose process was killed stays ``RUNNING`` until the same key opens it again.
+    whose process was killed outright stays ``RUNNING`` until the next run is opened on the machine, or the UI.
 
     Args:
         config: where, or that nothing is recorded.
@@ -47,6 +47,8 @@ def open_run(
     if not config.enabled:
         yield Run()
         return
+    if (place := said_place(config)) is not None:
+        print(place, file=sys.stderr, flush=True)
     with _terminable():
         run = _open(Store(config), name, key, dotted(params), dict(tags or {}), parent)
         try:
@@ -144,7 +146,10 @@ def end_child(config: TrackingConfig, key: str, why: str) -> None:
     store = Store(config)
     with store.alone():
         run_id = store.run_of(key)
-        if run_id is not None and store.status_of(run_id) in ("SCHEDULED", "RUNNING"):
+        if run_id is None:
+            return
+        # Another process may have found before that this one's is gone, without knowing why.
+        if store.status_of(run_id) in ("SCHEDULED", "RUNNING") or store.tag_of(run_id, ENDED_TAG) == GONE:
             store.add_tags(run_id, {ENDED_TAG: why})
             store.close_run(run_id, "FAILED")
 
@@ -173,12 +178,14 @@ def _open(
         run_id = store.run_of(key)
         resumed = run_id is not None
         if run_id is None:
-            run_id = store.create_run(shown, key, parent)
+            run_id = store.create_run(shown, key, parent, tags={PROCESS_TAG: this_process()})
         else:
+            store.add_tags(run_id, {PROCESS_TAG: this_process()})
             store.reopen_run(run_id, shown, without_tag=ENDED_TAG)
             if parent is not None:
                 store.adopt_run(run_id, parent)
         changed = store.add_params(run_id, params)
+        close_abandoned(store)
     run = StoredRun(store, run_id, resumed)
     for label, value in (tags | {f"resumed_with.{param}": value for param, value in changed.items()}).items():
         run.set_tag(label, value)

@@ -7,6 +7,7 @@ when the run ends, is said in one clear error, and is sent when the next run ope
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 from collections.abc import Mapping
@@ -17,7 +18,6 @@ from typing import Any
 from gran_bench.atomic import write_text
 from gran_bench.tracking.store import MetricPoint, Store, TrackingError, legal_name
 
-UNSENT = "unsent"  # folder below the store's root
 ENDINGS = ("FINISHED", "FAILED", "KILLED")
 FLUSH_SECONDS = 5.0  # between batches of metrics; one metric costs 4 ms, a batch hardly more
 FLUSH_METRICS = 900
@@ -63,7 +63,7 @@ class Backlog:
     Attributes:
         metrics: points, oldest first.
         tags: by name.
-        artifacts: path of the file, and folder in the artifacts or None.
+        artifacts: path of the file, from the store's root in a kept record, and folder in the artifacts or None.
         datasets: arguments of ``Store.add_dataset`` behind the run's id.
         status: how the run ended; None while it goes on.
     """
@@ -131,7 +131,11 @@ class StoredRun(Run):
         try:
             self.send()
         except TrackingError as error:
-            kept = self._store.root / UNSENT / f"{self.run_id}.json"
+            kept = self._store.unsent / f"{self.run_id}.json"
+            # The results folder may be moved until then.
+            self._backlog.artifacts = [
+                (os.path.relpath(path, self._store.root), folder) for path, folder in self._backlog.artifacts
+            ]
             try:
                 write_text(kept, json.dumps(asdict(self._backlog)))
             except OSError as second:
@@ -161,9 +165,9 @@ class StoredRun(Run):
             store.add_dataset(self.run_id, *waiting.datasets[0])
             del waiting.datasets[0]
         while waiting.artifacts:
-            path, folder = waiting.artifacts[0]
-            if Path(path).is_file():  # a kept record may name a file that is long gone
-                store.add_artifact(self.run_id, path, folder)
+            path, folder = store.root / waiting.artifacts[0][0], waiting.artifacts[0][1]
+            if path.is_file():  # a kept record may name a file that is long gone
+                store.add_artifact(self.run_id, str(path), folder)
             del waiting.artifacts[0]
         if waiting.status:
             store.close_run(self.run_id, waiting.status)
@@ -181,7 +185,7 @@ class StoredRun(Run):
 
 def send_kept(store: Store) -> None:
     """Send what earlier runs could not, and close them as they ended; what can't be sent is told and stays."""
-    for path in sorted((store.root / UNSENT).glob("*.json")):
+    for path in sorted(store.unsent.glob("*.json")):
         try:
             kept = json.loads(path.read_text("utf-8"))
             run = StoredRun(store, path.stem, resumed=True)

@@ -1,4 +1,4 @@
-"""The tracking store: one SQLite database under the results folder, shared by any number of processes.
+"""The tracking store, shared by any number of processes: a database under the results folder, or a server.
 
 MLflow is imported when a store is opened: a run without tracking never waits for it. Beside this file only
 `user_interface` imports it, to serve what is stored.
@@ -10,26 +10,45 @@ import json
 import logging
 import os
 import re
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import quote
 
-from gran_bench.atomic import locked
+from gran_bench.atomic import locked, whole_file
 from gran_bench.config import TrackingConfig
+from gran_bench.tracking.address import (
+    ARTIFACTS,
+    DATABASE,
+    SERVER,
+    database_uri,
+    follow_folder,
+    server_uri,
+    shown_uri,
+)
 from gran_bench.tracking.views import VIEW_TAG, experiment_tags
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
+    from mlflow.entities import Run as MlflowRun
 
-DATABASE = "mlflow.db"
-ARTIFACTS = "artifacts"
 KEY_TAG = "gran_bench.key"
+UNSENT = "unsent"  # folder below the store's root
 PARENT_TAG = "mlflow.parentRunId"
 SWEEP_TAG = "sweep"  # folder of the sweep; a child has its parent's, so that the UI can group and search by it
 
-# MLflow reads these when it is imported. Nothing leaves the machine, and the terminal belongs to the run.
-QUIET = {"MLFLOW_DISABLE_TELEMETRY": "true", "DO_NOT_TRACK": "true", "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false"}
+# MLflow reads these when it is imported. Nobody is told of its use, and the terminal belongs to the run.
+QUIET = {
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    "DO_NOT_TRACK": "true",
+    "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
+    "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
+}
+
+# A server that does not answer is asked three times in six seconds, not eight times in four minutes.
+_PATIENCE = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2"}
 
 _METRICS_A_REQUEST = 900  # MLflow takes 1000
 _PARAMS_A_REQUEST = 100
@@ -69,7 +88,7 @@ def legal_name(name: str) -> str:
 
 
 class Store:
-    """The database, its experiment and its artifacts, made by whoever comes first.
+    """The database or the server, the experiment and its artifacts, made by whoever comes first.
 
     Args:
         config: root of the store and name of the experiment.
@@ -80,17 +99,27 @@ class Store:
 
     def __init__(self, config: TrackingConfig) -> None:
         self.root = Path(config.root).resolve()
-        self.database = self.root / DATABASE
-        self.uri = f"sqlite:///{self.database}"  # of the first file of that name that this process opens
+        self.server = server_uri()
+        self.database = self.root / DATABASE  # where there is no server
+        # Of the first file of that name that this process opens.
+        self.uri = self.server or database_uri(str(self.database))
         self.artifacts_uri = (self.root / ARTIFACTS).as_uri()
         self._lock = self.root / ".locks" / "mlflow.lock"
         self._identity: tuple[int, int] | None = None
         # Several first starts at once crash each other while they make the tables.
         with self.alone(), self._answers():
-            self._client = _client(f"sqlite:///{self._spelling()}")
+            self._client = _client(self.server or database_uri(self._spelling()))
+            if self.server is None:
+                self._client.search_experiments(max_results=1)  # makes the tables
+                follow_folder(self.database, self.artifacts_uri)
             self.experiment_id = self._experiment(config.experiment)
-            self._identity = self._file_identity()
-            _opened[self.database][-1] = self._identity
+            if self.server is None:
+                self._identity = _opened[self.database][-1] = self._file_identity()
+
+    @property
+    def unsent(self) -> Path:
+        """The folder of what this store has not taken yet; each server has one of its own."""
+        return self.root / UNSENT / ("" if self.server is None else quote(self.shown, safe=""))
 
     @contextmanager
     def alone(self) -> Iterator[None]:
@@ -117,15 +146,31 @@ class Store:
             )
         return found[0].info.run_id if found else None
 
+    def running(self) -> list[MlflowRun]:
+        """The runs that are ``RUNNING`` by their status."""
+        found, page = [], None
+        with self._answers():
+            while page != "":
+                some = self._client.search_runs([self.experiment_id], "attributes.status = 'RUNNING'", page_token=page)
+                found, page = [*found, *some], some.token or ""
+        return found
+
     def status_of(self, run_id: str) -> str:
         """``SCHEDULED``, ``RUNNING``, ``FINISHED``, ``FAILED`` or ``KILLED``."""
         with self._answers():
             return self._client.get_run(run_id).info.status
 
-    def create_run(self, name: str, key: str, parent: str | None, status: str = "RUNNING") -> str:
+    def tag_of(self, run_id: str, name: str) -> str | None:
+        """A tag of a run; None where it has none of the name."""
+        with self._answers():
+            return self._client.get_run(run_id).data.tags.get(name)
+
+    def create_run(
+        self, name: str, key: str, parent: str | None, status: str = "RUNNING", tags: Mapping[str, str] | None = None
+    ) -> str:
         """Make a run under a key; returns its id."""
         with self._answers():
-            tags = {KEY_TAG: key} | (self.tags_of_child(parent) if parent else {})
+            tags = {KEY_TAG: key} | dict(tags or {}) | (self.tags_of_child(parent) if parent else {})
             run_id = self._client.create_run(self.experiment_id, tags=tags, run_name=name).info.run_id
             if status != "RUNNING":
                 self._client.update_run(run_id, status=status)
@@ -215,31 +260,53 @@ class Store:
     def add_artifact(self, run_id: str, path: str, folder: str | None) -> None:
         """Copy a file into the run's artifacts."""
         with self._answers():
-            self._client.log_artifact(run_id, path, folder)
+            if self.server is not None:
+                self._client.log_artifact(run_id, path, folder)
+                return
+            # Into this folder, whatever the database says by now: a machine that has the folder under another name
+            # may have opened it meanwhile.
+            place = self.root / ARTIFACTS / run_id / ARTIFACTS / (folder or "") / Path(path).name
+            with whole_file(place) as temporary:
+                shutil.copyfile(path, temporary)
 
     def add_dataset(self, run_id: str, name: str, digest: str, source: str, facts: Mapping[str, Any]) -> None:
         """Say which data a run used."""
         from mlflow.entities import Dataset, DatasetInput, InputTag
 
         profile = json.dumps(dict(facts), default=str)
-        dataset = Dataset(name, digest[:_LONGEST_DIGEST], "local", json.dumps({"uri": source}), profile=profile)
+        dataset = Dataset(
+            name,
+            digest[:_LONGEST_DIGEST],
+            "local",
+            json.dumps({"uri": Path(source).resolve().as_uri()}),
+            profile=profile,
+        )
         with self._answers():
             self._client.log_inputs(run_id, [DatasetInput(dataset, [InputTag("mlflow.data.context", "training")])])
 
-    # ---- the database ----------------------------------------------------------------------------------------
+    # ---- the database or the server ----------------------------------------------------------------------------
 
     def _experiment(self, name: str) -> str:
+        from mlflow.exceptions import MlflowException
+
         experiment = self._client.get_experiment_by_name(name)
         if experiment is None:
-            return self._client.create_experiment(name, artifact_location=self.artifacts_uri)
+            try:
+                location = self.artifacts_uri if self.server is None else None
+                return self._client.create_experiment(name, artifact_location=location)
+            except MlflowException:
+                # Another machine was faster on the server.
+                experiment = self._client.get_experiment_by_name(name)
+                if experiment is None:
+                    raise
         if experiment.lifecycle_stage == "deleted":
             raise TrackingError(
-                f"the experiment {name!r} was deleted in {self.database}; choose another tracking.experiment"
+                f"the experiment {name!r} was deleted in {self.shown}; choose another tracking.experiment"
             )
-        if experiment.artifact_location != self.artifacts_uri:
+        if self.server is None and experiment.artifact_location != self.artifacts_uri:
             raise TrackingError(
-                f"the experiment {name!r} in {self.database} keeps its artifacts in {experiment.artifact_location}: "
-                "the folder was moved; move it back, or choose another tracking.experiment"
+                f"the experiment {name!r} in {self.shown} keeps its artifacts in {experiment.artifact_location}, "
+                "outside of this folder; choose another tracking.experiment"
             )
         return experiment.experiment_id
 
@@ -266,11 +333,21 @@ class Store:
         except Exception as error:
             # Of any kind: MLflow lets those of SQLAlchemy and of its own lookups through, and none may cost a result.
             lines = [line for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
-            raise TrackingError(self._complaint(lines[0][:300])) from error
+            raise TrackingError(self._complaint(shown_uri(lines[0])[:300])) from error
+
+    @property
+    def shown(self) -> str:
+        """The store for people: its file, or its address."""
+        return str(self.database) if self.server is None else shown_uri(self.server)
 
     def _complaint(self, reason: str) -> str:
+        if self.server is not None:
+            return (
+                f"the tracking server {self.shown} does not answer: {reason}; start it, or unset {SERVER} to record in "
+                f"{self.root} (tracking.enabled=false does without)"
+            )
         return (
-            f"the tracking store {self.database} does not answer: {reason}; close what holds it, free space or choose "
+            f"the tracking store {self.shown} does not answer: {reason}; close what holds it, free space or choose "
             "another tracking.root (tracking.enabled=false does without)"
         )
 
@@ -283,7 +360,7 @@ class Store:
 
 
 def _client(uri: str) -> MlflowClient:
-    os.environ.update(QUIET)
+    os.environ.update(QUIET | {name: os.environ.get(name, value) for name, value in _PATIENCE.items()})
     from mlflow import MlflowClient
 
     for name in ("mlflow", "alembic"):

@@ -14,6 +14,8 @@ import warnings
 from pathlib import Path
 
 from gran_bench.config import TrackingConfig
+from gran_bench.tracking.abandoned import close_abandoned
+from gran_bench.tracking.address import said_place, server_uri
 from gran_bench.tracking.store import QUIET, Store, TrackingError
 from gran_bench.tracking.views import view_path
 
@@ -22,17 +24,29 @@ SHUTDOWN_SECONDS = 5  # that an answer under way may take after Ctrl-C
 
 
 def ui(root: Path | str, port: int = 5000, experiment: str = TrackingConfig.experiment) -> None:
-    """Serve the MLflow UI on the store under ``root`` until Ctrl-C.
+    """Serve the MLflow UI on the store under ``root`` until Ctrl-C; a server's own UI is only named.
 
     Raises:
         TrackingError: the store cannot be opened, or the port is taken.
     """
-    _refuse_taken(port)
-    print("opening the UI takes some seconds", file=sys.stderr, flush=True)
-    store = Store(TrackingConfig(experiment=experiment, root=str(root)))
+    config = TrackingConfig(experiment=experiment, root=str(root))
+    if (place := said_place(config)) is not None:
+        print(place, file=sys.stderr, flush=True)
+    if server_uri() is None:
+        _refuse_taken(port)
+        print("opening the UI takes some seconds", file=sys.stderr, flush=True)
+    store = Store(config)
     store.dress_experiment()
+    with store.alone():
+        elsewhere = close_abandoned(store)
+    if elsewhere:
+        print(f"left as RUNNING, for only their own machines know: {', '.join(elsewhere)}", file=sys.stderr, flush=True)
+    here = f"http://{HOST}:{port}" if store.server is None else store.shown
+    page = f"{here}{view_path(store.experiment_id)}"
+    if store.server is not None:  # which has its own UI
+        print(f"the runs, best first, are at {page}", file=sys.stderr, flush=True)
+        return
     os.environ.update(server_environment(store))
-    page = f"http://{HOST}:{port}{view_path(store.experiment_id)}"
     _serve(port, f"the runs, best first, are at {page} (Ctrl-C ends)")
 
 

@@ -1,0 +1,80 @@
+"""Where libraries keep what they have compiled or looked up, if their own folders cannot be written.
+
+Numba refuses to define a kernel that it has no place to keep, and Matplotlib makes a new folder for each process. So
+the package chooses a folder for both before it loads them.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+import tempfile
+from pathlib import Path
+
+
+def provide_cache_folders() -> None:
+    """Name a temporary folder to each library that has none of its own, for this process and those that it starts.
+
+    The folder is the same for every command of a user, so that kernels are compiled once.
+    """
+    home, numba, matplotlib = _home(), "NUMBA_CACHE_DIR", "MPLCONFIGDIR"
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
+    config = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
+    # Numba looks for the first of its places, Matplotlib needs both of its own.
+    kernels = [Path(__file__).parent / "__pycache__", cache / "numba"]
+    fonts = [config / "matplotlib", cache / "matplotlib"]
+    missing = []
+    if not any(map(_is_writable, [*_chosen(numba), *kernels])):
+        missing.append(numba)
+    if not all(map(_is_writable, _chosen(matplotlib) or fonts)):
+        missing.append(matplotlib)
+    if not missing:
+        return
+    try:
+        folder = _temporary()
+    except OSError:  # no place at all; the libraries say so themselves
+        return
+    os.environ.update({name: str(folder) for name in missing})
+    if numba in missing and "numba" in sys.modules:  # which has read its variable already
+        sys.modules["numba"].config.CACHE_DIR = str(folder)
+    kept = " and ".join({numba: "compiled kernels", matplotlib: "a list of fonts"}[name] for name in missing)
+    print(
+        f"no folder of this user's can be written to keep {kept} in: {folder} is used "
+        f"({' and '.join(missing)} would choose another)",
+        file=sys.stderr,
+        flush=True,
+    )
+
+
+def _chosen(variable: str) -> list[Path]:
+    """The folder that the user has chosen, if any."""
+    return [Path(os.environ[variable])] if os.environ.get(variable) else []
+
+
+def _home() -> Path:
+    """The user's home; of a user without any, a folder that cannot be made."""
+    home = Path(os.path.expanduser("~"))
+    return home if home.is_absolute() else Path(os.devnull)
+
+
+def _is_writable(folder: Path) -> bool:
+    """Whether files can be made in a folder, which may be still to be made."""
+    folder = folder.absolute()
+    while not os.path.exists(folder) and folder.parent != folder:
+        folder = folder.parent
+    return os.path.isdir(folder) and os.access(folder, os.W_OK | os.X_OK)
+
+
+def _temporary() -> Path:
+    """A folder that this user alone can write: what lies in it is run as code."""
+    folder = Path(tempfile.gettempdir()) / f"gran-bench-cache-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077:
+        return folder
+    return Path(tempfile.mkdtemp(prefix=f"{folder.name}-"))
+
+
+# When the package is imported, which is before any module of it defines a kernel.
+provide_cache_folders()
