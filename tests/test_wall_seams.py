@@ -247,6 +247,29 @@ def test_both_engines_agree_on_a_crowd_that_runs_over_seams():
         assert np.abs(getattr(fast, field) - getattr(reference, field)).max() < 1e-8, field
 
 
+def test_threads_and_skin_change_no_bit_over_seams():
+    rings = [Disc((0, 0, 0), UP, 0.1 * (k + 1), hole=0.1 * k) for k in range(15)]
+    scene = scene_with(*rings, friction=0.4, rolling_friction=0.02, gravity=(0.0, 0.0, -9.81))
+    rng, line = np.random.default_rng(0), np.arange(-20, 20) * 0.055
+    position = np.stack(np.meshgrid(line, line, [R - 1e-4], indexing="ij"), -1).reshape(-1, 3)
+    count = len(position)
+    assert len(engine_numba.chunk_bounds(count)) == 3
+    velocity = rng.normal(0, 0.3, (count, 3)) * (1, 1, 0)
+    state = ParticleState(position, velocity, rng.normal(0, 9, (count, 3)), np.full(count, R))
+    physics, step = Physics.of(scene, R), 2e-4
+    whole = after(engine_numba.advance, scene, state, 200, step)
+    crossed = np.floor(np.hypot(*position[:, :2].T) / 0.1) != np.floor(np.hypot(*whole.position[:, :2].T) / 0.1)
+    assert np.count_nonzero(crossed) > 50
+    poses = wall_poses(scene, 0.0, step, 200)
+    others = [
+        engine_numba.advance(state, replace(physics, threads=2), step, poses),
+        engine_numba.advance(state, replace(physics, skin=2e-3), step, poses),
+    ]
+    for other in others:
+        for field in ("position", "velocity", "angular_velocity"):
+            assert np.array_equal(getattr(other, field), getattr(whole, field)), field
+
+
 # ---- what a scene needs --------------------------------------------------------------------------------------
 
 
