@@ -125,16 +125,24 @@ def test_the_order_of_the_particles_does_not_matter(bed):
     assert np.abs(mixed - straight[shuffle]).max() < 1e-10
 
 
-def test_unequal_radii_agree_too():
-    scene = small_drum()
+@pytest.mark.parametrize("rolling", [0.0, 0.1])
+@pytest.mark.parametrize("sizes", ["one", "many"])
+def test_unequal_radii_and_masses_agree_too(rolling, sizes):
+    scene = small_drum(rolling=rolling)
+    scene = replace(scene, more_materials=(replace(scene.material, density=7800.0),))
     rng = np.random.default_rng(4)
     state = scene.fresh_filling(0)
-    state = replace(state, radius=rng.uniform(0.015, 0.025, state.count), velocity=rng.normal(0, 1, (state.count, 3)))
+    radius = rng.uniform(0.015, 0.025, state.count) if sizes == "many" else state.radius
+    kind, spin = rng.integers(0, 2, state.count).astype(np.uint8), rng.normal(0, 20, (state.count, 3))
+    velocity = rng.normal(0, 1, (state.count, 3))
+    state = replace(state, radius=radius, velocity=velocity, angular_velocity=spin, material=kind)
     runs = [
         simulate(scene, state, 0.06, dem=DemConfig(engine=name, time_step=1e-4)).final for name in ("numba", "numpy")
     ]
     assert len(runs[0].history) > 20
     assert np.abs(runs[0].position - runs[1].position).max() < 1e-10
+    assert np.abs(runs[0].angular_velocity - runs[1].angular_velocity).max() < 1e-6
+    assert (np.abs(runs[0].history.rolling_moment).max() > 0) == (rolling > 0)
 
 
 @pytest.mark.parametrize("engine", ["numba", "numpy"])
