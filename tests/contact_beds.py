@@ -11,6 +11,7 @@ from gran_bench.surrogate.contact import ContactNetwork
 from gran_bench.surrogate.contact_geometry import find_contacts
 from gran_bench.surrogate.contact_memory import ContactMemory
 from gran_bench.surrogate.step import FrameState
+from gran_bench.surrogate.walls import frame_walls
 
 DIAMETER = 0.05
 VARIANTS = ({}, {"memory": True}, {"velocity": "instantaneous"}, {"memory": True, "velocity": "instantaneous"})
@@ -57,7 +58,7 @@ def cluster(scene: Scene, count: int, seed: int = 0, dtype: torch.dtype = torch.
 def with_memory(model: ContactNetwork, scene: Scene, state: FrameState) -> FrameState:
     """The state with springs at half of its contacts."""
     if model.has_memory:
-        contacts = find_contacts(scene, state.position.detach().numpy(), DIAMETER * 1.1, 0.01)
+        contacts = find_contacts(scene, frame_walls(scene, 1.5), state.position.detach().numpy(), DIAMETER * 1.1, 0.01)
         keys = contacts.keys(len(state.position))[::2]
         spring = np.random.default_rng(5).normal(0.0, 0.3, (len(keys), 3)).astype(np.float32)
         state.memory = ContactMemory(keys, spring)

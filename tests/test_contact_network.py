@@ -9,8 +9,9 @@ from gran_bench.config import ContactModelConfig
 from gran_bench.neighbors import tree_pairs
 from gran_bench.scene import Plane
 from gran_bench.surrogate.contact import ContactNetwork
-from gran_bench.surrogate.contact_geometry import find_contacts, wall_displacement_matrix, wall_surfaces
+from gran_bench.surrogate.contact_geometry import MILLIMETRE, find_contacts, wall_surfaces
 from gran_bench.surrogate.step import FrameState
+from gran_bench.surrogate.walls import frame_walls
 
 
 class TestDefinition:
@@ -71,7 +72,7 @@ class TestContactList:
     def test_it_lists_what_a_tree_finds(self, periodic):
         scene = drum(periodic=periodic)
         position = cluster(scene, 60).position.numpy()
-        listed = find_contacts(scene, position, 0.06, 0.01)
+        listed = find_contacts(scene, frame_walls(scene, 1.5), position, 0.06, 0.01)
         assert np.array_equal(listed.pairs, tree_pairs(position, 0.06, scene.period))
         assert set(listed.wall) == set(range(len(scene.walls)))
         assert (np.diff(listed.keys(60)) > 0).all()
@@ -141,11 +142,11 @@ class TestConservation:
 class TestWalls:
     def test_a_sphere_that_turns_with_the_drum_neither_slips_nor_approaches(self):
         scene = drum(speed_rpm=45.0)
-        theta, matrix = scene.rotation.angle(1.6, 1.61), wall_displacement_matrix(scene, scene.walls[0], 1.6)
+        theta, walls = scene.rotation.angle(1.6, 1.61), frame_walls(scene, 1.6).in_unit(MILLIMETRE)
         end = torch.tensor([[105.0, 20.0, 0.0], [-63.0, 0.0, -84.0]], dtype=torch.float64)
-        displacement = end @ torch.tensor(matrix).T
+        displacement = end @ torch.tensor(walls.turn[0]).T
         spin = torch.tensor([[0.0, 25.0 * theta, 0.0]], dtype=torch.float64).expand(2, 3)
-        seen = wall_surfaces(scene.walls[0], matrix, end, displacement, spin, 25.0)
+        seen = wall_surfaces(walls, 0, end, displacement, spin, 25.0)
         assert seen.gap.numpy() == pytest.approx(0.0, abs=1e-9)
         # What is left is of second order in the angle turned.
         assert seen.slip.abs().max() < 25.0 * theta**2
@@ -165,7 +166,9 @@ class TestWalls:
 
     def test_a_resting_wall_does_not_move(self):
         scene = drum().at_rest()
-        assert not wall_displacement_matrix(scene, scene.walls[0], 1.5).any()
+        walls = frame_walls(scene, 1.5)
+        assert not walls.turn.any()
+        assert not walls.shift.any()
 
     def test_a_cap_pushes_a_sphere_back_in(self):
         scene = drum(count=1).at_rest()

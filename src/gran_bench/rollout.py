@@ -24,11 +24,13 @@ class Rollout:
             from it shows the failure.
         failed_frame: index of the first non-finite frame, or None.
         seconds_per_frame: ``(F − 1,)`` wall time of each computed frame, s.
+        warnings: where the scene or the start is unlike what the model was trained for, a line each.
     """
 
     trajectory: Trajectory
     failed_frame: int | None
     seconds_per_frame: np.ndarray
+    warnings: tuple[str, ...] = ()
 
 
 def initial_frame(model: Surrogate, scene: Scene, state: ParticleState) -> FrameState:
@@ -68,7 +70,11 @@ def rollout(
         state: the settled state, as the DEM left it.
         frames: F, the first state included; None: as many as the scene has.
         progress: show a bar.
+
+    Raises:
+        ModelMismatch: a scene or state that the model cannot be right for, such as spheres of another size.
     """
+    warnings = () if model.trained_for is None else model.trained_for.warnings(scene, state)
     frames = scene.frame_count if frames is None else frames
     shape = (frames, state.count, 3)
     position, velocity = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
@@ -94,4 +100,4 @@ def rollout(
     trajectory = Trajectory(
         clock, position, velocity, spin, np.asarray(state.radius), velocity_kind=model.velocity_kind
     )
-    return Rollout(trajectory, failed_frame, seconds)
+    return Rollout(trajectory, failed_frame, seconds, warnings)

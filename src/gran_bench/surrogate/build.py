@@ -2,32 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig
 from gran_bench.scene import Scene
 from gran_bench.surrogate.step import Surrogate
+from gran_bench.surrogate.trained_for import TrainedFor
 
 MODELS = ("ccnn", "radial", "contact")
 
 
-def build_model(model: CconvModelConfig | ContactModelConfig, boundary: BoundaryConfig, scene: Scene) -> Surrogate:
+def build_model(
+    model: CconvModelConfig | ContactModelConfig,
+    boundary: BoundaryConfig,
+    scene: Scene,
+    speeds_rpm: Sequence[float] = (),
+) -> Surrogate:
     """The surrogate that a config names, with fresh weights from torch's global generator.
 
     Args:
         model: its ``name`` is one of ``ccnn``, ``radial`` (a continuous-convolution network with the lattice or the
             radial kernel) and ``contact``.
         boundary: how a convolutional model sees the walls; the contact network always has analytic contacts.
-        scene: the spheres and walls that the model is made for.
+        scene: that the model is made for; a rollout in another one is held against it.
+        speeds_rpm: of the drum in the training cases, rpm.
 
     Raises:
         ValueError: an unknown name, or a value that the model refuses.
     """
+    if model.name not in MODELS:
+        raise ValueError(f"model.name={model.name!r} is unknown; choose {', '.join(MODELS)}")
     # Imported on demand: a model that is not used costs no import.
-    if model.name in ("ccnn", "radial"):
-        from gran_bench.surrogate.ccnn import ContinuousConvolutionNetwork
-
-        return ContinuousConvolutionNetwork(model, boundary, scene)
     if model.name == "contact":
         from gran_bench.surrogate.contact import ContactNetwork
 
-        return ContactNetwork(model, scene)
-    raise ValueError(f"model.name={model.name!r} is unknown; choose {', '.join(MODELS)}")
+        built = ContactNetwork(model, scene)
+    else:
+        from gran_bench.surrogate.ccnn import ContinuousConvolutionNetwork
+
+        built = ContinuousConvolutionNetwork(model, boundary, scene)
+    built.trained_for = TrainedFor(scene, tuple(speeds_rpm))
+    return built
