@@ -73,7 +73,8 @@ class TrainedFor:
             yield f"scene.gravity={list(scene.gravity)}, trained on {list(home.gravity)}"
         if (scene.walls, scene.period) != (home.walls, home.period):
             yield f"walls: {_container(scene)}; trained in {_container(home)}"
-        speeds = [rpm for wall in scene.walls if wall.turns and wall.motion is None for rpm in scene.rotation.speeds_rpm]
+        turns = any(wall.turns and wall.motion is None for wall in scene.walls)
+        speeds = scene.rotation.speeds_rpm if turns else ()
         known = self.speeds_rpm if home.takes_speeds else home.rotation.speeds_rpm
         if known and speeds:
             low, high = min(known), max(known)

@@ -129,8 +129,8 @@ def _respond_adjoint(
 @njit(nogil=True, error_model="numpy")
 def iterate_adjoint(
     pairs, near, wall_start, walls, springs, limits, period, gravity, nearness,
-    w1, b1, w2, b2, stiffness, spin_share, mix_weight, mix_bias, states, messages, sums, adjoint, d_position, d_nearness,
-    d_w1, d_b1, d_w2, d_b2, d_stiffness, d_spin_share, d_mix_weight, d_mix_bias,
+    w1, b1, w2, b2, stiffness, spin_share, mix_weight, mix_bias, states, messages, sums, adjoint, d_position,
+    d_nearness, d_w1, d_b1, d_w2, d_b2, d_stiffness, d_spin_share, d_mix_weight, d_mix_bias,
 ):  # fmt: skip  # pragma: no cover - jitted
     """Adjoint of :func:`contact_iterations.iterate`; ``adjoint`` is its seed and its result.
 
