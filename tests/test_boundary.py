@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from contact_beds import furnished
 
 from gran_bench.config import SceneConfig
 from gran_bench.dem.walls import surface_velocity, wall_contact, wall_poses
 from gran_bench.neighbors import tree_neighbors
-from gran_bench.scene import Cone, Cylinder, Disc, Plane, Rotation, Spin, Translation, Vibration, build_scene
+from gran_bench.scene import Disc, Plane, Rotation, Translation, build_scene
 from gran_bench.surrogate.boundary import see_contacts, see_spheres, wall_spheres
 from gran_bench.surrogate.walls import closest_point, frame_walls, wall_velocity
 
@@ -71,26 +72,11 @@ def test_wall_spheres_need_a_spacing():
     assert len(covered(replace(drum(), walls=())).position) == 0
 
 
-def furnished():
-    """A wall of every kind, some off the axes, one that shakes, one that turns end over end, one that opens."""
-    tilted = (0.6, 0.0, 0.8)
-    walls = (
-        Plane((0.1, 0.0, -0.5), tilted, motion=Vibration(0.01, 3.0, (0.0, 0.6, 0.8))),
-        Cylinder((0.0, 0.1, 0.0), (0.0, 0.6, 0.8), 0.5, turns=False),
-        Cylinder((0.3, 0.0, 0.0), tilted, 0.1, length=0.4, motion=Spin((1.5,), (40.0,), center=(0.1, 0.0, 0.2))),
-        Disc((0.0, 0.0, -0.2), tilted, 0.3, hole=0.1, motion=Translation((1.4, 1.6), ((0, 0, 0), (0.5, -0.2, 0.1)))),
-        Disc((0.0, 0.0, 0.4), (0.0, 0.0, 1.0), 0.3, turns=False),
-        Cone((0.0, -0.3, 0.0), tilted, 0.05, 0.3, 0.25, turns=False),
-        Disc((0.0, 0.2, 0.0), (0.0, 1.0, 0.0), 0.2, turns=False, opens=1.505),
-    )
-    return replace(drum(), walls=walls, drum_radius=None, length=None, name="furnished")
-
-
 def test_closest_points_are_those_of_the_dem_on_every_wall():
     position = np.random.default_rng(0).uniform(-0.6, 0.6, (500, 3))
     position[:3] = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.3], [0.0, 0.0, 0.55]]  # on axes
     scene = furnished()
-    for time in (1.0, 1.5):
+    for time in (1.0, 1.595):
         poses, walls = wall_poses(scene, time, scene.frame_interval, 1), frame_walls(scene, time)
         for pose, shape in zip((*poses[0], *poses[1]), (*walls.before, *walls.after), strict=True):
             expected = wall_contact(pose, position)

@@ -59,6 +59,15 @@ def step_frames(model: Surrogate, scene: Scene, state: ParticleState) -> Iterato
         index += 1
 
 
+def extrapolations(model: Surrogate, scene: Scene, state: ParticleState) -> tuple[str, ...]:
+    """Where a scene or a start is unlike what a model was trained for, a line each.
+
+    Raises:
+        ModelMismatch: where the model cannot be right.
+    """
+    return () if model.trained_for is None else model.trained_for.warnings(scene, state)
+
+
 def rollout(
     model: Surrogate, scene: Scene, state: ParticleState, frames: int | None = None, progress: bool = False
 ) -> Rollout:
@@ -74,7 +83,7 @@ def rollout(
     Raises:
         ModelMismatch: a scene or state that the model cannot be right for, such as spheres of another size.
     """
-    warnings = () if model.trained_for is None else model.trained_for.warnings(scene, state)
+    warnings = extrapolations(model, scene, state)
     frames = scene.frame_count if frames is None else frames
     shape = (frames, state.count, 3)
     position, velocity = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
