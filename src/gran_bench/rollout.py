@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from gran_bench.dem.walls import check_walls
 from gran_bench.scene import Scene
 from gran_bench.state import ParticleState, Trajectory
 from gran_bench.surrogate.step import FrameState, Surrogate
@@ -82,7 +83,9 @@ def rollout(
 
     Raises:
         ModelMismatch: a scene or state that the model cannot be right for, such as spheres of another size.
+        ValueError: a wall without an end that turns about an axis that it is not symmetric about.
     """
+    check_walls(scene)
     warnings = extrapolations(model, scene, state)
     frames = scene.frame_count if frames is None else frames
     shape = (frames, state.count, 3)
