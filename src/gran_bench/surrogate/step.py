@@ -76,10 +76,16 @@ class Surrogate(nn.Module):
             memory: of the start frame, as :meth:`memories` gives it; a model without memory takes no notice.
 
         Raises:
-            ValueError: a model of spin that is given none.
+            ValueError: a model of spin that is given none, or a value that is not ``(N, 3)`` or not finite.
         """
         if self.uses_spin and angular_velocity is None:
             raise ValueError(f"{type(self).__name__} carries spin; give angular_velocity (N, 3) in rad/s to begin()")
+        given = {"position": position, "velocity": velocity, "angular_velocity": angular_velocity}
+        for name, values in given.items():
+            if values is not None and values.shape != (len(position), 3):
+                raise ValueError(f"{name} has shape {tuple(values.shape)}; give begin() one of ({len(position)}, 3)")
+            if values is not None and not torch.isfinite(values).all():
+                raise ValueError(f"{name} is not finite; give begin() finite values, a model can make nothing of it")
         if self.velocity_kind == "mean" and previous_position is not None:
             velocity = minimum_image(position - previous_position, scene.period) / scene.frame_interval
         return FrameState(position, velocity, angular_velocity if self.uses_spin else None)
