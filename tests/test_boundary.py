@@ -6,11 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from contact_beds import furnished
 
 from gran_bench.config import SceneConfig
+from gran_bench.dem.walls import surface_velocity, wall_contact, wall_poses
 from gran_bench.neighbors import tree_neighbors
-from gran_bench.scene import Cylinder, Plane, Rotation, build_scene
-from gran_bench.surrogate.boundary import closest_point, see_contacts, see_spheres, wall_spheres, wall_velocity
+from gran_bench.scene import Disc, Plane, Rotation, Translation, build_scene
+from gran_bench.surrogate.boundary import see_contacts, see_spheres, wall_spheres
+from gran_bench.surrogate.walls import closest_point, frame_walls, wall_velocity
 
 REACH, SPACING = 0.1125, 0.025
 
@@ -19,6 +22,11 @@ def drum(periodic=False, length=1.0, rpm=30.0):
     config = SceneConfig(name="test")
     config.container.periodic_axis, config.container.length = periodic, length
     return build_scene(config).at_speed(rpm)
+
+
+def covered(scene, spacing=SPACING, beyond=0.0):
+    """The scene's walls under points, in a box of 2 m."""
+    return wall_spheres(scene, frame_walls(scene, 1.49).after, spacing, -np.ones(3), np.ones(3), beyond)
 
 
 def inside_drum(count, seed, length=1.0):
@@ -31,12 +39,12 @@ def inside_drum(count, seed, length=1.0):
 
 def test_wall_spheres_lie_on_the_walls_with_normals_into_the_drum():
     scene = drum()
-    cover = wall_spheres(scene, SPACING)
-    for index, wall in enumerate(scene.walls):
+    cover = covered(scene)
+    for index, shape in enumerate(frame_walls(scene, 1.5).after):
         mine = torch.from_numpy(cover.position[cover.wall == index])
-        distance, normal = closest_point(wall, mine)
+        distance, toward = closest_point(shape, mine)
         assert distance.abs().max() < 1e-12
-        assert torch.allclose(normal, torch.from_numpy(cover.normal[cover.wall == index]))
+        assert torch.allclose(-toward, torch.from_numpy(cover.normal[cover.wall == index]))
         assert mine.norm(dim=1).max() <= math.hypot(0.5, 0.5)
         assert mine[:, 1].abs().max() <= 0.5 + 1e-12
     assert 7000 < len(cover.position) < 8000  # about area / spacing²
@@ -45,7 +53,7 @@ def test_wall_spheres_lie_on_the_walls_with_normals_into_the_drum():
 @pytest.mark.parametrize("periodic", [False, True])
 def test_wall_spheres_are_about_a_spacing_apart_across_the_seam_too(periodic):
     scene = drum(periodic, length=0.2)
-    cover = wall_spheres(scene, SPACING, beyond=REACH)
+    cover = covered(scene, beyond=REACH)
     barrel = cover.position[cover.wall == 0]
     middle = barrel[np.abs(barrel[:, 1]) <= 0.1]
     query, _ = tree_neighbors(middle, barrel, 0.9 * SPACING)
@@ -58,23 +66,85 @@ def test_wall_spheres_are_about_a_spacing_apart_across_the_seam_too(periodic):
     assert bool(len(beyond)) is periodic
 
 
-def test_wall_spheres_need_walls_with_an_end_and_a_spacing():
-    endless = replace(drum(), drum_radius=None)
-    with pytest.raises(ValueError, match=r"boundary\.kind=analytic"):
-        wall_spheres(endless, SPACING)
+def test_wall_spheres_need_a_spacing():
     with pytest.raises(ValueError, match=r"boundary\.spacing"):
-        wall_spheres(drum(), 0.0)
-    assert len(wall_spheres(replace(drum(), walls=()), SPACING).position) == 0
+        covered(drum(), 0.0)
+    assert len(covered(replace(drum(), walls=())).position) == 0
 
 
-def test_closest_points_of_cylinder_and_plane():
-    point = torch.tensor([[0.3, 0.2, -0.4], [0.0, 0.0, 0.0], [0.6, 0.0, 0.0]], dtype=torch.float64)
-    distance, normal = closest_point(Cylinder((0, 0, 0), (0, 1, 0), 0.5), point)
-    assert torch.allclose(distance, torch.tensor([0.0, 0.5, -0.1], dtype=torch.float64))
-    assert torch.allclose(normal, torch.tensor([[-0.6, 0, 0.8], [0, 0, 0], [-1, 0, 0]], dtype=torch.float64))
-    distance, normal = closest_point(Plane((0, -0.5, 0), (0, 1, 0)), point)
-    assert torch.allclose(distance, torch.tensor([0.7, 0.5, 0.5], dtype=torch.float64))
-    assert torch.equal(normal[0], torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64))
+def test_closest_points_are_those_of_the_dem_on_every_wall():
+    position = np.random.default_rng(0).uniform(-0.6, 0.6, (500, 3))
+    position[:3] = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.3], [0.0, 0.0, 0.55]]  # on axes
+    scene = furnished()
+    for time in (1.0, 1.595):
+        poses, walls = wall_poses(scene, time, scene.frame_interval, 1), frame_walls(scene, time)
+        for pose, shape in zip((*poses[0], *poses[1]), (*walls.before, *walls.after), strict=True):
+            expected = wall_contact(pose, position)
+            found = closest_point(shape, torch.from_numpy(position))
+            assert all(np.allclose(e, f.numpy(), atol=1e-12) for e, f in zip(expected, found, strict=True))
+
+
+def test_closest_points_are_differentiable_on_every_wall():
+    position = torch.from_numpy(np.random.default_rng(1).uniform(-0.6, 0.6, (30, 3))).requires_grad_()
+    for shape in frame_walls(furnished(), 1.49).after:
+        assert torch.autograd.gradcheck(lambda x, shape=shape: closest_point(shape, x), position, fast_mode=True)
+
+
+def test_a_frame_moves_the_material_of_every_wall_exactly():
+    scene, parts = furnished(), 20000
+    fine = wall_poses(scene, 1.5, scene.frame_interval / parts, parts)
+    walls = frame_walls(scene, 1.5)
+    for index in range(len(scene.walls)):
+        point = np.array([0.2, -0.1, 0.3])
+        for pose in fine[1:, index]:  # a point of the wall, followed in small steps
+            point = point + scene.frame_interval / parts * surface_velocity(pose, point[None])[0]
+        moved = walls.turn[index] @ point + walls.shift[index]
+        assert np.allclose(moved, point - (0.2, -0.1, 0.3), atol=1e-7)
+
+
+def test_wall_spheres_cover_every_wall_on_both_of_its_sides():
+    scene = furnished()
+    shapes, cover = frame_walls(scene, 1.49).after, covered(scene)
+    assert set(cover.wall) == set(range(len(scene.walls)))
+    for index, shape in enumerate(shapes):
+        mine = cover.wall == index
+        points, normal = torch.from_numpy(cover.position[mine]), torch.from_numpy(cover.normal[mine])
+        distance, _ = closest_point(shape, points)
+        assert distance.abs().max() < 1e-12
+        _, back = closest_point(shape, points + 1e-3 * normal)
+        assert torch.allclose(back, -normal, atol=1e-6)
+        # Nowhere in the box is the wall farther from its next point than a spacing.
+        place = np.random.default_rng(2).uniform(-0.9, 0.9, (400, 3))
+        distance, toward = (found.numpy() for found in closest_point(shape, torch.from_numpy(place)))
+        touched = place + distance[:, None] * toward
+        touched = touched[(np.abs(touched) < 0.9).all(axis=1)]
+        query, _ = tree_neighbors(touched, cover.position[mine], 1.05 * SPACING)
+        assert len(np.unique(query)) == len(touched), index
+
+
+def test_a_wall_with_two_sides_is_seen_from_the_particles_own():
+    scene = replace(furnished(), walls=(Disc((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.3, turns=False),))
+    position = torch.tensor([[0.1, 0.0, 0.03], [0.1, 0.0, -0.03]], dtype=torch.float64)
+    for pairs in (
+        see_spheres(position, scene, 1.5, REACH, SPACING),
+        see_contacts(position, torch.zeros_like(position), scene, 1.5, REACH),
+    ):
+        side = pairs.normal[pairs.source][:, 2]
+        assert side[pairs.query == 0].eq(1.0).all()
+        assert side[pairs.query == 1].eq(-1.0).all()
+        assert set(pairs.query.tolist()) == {0, 1}
+        assert pairs.distance.tolist() == pytest.approx([0.03, 0.03])
+
+
+def test_a_wall_is_seen_where_it_is_when_the_frame_ends_and_no_more_when_it_is_gone():
+    lid = Disc((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.3, turns=False, opens=1.6)
+    floor = Plane((0.0, 0.0, -0.05), (0.0, 0.0, 1.0), motion=Translation((1.0, 1.0), ((0, 0, 0), (0, 0, 0.5))))
+    scene = replace(furnished(), walls=(lid, floor))
+    position = torch.tensor([[0.0, 0.0, 0.05]], dtype=torch.float64)
+    first = see_contacts(position, torch.zeros_like(position), scene, 1.0, REACH)
+    assert first.relative.tolist() == [[0.0, 0.0, -0.05], [0.0, 0.0, pytest.approx(-0.095)]]
+    assert first.velocity.tolist() == [[0.0, 0.0, 0.0], [0.0, 0.0, pytest.approx(0.5)]]
+    assert len(see_contacts(position, torch.zeros_like(position), scene, 1.6, 1.0).query) == 1
 
 
 def test_the_bottom_of_the_drum_moves_towards_minus_x_with_its_mean_speed_over_the_frame():
@@ -100,7 +170,7 @@ def test_spheres_seen_are_all_within_reach_and_no_others(periodic):
     pairs = see_spheres(position, scene, 1.5, REACH, SPACING)
     assert pairs.relative.norm(dim=1).max() < REACH
     assert torch.equal(pairs.source.unique(), torch.arange(pairs.source_count))
-    cover = wall_spheres(scene, SPACING, beyond=REACH)
+    cover = covered(scene, beyond=REACH)
     query, sphere = tree_neighbors(position.numpy(), cover.position, REACH)
     seen = torch.stack((pairs.near[pairs.query].double(), *pairs.relative.T), dim=1)
     expected = np.column_stack((query, cover.position[sphere] - position.numpy()[query]))

@@ -68,9 +68,10 @@ def test_the_papers_network_has_the_parameters_that_its_layers_add_up_to():
 def test_the_fused_and_the_torch_backend_give_the_same_frames_and_gradients(kernel, kind):
     """Gradients through time included; with positions held constant in both, they are the same sums."""
     scene = drum()
-    position, velocity = bed(scene)
-    fused = network(scene, BoundaryConfig(kind=kind), kernel=kernel, backend="fused")
-    plain = network(scene, BoundaryConfig(kind=kind), kernel=kernel, backend="torch")
+    # In float64: a ReLU whose input is a rounding error would differ in float32.
+    position, velocity = (values.double() for values in bed(scene))
+    fused = network(scene, BoundaryConfig(kind=kind), kernel=kernel, backend="fused").double()
+    plain = network(scene, BoundaryConfig(kind=kind), kernel=kernel, backend="torch").double()
     plain.load_state_dict(fused.state_dict())
     gradients = []
     for model in (fused, plain):
@@ -82,7 +83,7 @@ def test_the_fused_and_the_torch_backend_give_the_same_frames_and_gradients(kern
         state.velocity.pow(2).mean().backward()
         gradients.append([state.position.detach(), start.grad, *(p.grad for p in model.parameters())])
     for a, b in zip(*gradients, strict=True):
-        assert (a - b).norm() <= 2e-5 * b.norm()
+        assert (a - b).norm() <= 1e-9 * b.norm()
 
 
 @pytest.mark.parametrize("kernel", KERNELS)

@@ -39,7 +39,7 @@ def test_the_largest_allowed_step_is_allowed_and_the_next_is_not():
         (shipped_scene("drum").at_speed(35.0), "it was trained at 35 rpm"),
         (shipped_scene("drum_mu05").at_speed(30.0), "another material"),
         (shipped_scene("packing_polydisperse"), "spheres of one size"),
-        (shipped_scene("hopper"), "planes and cylinders alone"),
+        (shipped_scene("hopper"), "another diameter"),
     ],
     ids=lambda value: getattr(value, "name", value),
 )

@@ -1,15 +1,21 @@
 """The contact network's memory: springs that gather slip, turn with their contacts and go from frame to frame."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from contact_beds import DIAMETER, cluster, drum, network, nowhere, with_memory
 
 from gran_bench.config import ContactModelConfig
+from gran_bench.scene import Disc, Spin, Translation
+from gran_bench.shipped import shipped_scene
 from gran_bench.surrogate.contact import ContactNetwork
 from gran_bench.surrogate.contact_memory import ContactMemory, follow_memory, warm_memory
 from gran_bench.surrogate.kernels.contact_springs import SPRING_CAP
 from gran_bench.surrogate.step import FrameState
+from gran_bench.surrogate.walls import frame_walls
 
 
 class TestMemory:
@@ -85,6 +91,53 @@ class TestMemory:
         assert np.array_equal(warmed.keys, held.keys)
         # A graze that only one of the two lists foresees is all that may differ.
         assert np.abs(warmed.spring - held.spring).max() < 2e-3
+
+    def test_a_sphere_carried_by_any_moving_wall_gathers_nothing(self):
+        # A tilted disc that turns end over end about a point of its own, and one that is pushed along itself.
+        turning = Disc((0.0, 0.0, 0.0), (0.6, 0.0, 0.8), 0.3, motion=Spin((0.0,), (30.0,), center=(0.1, 0.0, 0.2)))
+        pushed = Disc((0.0, 0.0, 0.0), (0.6, 0.0, 0.8), 0.3, motion=Translation((0.0,), ((0.08, 0.0, -0.06),)))
+        for wall, slides in ((turning, False), (pushed, False), (replace(pushed, motion=None), True)):
+            scene = replace(nowhere(), walls=(wall,))
+            moves = frame_walls(scene, 0.0)
+            start = np.array([0.05, 0.02, 0.0]) - 0.05 * 0.6 * np.array([0.6, 0.0, 0.8])
+            start = start + 0.0248 * np.array([0.6, 0.0, 0.8])  # 0.2 mm into it
+            rate = np.array([0.0, math.pi, 0.0]) if wall is turning else np.zeros(3)
+            if wall is turning:  # the frame's inverse: c is where x goes, x = c − M c − t
+                end = np.linalg.solve(np.eye(3) - moves.turn[0], start + moves.shift[0])
+            else:
+                end = start + np.array([0.0008, 0.0, -0.0006])
+            spins = np.tile(rate, (2, 1, 1))
+            held = warm_memory(scene, [0.0, 0.01], np.array([[start], [end]]), spins)
+            assert len(held.keys) == 1
+            assert (np.linalg.norm(held.spring) > 0.05) == slides
+
+    def test_a_memory_follows_its_particles_under_other_numbers(self):
+        scene = drum()
+        model = network(scene, memory=True)
+        memory = with_memory(model, scene, cluster(scene, 60)).memory
+        inside = np.arange(60) % 4 != 0
+        numbers = np.where(inside, np.cumsum(inside) - 1, -1)
+        part = memory.renumbered(numbers, inside.sum())
+        assert 0 < len(part.keys) < len(memory.keys)
+        assert (np.diff(part.keys) > 0).all()
+        back = part.renumbered(np.flatnonzero(inside), 60)
+        kept = np.isin(memory.keys, back.keys)
+        assert np.array_equal(memory.keys[kept], back.keys)
+        assert np.array_equal(memory.spring[kept], back.spring)
+        of_pair = memory.keys < 60 * 60
+        first, second = np.divmod(memory.keys, 60)
+        assert np.array_equal(kept, inside[second] & (~of_pair | inside[np.where(of_pair, first, 0)]))
+
+    def test_every_wall_of_a_hopper_is_its_own_mirror_image_and_a_drum_swaps_its_caps(self):
+        hopper, small = shipped_scene("hopper"), drum()
+        for scene, images in ((hopper, [0, 1, 2]), (small, [0, 2, 1])):
+            keys = np.arange(3) * 1 + 1
+            memory = ContactMemory(keys, np.eye(3, dtype=np.float32))
+            found = memory.mirrored(scene, 1)
+            assert np.array_equal(found.spring, np.eye(3, dtype=np.float32)[images] * np.float32([1, -1, 1]))
+        lopsided = replace(hopper, walls=(Disc((0.0, 0.0, 0.0), (0.0, 0.6, 0.8), 0.1, turns=False),))
+        with pytest.raises(ValueError, match=r"no mirror image; switch rollout\.mirror off"):
+            ContactMemory.empty().mirrored(lopsided, 1)
 
     def test_springs_change_the_motion(self):
         scene = drum()

@@ -3,42 +3,21 @@
 import numpy as np
 import pytest
 import torch
-from contact_beds import VARIANTS, cluster, drum, network, nowhere, with_memory
+from contact_beds import VARIANTS, at_walls, cluster, drum, furnished, network, nowhere, with_memory
 
 from gran_bench.config import ContactModelConfig
 from gran_bench.neighbors import tree_pairs
 from gran_bench.scene import Plane
 from gran_bench.surrogate.contact import ContactNetwork
-from gran_bench.surrogate.contact_geometry import find_contacts, wall_displacement_matrix, wall_surfaces
+from gran_bench.surrogate.contact_geometry import MILLIMETRE, find_contacts, wall_surfaces
+from gran_bench.surrogate.contact_solver import PAIR
 from gran_bench.surrogate.step import FrameState
+from gran_bench.surrogate.walls import frame_walls
 
 
 class TestDefinition:
     def test_four_iterations_have_3372_weights(self):
         assert network(drum(), iterations=4).parameter_count == 3372
-
-    def test_a_lone_sphere_flies_ballistically(self):
-        scene = nowhere(gravity=True)
-        velocity, spin = torch.tensor([[0.3, 0.1, -0.2]]), torch.tensor([[1.0, 2.0, 3.0]])
-        state = FrameState(torch.zeros(1, 3), velocity, spin)
-        model = network(scene)
-        with torch.no_grad():
-            model.mix_bias.zero_()  # a lone sphere's channels are then zero, and it takes nothing of gravity back
-            after = model(state, scene, 0.0)
-        expected = velocity + 0.01 * torch.tensor([0.0, 0.0, -9.81])
-        assert torch.allclose(after.velocity, expected, atol=1e-6)
-        assert torch.allclose(after.position, 0.01 * expected, atol=1e-8)
-        assert torch.allclose(after.angular_velocity, spin, atol=1e-5)
-
-    def test_an_instantaneous_velocity_falls_half_as_far(self):
-        scene = nowhere(gravity=True)
-        state = FrameState(torch.zeros(1, 3), torch.zeros(1, 3), torch.zeros(1, 3))
-        model = network(scene, velocity="instantaneous")
-        with torch.no_grad():
-            model.mix_bias.zero_()
-            after = model(state, scene, 0.0)
-        assert after.position[0, 2].item() == pytest.approx(-0.5 * 9.81 * 0.01**2, rel=1e-5)
-        assert after.velocity[0, 2].item() == pytest.approx(-9.81 * 0.01, rel=1e-5)
 
     def test_a_pair_entering_its_reach_feels_nothing_yet(self):
         scene = nowhere()
@@ -51,6 +30,26 @@ class TestDefinition:
             return model.double()(state, scene, 0.0).velocity.abs().max().item()
 
         assert speed_after(edge - 1e-9) < 1e-6 < speed_after(edge - 1e-3)
+
+    def test_gravity_is_taken_back_as_far_as_the_nearest_contact_is_in_reach(self):
+        scene = nowhere(gravity=True)
+        model = network(scene).double()
+        with torch.no_grad():
+            model.output_weight.zero_()  # contacts answer nothing; the channels' biases alone take gravity back
+            model.output_bias.zero_()
+            model.stiffness.zero_()
+        reach, width = (1e-3 * length for length in model.fade(PAIR))
+
+        def lifted(gap: float) -> float:
+            position = torch.tensor([[0.0, 0.0, 0.0], [0.05 + gap, 0.0, 0.0]], dtype=torch.float64)
+            state = FrameState(position, torch.zeros_like(position), torch.zeros_like(position))
+            return model(state, scene, 0.0).velocity[0, 2].item() + 9.81 * 0.01
+
+        whole = lifted(0.0)
+        assert abs(whole) > 1e-4
+        assert lifted(reach - width) == pytest.approx(whole)
+        assert lifted(reach - 0.25 * width) == pytest.approx(0.25 * whole)
+        assert lifted(reach) == lifted(1.0) == pytest.approx(0.0, abs=1e-15)
 
     @pytest.mark.parametrize(
         ("choices", "named"),
@@ -71,7 +70,7 @@ class TestContactList:
     def test_it_lists_what_a_tree_finds(self, periodic):
         scene = drum(periodic=periodic)
         position = cluster(scene, 60).position.numpy()
-        listed = find_contacts(scene, position, 0.06, 0.01)
+        listed = find_contacts(scene, frame_walls(scene, 1.5), position, 0.06, 0.01)
         assert np.array_equal(listed.pairs, tree_pairs(position, 0.06, scene.period))
         assert set(listed.wall) == set(range(len(scene.walls)))
         assert (np.diff(listed.keys(60)) > 0).all()
@@ -141,11 +140,11 @@ class TestConservation:
 class TestWalls:
     def test_a_sphere_that_turns_with_the_drum_neither_slips_nor_approaches(self):
         scene = drum(speed_rpm=45.0)
-        theta, matrix = scene.rotation.angle(1.6, 1.61), wall_displacement_matrix(scene, scene.walls[0], 1.6)
+        theta, walls = scene.rotation.angle(1.6, 1.61), frame_walls(scene, 1.6).in_unit(MILLIMETRE)
         end = torch.tensor([[105.0, 20.0, 0.0], [-63.0, 0.0, -84.0]], dtype=torch.float64)
-        displacement = end @ torch.tensor(matrix).T
+        displacement = end @ torch.tensor(walls.turn[0]).T
         spin = torch.tensor([[0.0, 25.0 * theta, 0.0]], dtype=torch.float64).expand(2, 3)
-        seen = wall_surfaces(scene.walls[0], matrix, end, displacement, spin, 25.0)
+        seen = wall_surfaces(walls, 0, end, displacement, spin, 25.0)
         assert seen.gap.numpy() == pytest.approx(0.0, abs=1e-9)
         # What is left is of second order in the angle turned.
         assert seen.slip.abs().max() < 25.0 * theta**2
@@ -165,7 +164,9 @@ class TestWalls:
 
     def test_a_resting_wall_does_not_move(self):
         scene = drum().at_rest()
-        assert not wall_displacement_matrix(scene, scene.walls[0], 1.5).any()
+        walls = frame_walls(scene, 1.5)
+        assert not walls.turn.any()
+        assert not walls.shift.any()
 
     def test_a_cap_pushes_a_sphere_back_in(self):
         scene = drum(count=1).at_rest()
@@ -183,16 +184,18 @@ class TestWalls:
 
 class TestGradients:
     @pytest.mark.parametrize("choices", VARIANTS)
-    def test_derivatives_of_the_reference_are_right(self, choices):
-        scene = drum(count=8)
+    @pytest.mark.parametrize("room", ["drum", "every wall"])
+    def test_derivatives_of_the_reference_are_right(self, choices, room):
+        scene = furnished() if room == "every wall" else drum(count=8)
         model = network(scene, iterations=2, hidden=3, channels=2, **choices).double()
-        start = with_memory(model, scene, cluster(scene, 8, seed=3, dtype=torch.float64))
+        bed = at_walls(scene, torch.float64) if room == "every wall" else cluster(scene, 8, 3, torch.float64)
+        start = with_memory(model, scene, bed)
         names = list(dict(model.named_parameters()))
 
         def frame(position, velocity, spin, *weights):
             # In mm and mm per frame, so that one step of the finite differences suits all inputs.
             state = FrameState(1e-3 * position, 0.1 * velocity, 4.0 * spin, start.memory)
-            after = torch.func.functional_call(model, dict(zip(names, weights, strict=True)), (state, scene, 1.5))
+            after = torch.func.functional_call(model, dict(zip(names, weights, strict=True)), (state, scene, 1.51))
             return 1e3 * after.position, 10.0 * after.velocity, 0.25 * after.angular_velocity
 
         inputs = (1e3 * start.position, 10.0 * start.velocity, 0.25 * start.angular_velocity)

@@ -11,11 +11,12 @@ from gran_bench.config import LossConfig, SceneConfig
 from gran_bench.config_choices import loss_terms
 from gran_bench.losses import TERMS, FrameAhead, LossError, Target, WindowLoss, contact_overlaps, frame_weights
 from gran_bench.losses.particles import HUBER_WIDTH
-from gran_bench.scene import Scene, build_scene
+from gran_bench.scene import Cone, Disc, Outlet, Plane, Scene, Translation, build_scene
 from gran_bench.surrogate.step import FrameState
 
 SCENE = build_scene(SceneConfig(name="drum"))
 PERIODIC = replace(SCENE, periodic_axis=True, length=0.2)
+START = 1.5  # s, of the frame that is looked at
 D, DT, G = SCENE.filling.diameter, SCENE.frame_interval, 9.81
 
 
@@ -29,7 +30,7 @@ def perfect(scene: Scene = SCENE) -> FrameAhead:
     push[25:] = -push[:25]
     target = Target(position.clone(), velocity.clone(), spin.clone(), earlier, 1.0)
     before = FrameState(position - DT * velocity, earlier.clone(), spin.clone())
-    return FrameAhead(before, FrameState(position, velocity, spin, pair_acceleration=push), target, scene)
+    return FrameAhead(before, FrameState(position, velocity, spin, pair_acceleration=push), target, scene, START)
 
 
 def moved(ahead: FrameAhead, **fields: torch.Tensor) -> FrameAhead:
@@ -89,7 +90,7 @@ def test_an_error_of_one_diameter_counts_as_stated(name, field, error, expected)
 def test_position_error_across_a_periodic_edge_is_the_short_way(name, expected):
     here, there = (torch.tensor([[0.0, y, 0.0]], dtype=torch.float64) for y in (0.099, -0.099))
     target = Target(there, there, there, there)
-    ahead = FrameAhead(FrameState(here, here), FrameState(here, here), target, PERIODIC)
+    ahead = FrameAhead(FrameState(here, here), FrameState(here, here), target, PERIODIC, START)
     assert value(name, ahead) == pytest.approx(expected, rel=1e-6)
 
 
@@ -112,7 +113,9 @@ def test_the_energy_counts_translation_and_rotation_against_the_dems_or_the_floo
     target = Target(still, fast, turning, still)
 
     def cost(velocity: torch.Tensor, spin: torch.Tensor | None, against: Target = target) -> float:
-        return value("energy", FrameAhead(FrameState(still, still), FrameState(still, velocity, spin), against, SCENE))
+        return value(
+            "energy", FrameAhead(FrameState(still, still), FrameState(still, velocity, spin), against, SCENE, START)
+        )
 
     assert cost(still, still) == pytest.approx(1.0)
     assert cost(fast, still) == pytest.approx(0.1 / 1.1)
@@ -134,7 +137,8 @@ def test_speeds_are_compared_as_a_distribution_whoever_has_them():
 
     def cost(velocity: torch.Tensor) -> float:
         return value(
-            "speed_distribution", FrameAhead(FrameState(still, still), FrameState(still, velocity), target, SCENE)
+            "speed_distribution",
+            FrameAhead(FrameState(still, still), FrameState(still, velocity), target, SCENE, START),
         )
 
     assert cost(at(3.0, 1.0, 2.0)) == pytest.approx(0.0, abs=1e-9)
@@ -159,7 +163,7 @@ def test_errors_that_cancel_in_the_mean_leave_the_flow_and_the_centre_of_mass_ri
     zeros = torch.zeros(3, 3)
     target = Target(torch.tensor([[0.02, 0.0, 0.02], [0.07, 0.4, 0.07], [0.13, 0.0, 0.02]]), zeros, zeros, zeros)
     error = torch.tensor([[0.001, 0.0, 0.0], [-0.001, 0.0, 0.0], [0.0, 0.0, 0.003]])
-    ahead = FrameAhead(FrameState(zeros, zeros), FrameState(target.position + error, zeros), target, SCENE)
+    ahead = FrameAhead(FrameState(zeros, zeros), FrameState(target.position + error, zeros), target, SCENE, START)
     # Only the sphere in the neighbouring cell is left: 3 mm, one of three spheres.
     assert value("cell_displacement", ahead) == pytest.approx(0.001 / D, rel=1e-4)
     assert value("center_of_mass", ahead) == pytest.approx(0.001 / D, rel=1e-4)
@@ -171,7 +175,7 @@ def test_errors_that_cancel_in_the_mean_leave_the_flow_and_the_centre_of_mass_ri
 def at_positions(position: torch.Tensor, mean_overlap: float = 0.0, scene: Scene = SCENE) -> FrameAhead:
     zeros = torch.zeros_like(position)
     target = Target(position.detach(), zeros, zeros, zeros, mean_overlap)
-    return FrameAhead(FrameState(position, zeros), FrameState(position, zeros), target, scene)
+    return FrameAhead(FrameState(position, zeros), FrameState(position, zeros), target, scene, START)
 
 
 def test_overlaps_are_those_of_pairs_and_walls():
@@ -185,7 +189,7 @@ def test_overlaps_are_those_of_pairs_and_walls():
         ],
         dtype=torch.float64,
     )
-    assert contact_overlaps(position, SCENE).tolist() == pytest.approx([0.1 * D, 0.002, 0.003], rel=1e-9)
+    assert contact_overlaps(position, SCENE, START).tolist() == pytest.approx([0.1 * D, 0.002, 0.003], rel=1e-9)
 
 
 def test_overlaps_reach_across_a_periodic_edge():
@@ -205,6 +209,31 @@ def test_only_overlap_deeper_than_the_dems_mean_costs_contact_by_contact():
 def test_a_wall_is_a_contact_too():
     position = torch.tensor([[0.0, 0.0, -0.475 - 0.002]], dtype=torch.float64)  # 2 mm into the cylinder
     assert value("overlap", at_positions(position, 0.0005)) == pytest.approx(0.0015 / D, rel=1e-9)
+
+
+def test_overlaps_know_every_wall_where_it_is_when_the_frame_ends():
+    lid = Disc((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.2, turns=False, opens=2.0)
+    cone = Cone((0.0, 0.0, -0.3), (0.0, 0.0, 1.0), 0.0, 0.3, 0.3, turns=False)
+    piston = Plane((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), motion=Translation((1.5,), ((-0.2, 0.0, 0.0),)))
+    scene = replace(SCENE, walls=(lid, cone, piston), drum_radius=None, frame_interval=0.01)
+    r = 0.5 * D
+    position = torch.tensor(
+        [
+            [0.0, 0.0, r - 0.001],  # 1 mm into the lid
+            [0.5, 0.0, 0.9],  # far from all
+            [0.05, 0.0, -0.25 + math.sqrt(2.0) * (r - 0.003)],  # 3 mm into the cone
+            [0.998 - r + 0.004, 0.0, 0.0],  # 4 mm into the piston, which has moved 2 mm in this frame
+        ],
+        dtype=torch.float64,
+    )
+    assert contact_overlaps(position, scene, START).tolist() == pytest.approx([0.001, 0.003, 0.004], rel=1e-6)
+    assert contact_overlaps(position[:1], scene, 1.99).tolist() == []  # gone at 2 s
+
+
+def test_spheres_beyond_an_outlet_touch_nothing():
+    scene = replace(SCENE, walls=(), outlet=Outlet((0.0, 0.0, -0.1), (0.0, 0.0, 1.0)))
+    position = torch.tensor([[0.0, 0.0, -0.11], [0.0, 0.0, -0.12], [0.0, 0.0, 0.0]], dtype=torch.float64)
+    assert contact_overlaps(position, scene, START).tolist() == []
 
 
 # ---- gradients and failures ------------------------------------------------------------------------------

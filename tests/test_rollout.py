@@ -5,10 +5,13 @@ import pytest
 import torch
 from torch import nn
 
-from gran_bench.config import SceneConfig
+from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig, SceneConfig
+from gran_bench.dem.outlet import taking_part
 from gran_bench.rollout import rollout
 from gran_bench.scene import build_scene
+from gran_bench.shipped import shipped_scene
 from gran_bench.state import ParticleState
+from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.step import FrameState, Surrogate
 
 SCENE = build_scene(SceneConfig(name="drum"))
@@ -60,3 +63,48 @@ def test_after_a_frame_that_is_not_finite_everything_is_nan():
 
 def test_a_scene_says_how_many_frames_a_rollout_has():
     assert rollout(Drift(), SCENE, settled()).trajectory.frame_count == SCENE.frame_count == 401
+
+
+MODELS = {
+    "contact": (ContactModelConfig(radius=0.024, wall_reach=0.004, memory=True), BoundaryConfig(kind="own")),
+    "contact, torch": (ContactModelConfig(radius=0.024, memory=True, backend="torch"), BoundaryConfig(kind="own")),
+    "radial": (CconvModelConfig(name="radial", kernel="radial", width=8, radius=0.045), BoundaryConfig()),
+    "ccnn": (CconvModelConfig(width=8, radius=0.045), BoundaryConfig(kind="analytic")),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_hopper_is_rolled_out_and_whoever_passed_its_outlet_keeps_its_last_state(name):
+    scene = shipped_scene("hopper", {"filling.count": 150})
+    torch.manual_seed(0)
+    model = build_model(*MODELS[name], scene)
+    state = scene.fresh_filling(0)
+    velocity = np.zeros_like(state.position)
+    velocity[:50, 2] = -4.0  # a third of it falls out
+    state = ParticleState(state.position, velocity, state.angular_velocity, state.radius, scene.start_time)
+    result = rollout(model, scene, state, frames=15)
+    assert result.failed_frame is None
+    assert result.trajectory.frame_count == 15
+    position, velocity = result.trajectory.position, result.trajectory.velocity
+    left = np.array([~inside for frame in position if (inside := taking_part(scene, frame)) is not None])
+    assert 5 < left[-1].sum() < 150
+    first = len(position) - len(left)
+    for k in range(len(left) - 1):
+        assert np.array_equal(position[first + k + 1][left[k]], position[first + k][left[k]])
+        assert np.array_equal(velocity[first + k + 1][left[k]], velocity[first + k][left[k]])
+    assert not np.array_equal(position[-1][~left[-2]], position[-2][~left[-2]])
+
+
+def test_those_who_are_left_move_as_if_the_others_were_not_there():
+    scene = shipped_scene("hopper", {"filling.count": 60})
+    torch.manual_seed(0)
+    model = build_model(*MODELS["contact"], scene)
+    start = scene.fresh_filling(0)
+    gone = np.arange(60) % 3 == 0
+    position = np.where(gone[:, None], (0.0, 0.0, -0.07), start.position)  # in one place, beyond the outlet
+    zeros = np.zeros_like(position)
+    whole = ParticleState(position, zeros, zeros, start.radius, scene.start_time)
+    part = ParticleState(position[~gone], zeros[~gone], zeros[~gone], start.radius[~gone], scene.start_time)
+    together, alone = (rollout(model, scene, state, frames=6).trajectory.position for state in (whole, part))
+    assert np.array_equal(together[:, ~gone], alone)
+    assert np.array_equal(together[-1][gone], together[0][gone])

@@ -87,3 +87,17 @@ def test_a_state_that_is_not_finite_stays_visible():
 def test_an_unknown_update_is_refused_by_name():
     with pytest.raises(ValueError, match=r"model\.update='leapfrog'.*mean or trapezoid"):
         Constant("leapfrog")
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"velocity": torch.tensor([[math.nan, 0.0, 0.0]])}, "velocity is not finite"),
+        ({"angular_velocity": torch.tensor([[0.0, math.inf, 0.0]])}, "angular_velocity is not finite"),
+        ({"velocity": torch.zeros(3)}, r"velocity has shape \(3,\); give begin\(\) one of \(1, 3\)"),
+    ],
+)
+def test_a_start_that_is_no_start_is_refused_by_name(changed, words):
+    given = {"position": STATE.position, "velocity": STATE.velocity} | changed
+    with pytest.raises(ValueError, match=words):
+        Constant("mean").begin(scene_of(), **given)

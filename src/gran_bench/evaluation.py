@@ -24,7 +24,7 @@ from gran_bench.metrics.judge import judge, nearest_case
 from gran_bench.metrics.judgement import Judgement
 from gran_bench.metrics.position_error import HORIZONS, short_horizon_errors, spread_starts
 from gran_bench.metrics.summary import TrajectorySummary, summarise
-from gran_bench.rollout import Rollout, rollout
+from gran_bench.rollout import Rollout, extrapolations, rollout
 from gran_bench.state import FloatArray, Trajectory
 from gran_bench.surrogate.step import Surrogate
 
@@ -78,6 +78,8 @@ def evaluate(model: Surrogate, plan: Plan, folder: Path, tell: Tell, progress: b
         for name, case in cases.items():
             tell(f"rollout of {case.trajectory.frame_count} frames, {name}")
             rollouts[name] = _kept_rollout(model, case, folder / "rollouts" / f"{name}.npz", progress)
+            for warning in rollouts[name].warnings:
+                tell(f"  unlike the training: {warning}")
     judgements, candidates, doubles = {}, {}, {}
     for unseen in plan.packings:
         packing = "unseen" if unseen else "shared"
@@ -129,7 +131,8 @@ def _kept_rollout(model: Surrogate, case: Case, path: Path, progress: bool) -> R
             velocity_kind=model.velocity_kind,
         )
         failed = int(kept["failed_frame"])
-        return Rollout(trajectory, None if failed < 0 else failed, kept["seconds_per_frame"])
+        seconds, warnings = kept["seconds_per_frame"], extrapolations(model, case.scene, case.settled)
+        return Rollout(trajectory, None if failed < 0 else failed, seconds, warnings)
 
 
 def _made_of(path: Path) -> str:
@@ -257,6 +260,7 @@ def _rollout_facts(result: Rollout, case: Case) -> dict[str, Any]:
     computed = result.seconds_per_frame[np.isfinite(result.seconds_per_frame)]
     return {
         "failed_frame": result.failed_frame,
+        "warnings": list(result.warnings),
         "ms_per_frame_median": 1e3 * float(np.median(computed)) if len(computed) else None,
         "ms_per_frame_90th": 1e3 * float(np.percentile(computed, 90)) if len(computed) else None,
         "dem_ms_per_frame": _dem_ms_per_frame(case),

@@ -11,6 +11,7 @@ import torch
 from tqdm import tqdm
 
 from gran_bench.config_rules import at_least, check_arguments, checked_value
+from gran_bench.dem.walls import check_walls
 from gran_bench.scene import Scene
 from gran_bench.state import ParticleState, Trajectory
 from gran_bench.surrogate.step import FrameState, Surrogate
@@ -25,11 +26,13 @@ class Rollout:
             from it shows the failure.
         failed_frame: index of the first non-finite frame, or None.
         seconds_per_frame: ``(F − 1,)`` wall time of each computed frame, s.
+        warnings: where the scene or the start is unlike what the model was trained for, a line each.
     """
 
     trajectory: Trajectory
     failed_frame: int | None
     seconds_per_frame: np.ndarray
+    warnings: tuple[str, ...] = ()
 
 
 def initial_frame(model: Surrogate, scene: Scene, state: ParticleState) -> FrameState:
@@ -59,6 +62,15 @@ def step_frames(model: Surrogate, scene: Scene, state: ParticleState) -> Iterato
         index += 1
 
 
+def extrapolations(model: Surrogate, scene: Scene, state: ParticleState) -> tuple[str, ...]:
+    """Where a scene or a start is unlike what a model was trained for, a line each.
+
+    Raises:
+        ModelMismatch: where the model cannot be right.
+    """
+    return () if model.trained_for is None else model.trained_for.warnings(scene, state)
+
+
 def rollout(
     model: Surrogate, scene: Scene, state: ParticleState, frames: int | None = None, progress: bool = False
 ) -> Rollout:
@@ -73,10 +85,14 @@ def rollout(
 
     Raises:
         ConfigError: an argument of a wrong type, or no frame.
+        ModelMismatch: a scene or state that the model cannot be right for, such as spheres of another size.
         SceneError: a span of the scene that is no whole number of frames.
+        ValueError: a wall without an end that turns about an axis that it is not symmetric about.
     """
     check_arguments(model=(model, Surrogate), scene=(scene, Scene), state=(state, ParticleState))
     frames = checked_value(int, at_least(1), scene.frame_count if frames is None else frames, "frames")
+    check_walls(scene)
+    warnings = extrapolations(model, scene, state)
     shape = (frames, state.count, 3)
     position, velocity = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
     spin = np.full(shape, np.nan, np.float32) if model.uses_spin else None
@@ -101,4 +117,4 @@ def rollout(
     trajectory = Trajectory(
         clock, position, velocity, spin, np.asarray(state.radius), velocity_kind=model.velocity_kind
     )
-    return Rollout(trajectory, failed_frame, seconds)
+    return Rollout(trajectory, failed_frame, seconds, warnings)

@@ -11,7 +11,7 @@ from urllib.parse import quote
 from gran_bench import tracking
 from gran_bench.config import EvaluateConfig, LossConfig, RolloutConfig, TrainConfig
 from gran_bench.config_choices import loss_terms
-from gran_bench.run_summary import cut_short, flat_metrics, headline, missed_requirements
+from gran_bench.run_summary import cut_short, flat_metrics, headline, missed_requirements, rollout_warnings
 
 FIGURES = "figures"
 FIRST_FIGURES = ("flow_pattern.png", "angle_of_repose.png", "loss.png")  # in the description itself
@@ -95,6 +95,8 @@ def description(summary: dict[str, Any], folder: Path, figures: Sequence[str], r
     ]
     if missed:
         lines += ["Not met:", "", *(f"- {row}" for row in missed), ""]
+    if warnings := rollout_warnings(summary):
+        lines += ["Unlike the training:", "", *(f"- {row}" for row in warnings), ""]
     if run_id is not None:
         shown = [name for name in FIRST_FIGURES if name in figures]
         lines += [f"![{name}]({_artifact(run_id, name)})\n" for name in shown]

@@ -73,6 +73,12 @@ def _broken_rollouts(summary: dict[str, Any]) -> dict[str, int]:
     return {name: frame for name, frame in frames.items() if frame is not None}
 
 
+def rollout_warnings(summary: dict[str, Any]) -> list[str]:
+    """A line for each thing in which a rollout is unlike what its model was trained for."""
+    rollouts = summary["rollouts"].items()
+    return [f"rollout {name} is an extrapolation: {line}" for name, row in rollouts for line in row.get("warnings", ())]
+
+
 def _scaled(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
@@ -157,6 +163,7 @@ def summary_table(summary: dict[str, Any]) -> str:
         lines.append(f"  {name:<56}{nearest:>16}  {'pass' if row['is_own'] else 'fail'}")
     for name, frame in _broken_rollouts(summary).items():
         lines.append(f"  {'rollout ' + name:<56}{f'failed at frame {frame}':>16}  fail")
+    lines += [f"  {line}" for line in rollout_warnings(summary)]
     errors = summary["position_error"].values()
     shown = ", ".join(_figure(row["m"], "m") for row in errors)
     horizons = ", ".join(name.split("_")[0] for name in summary["position_error"])

@@ -244,8 +244,9 @@ class Trainer:
         total, terms = None, {}
         gradients = [torch.zeros_like(p) for p in self.parameters] if not through_time else None
         for k in range(1, frames + 1):
-            before, state = state, model(state, scene, window.time + (k - 1) * scene.frame_interval)
-            ahead = FrameAhead(before, state, self._target(model, window, k), scene)
+            start = window.time + (k - 1) * scene.frame_interval
+            before, state = state, model(state, scene, start)
+            ahead = FrameAhead(before, state, self._target(model, window, k), scene, start)
             shares = self.loss.terms(ahead, k, frames)
             share = sum(shares.values())
             for name, value in shares.items():

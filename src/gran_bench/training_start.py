@@ -21,7 +21,8 @@ def training_windows(config: TrainConfig, split: Split) -> Windows:
 def make_model(config: TrainConfig, scene: Scene) -> Surrogate:
     """The model with its seeded first weights, on its device."""
     torch.manual_seed(config.seed)
-    return build_model(config.model, config.boundary, scene).to(device_named(config.device))
+    speeds = config.dataset.training_speeds_rpm
+    return build_model(config.model, config.boundary, scene, speeds).to(device_named(config.device))
 
 
 def device_named(name: str) -> str:

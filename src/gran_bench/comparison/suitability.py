@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gran_bench.config import SceneConfig
 from gran_bench.config_check import read_config
-from gran_bench.scene import Cylinder, Plane, Scene, build_scene
+from gran_bench.scene import Scene, build_scene
 from gran_bench.surrogate.checkpoint import ModelCard
 
 
@@ -20,8 +20,6 @@ def why_unfit(card: ModelCard, scene: Scene, packing_seed: int) -> str:
     known = {
         "spheres of one size": not scene.needs.polydispersity,
         "one material": len(scene.materials) == 1,
-        "planes and cylinders": all(isinstance(wall, Plane | Cylinder) for wall in scene.walls),
-        "containers without an outlet": scene.outlet is None,
     }
     for what, holds in known.items():
         if not holds:

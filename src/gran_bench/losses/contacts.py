@@ -8,10 +8,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gran_bench.dem.outlet import taking_part
 from gran_bench.losses.frame_ahead import FrameAhead, LossError
 from gran_bench.neighbors import tree_pairs
-from gran_bench.scene import Cylinder, Scene
+from gran_bench.scene import Scene
 from gran_bench.surrogate.step import minimum_image
+from gran_bench.surrogate.walls import closest_point, frame_walls
 
 SMALLEST_ACCELERATION = 1.0e-9  # d a frame², mean of a sphere: below it a bed counts as free of contact forces
 
@@ -22,32 +24,31 @@ def overlap(ahead: FrameAhead) -> Tensor:
     Contacts as soft as the DEM's cost nothing, and one that is too deep is not paid for by others that are shallow.
     NaN where a predicted position is not finite.
     """
-    excess = torch.relu(contact_overlaps(ahead.predicted.position, ahead.scene) - ahead.target.mean_overlap)
+    found = contact_overlaps(ahead.predicted.position, ahead.scene, ahead.time)
+    excess = torch.relu(found - ahead.target.mean_overlap)
     return excess.sum() / len(ahead.predicted.position) / ahead.scene.filling.diameter
 
 
-def contact_overlaps(position: Tensor, scene: Scene) -> Tensor:
+def contact_overlaps(position: Tensor, scene: Scene, time: float) -> Tensor:
     """Overlaps of the contacts of pairs and walls, ``(C,)`` m; differentiable in ``position`` ``(N, 3)``.
 
-    A position that is not finite has no neighbours: the result is then one NaN, attached to the graph, so that the
-    loss is seen to diverge where all other terms are.
+    Walls are where they are at the end of the frame that starts at ``time``, s. Spheres beyond an outlet touch
+    nothing. A position that is not finite has no neighbours: the result is then one NaN, attached to the graph, so that
+    the loss is seen to diverge where all other terms are.
     """
     if not torch.isfinite(position).all():
         return (position.sum() * math.nan).reshape(1)
+    inside = taking_part(scene, position.detach().cpu().numpy())
+    if inside is not None:
+        position = position[torch.from_numpy(inside).to(position.device)]
     diameter, radius = scene.filling.diameter, scene.filling.radius
     found = tree_pairs(position.detach().cpu().double().numpy(), diameter, scene.period)
     pairs = torch.from_numpy(np.ascontiguousarray(found)).to(position.device)
     apart = minimum_image(position[pairs[:, 0]] - position[pairs[:, 1]], scene.period)
     overlaps = [diameter - torch.sqrt(apart.square().sum(dim=1) + 1e-24)]
-    for wall in scene.walls:
-        from_point = position - position.new_tensor(wall.point)
-        if isinstance(wall, Cylinder):
-            axis = position.new_tensor(wall.axis)
-            across = from_point - (from_point @ axis)[:, None] * axis
-            gap = wall.radius - torch.sqrt(across.square().sum(dim=1) + 1e-24) - radius
-        else:
-            gap = from_point @ position.new_tensor(wall.normal) - radius
-        overlaps.append(-gap[gap < 0])
+    for shape in frame_walls(scene, time).after:
+        overlap = radius - closest_point(shape, position)[0]
+        overlaps.append(overlap[overlap > 0])
     return torch.cat(overlaps)
 
 

@@ -43,13 +43,15 @@ class FrameAhead:
             on, with the training noise at the first.
         predicted: state at the frame's end.
         target: the same instant in the DEM.
-        scene: gives d, Δt, gravity and the period.
+        scene: gives d, Δt, gravity, walls and the period.
+        time: of the frame's start, s.
     """
 
     before: FrameState
     predicted: FrameState
     target: Target
     scene: Scene
+    time: float
 
     @property
     def position_error(self) -> Tensor:

@@ -10,9 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gran_bench.dem.walls import ABSENT, CYLINDER, DIRECTION, KIND, PLANE, POINT, REVOLUTION, SIZES
 from gran_bench.neighbors import cell_neighbors
-from gran_bench.scene import Cylinder, Plane, Scene, Wall
+from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
+from gran_bench.surrogate.walls import closest_point, frame_walls, wall_velocity
 
 KINDS = ("none", "spheres", "analytic")
 
@@ -25,10 +27,11 @@ class WallPairs:
 
     Attributes:
         near: ``(P,)`` int64, indices of the near particles, increasing.
+        distance: ``(P,)`` of their centres from the nearest wall, m.
         query: ``(M,)`` int64 into ``near``, sorted.
         source: ``(M,)`` int64 into the sources.
         relative: ``(M, 3)`` source − particle, m.
-        normal: ``(S, 3)`` unit normals into the container.
+        normal: ``(S, 3)`` unit normals into the container, or to the particle's side of a wall with two sides.
         velocity: ``(S, 3)`` velocity of the wall's material, mean over the frame, m/s.
         moves: whether any wall of the scene ever moves; where none does, the velocities are zero.
         gap: ``(S,)`` distance from the wall to the particle's surface, in diameters; analytic sources only.
@@ -36,6 +39,7 @@ class WallPairs:
     """
 
     near: Tensor
+    distance: Tensor
     query: Tensor
     source: Tensor
     relative: Tensor
@@ -53,63 +57,64 @@ class WallPairs:
 
 @dataclass(frozen=True)
 class WallSpheres:
-    """Points that cover the walls of a scene; a smooth drum is the same at every angle, so they rest.
+    """Points that cover the walls of a scene; a smooth drum is the same at every angle, so they rest on it.
+
+    A wall with two sides has each point twice, once with either normal.
 
     Attributes:
         position: ``(W, 3)`` on the surface, m.
-        normal: ``(W, 3)`` into the container.
+        normal: ``(W, 3)`` into the container, or to one side.
         wall: ``(W,)`` index of the wall each lies on.
+        two_sided: ``(W,)`` bool; such a point is seen from the side that its normal points to.
     """
 
     position: FloatArray
     normal: FloatArray
     wall: np.ndarray
+    two_sided: np.ndarray
 
 
-def wall_spheres(scene: Scene, spacing: float, beyond: float = 0.0) -> WallSpheres:
+def wall_spheres(
+    scene: Scene, shapes: FloatArray, spacing: float, low: FloatArray, high: FloatArray, beyond: float = 0.0
+) -> WallSpheres:
     """Cover the walls of a scene with points about ``spacing`` (m) apart.
 
-    A cylinder is covered between the caps, or over one period, whose length a whole number of rows divides; an end
-    cap is a disc of the drum's radius.
+    A drum is covered between its caps, or over one period, whose length a whole number of rows divides; its end cap is
+    a disc of the drum's radius. Other walls without an end are covered within a box.
 
     Args:
+        shapes: ``(W, 11)`` of the walls, as :class:`~gran_bench.surrogate.walls.FrameWalls` has them.
+        low, high: ``(3,)`` corners of that box, m.
         beyond: how far the cover goes on beyond the ends of a period, m; for particles that see across its seam.
 
     Raises:
-        ValueError: a spacing that is not positive, or walls without an end (a scene without drum radius or length).
+        ValueError: a spacing that is not positive.
     """
     if not spacing > 0:
         raise ValueError(f"boundary.spacing gives {spacing:g} m between wall spheres; choose a value > 0")
-    return _cover(scene.walls, scene.drum_radius, scene.length, scene.period, spacing, beyond)
-
-
-@lru_cache(maxsize=16)
-def _cover(
-    walls: tuple[Wall, ...],
-    drum_radius: float | None,
-    length: float | None,
-    period: float,
-    spacing: float,
-    beyond: float,
-) -> WallSpheres:
-    if walls and (drum_radius is None or length is None):
-        raise ValueError("walls without a drum's radius and length have no end to cover; use boundary.kind=analytic")
     pieces = []
-    for wall in walls:
-        if isinstance(wall, Cylinder):
-            pieces.append(_cover_cylinder(wall, length, spacing, beyond if period > 0.0 else 0.0))
+    is_drum = scene.drum_radius is not None and scene.length is not None
+    for index, shape in enumerate(shapes):
+        kind = shape[KIND]
+        if kind == ABSENT:
+            continue
+        if kind == REVOLUTION:
+            position, normal = _cover_revolution(tuple(shape), spacing)
+        elif is_drum and kind == CYLINDER:
+            position, normal = _cover_drum(tuple(shape), scene.length, spacing, beyond if scene.period > 0.0 else 0.0)
+        elif is_drum:
+            position, normal = _cover_cap(tuple(shape), scene.drum_radius, spacing)
+        elif kind == PLANE:
+            position, normal = _cover_plane(shape, spacing, low, high)
         else:
-            pieces.append(_cover_disc(wall, drum_radius, spacing))
+            position, normal = _cover_cylinder(shape, spacing, low, high)
+        pieces.append((position, normal, np.full(len(position), index), np.full(len(position), kind == REVOLUTION)))
     if not pieces:
-        return WallSpheres(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64))
-    return WallSpheres(
-        position=np.concatenate([p for p, _ in pieces]),
-        normal=np.concatenate([n for _, n in pieces]),
-        wall=np.repeat(np.arange(len(pieces)), [len(p) for p, _ in pieces]),
-    )
+        return WallSpheres(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, bool))
+    return WallSpheres(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
 
 
-def _frame(axis: tuple[float, float, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _frame(axis: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The unit axis and two unit vectors across it."""
     along = np.asarray(axis, float)
     along = along / np.linalg.norm(along)
@@ -118,75 +123,90 @@ def _frame(axis: tuple[float, float, float]) -> tuple[FloatArray, FloatArray, Fl
     return along, first, np.cross(along, first)
 
 
-def _cover_cylinder(wall: Cylinder, length: float, spacing: float, beyond: float) -> tuple[FloatArray, FloatArray]:
-    """Rows of points around a cylinder, every other row turned by half a spacing."""
-    along, first, second = _frame(wall.axis)
-    around = max(3, round(2.0 * math.pi * wall.radius / spacing))
+def _on_cylinder(shape: FloatArray, height: FloatArray, spacing: float, row: FloatArray) -> tuple[FloatArray, ...]:
+    """Rows of points around a cylinder at heights along it, every other row turned by half a spacing."""
+    along, first, second = _frame(shape[DIRECTION])
+    radius = shape[SIZES][0]
+    around = max(3, round(2.0 * math.pi * radius / spacing))
+    angle = (np.arange(around)[None, :] + 0.5 * (row[:, None] % 2)) * (2.0 * math.pi / around)
+    outward = np.cos(angle)[..., None] * first + np.sin(angle)[..., None] * second
+    position = shape[POINT] + radius * outward + height[:, None, None] * along
+    return position.reshape(-1, 3), -outward.reshape(-1, 3)
+
+
+@lru_cache(maxsize=16)
+def _cover_drum(shape: tuple[float, ...], length: float, spacing: float, beyond: float) -> tuple[FloatArray, ...]:
     rows = max(1, round(length / spacing))
     if beyond > 0.0:
         rows += rows % 2  # turned rows alternate across the seam too
     more = math.ceil(beyond * rows / length)
     row = np.arange(-more, rows + more)
-    height = ((row + 0.5) / rows - 0.5) * length
-    angle = (np.arange(around)[None, :] + 0.5 * (row[:, None] % 2)) * (2.0 * math.pi / around)
-    outward = np.cos(angle)[..., None] * first + np.sin(angle)[..., None] * second
-    position = np.asarray(wall.point) + wall.radius * outward + height[:, None, None] * along
-    return position.reshape(-1, 3), -outward.reshape(-1, 3)
+    return _on_cylinder(np.array(shape), ((row + 0.5) / rows - 0.5) * length, spacing, row)
 
 
-def _cover_disc(wall: Plane, radius: float, spacing: float) -> tuple[FloatArray, FloatArray]:
-    """Rings of points on a disc about ``wall.point``."""
-    normal, first, second = _frame(wall.normal)
-    rings = max(1, round(radius / spacing))
-    points = []
-    for ring in range(rings):
-        distance = (ring + 0.5) / rings * radius
-        count = max(3, round(2.0 * math.pi * distance / spacing))
-        angle = (np.arange(count) + 0.5 * (ring % 2)) * (2.0 * math.pi / count)
-        points.append(distance * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second))
-    position = np.asarray(wall.point) + np.concatenate(points)
+@lru_cache(maxsize=16)
+def _cover_cap(shape: tuple[float, ...], radius: float, spacing: float) -> tuple[FloatArray, ...]:
+    """Rings of points on a disc about a plane's point."""
+    normal = np.array(shape)[DIRECTION]
+    position = np.array(shape)[POINT] + _rings((0.0, 0.0), (radius, 0.0), normal, spacing)
     return position, np.broadcast_to(normal, position.shape).copy()
 
 
-def closest_point(wall: Wall, position: Tensor) -> tuple[Tensor, Tensor]:
-    """Distance of centres from a wall's surface and the normal there; differentiable.
-
-    Args:
-        position: ``(N, 3)`` m.
-
-    Returns:
-        distance ``(N,)`` m (negative outside the container), normal ``(N, 3)`` into the container. On the axis of a
-        cylinder, where every wall point is the closest, the normal is zero.
-    """
-    offset = position - position.new_tensor(wall.point)
-    if isinstance(wall, Plane):
-        normal = position.new_tensor(wall.normal)
-        return offset @ normal, normal.expand_as(offset)
-    axis = position.new_tensor(wall.axis)
-    radial = offset - (offset @ axis)[:, None] * axis
-    squared = (radial * radial).sum(-1)
-    off_axis = squared > 0
-    length = torch.sqrt(torch.where(off_axis, squared, torch.ones_like(squared)))
-    return wall.radius - length * off_axis, -radial / length[:, None]
+@lru_cache(maxsize=64)
+def _cover_revolution(shape: tuple[float, ...], spacing: float) -> tuple[FloatArray, ...]:
+    """Rings of points on a surface of revolution, each with the normals of both sides."""
+    drawn = np.array(shape)
+    axis, (r0, s0, r1, s1) = drawn[DIRECTION], drawn[SIZES]
+    offset = _rings((r0, s0), (r1, s1), axis, spacing)
+    radial = offset - np.outer(offset @ axis, axis)
+    outward = radial / np.linalg.norm(radial, axis=1)[:, None]
+    normal = ((s1 - s0) * outward - (r1 - r0) * axis) / math.hypot(r1 - r0, s1 - s0)
+    return np.tile(drawn[POINT] + offset, (2, 1)), np.concatenate((normal, -normal))
 
 
-def wall_velocity(wall: Wall, point: Tensor, scene: Scene, time: float) -> Tensor:
-    """Velocity of a wall's material at points of it, mean over the frame from ``time``: ω̄ axis × x, ``(S, 3)`` m/s.
+def _rings(start: tuple[float, float], end: tuple[float, float], axis: FloatArray, spacing: float) -> FloatArray:
+    """Rings of points on what the segment between two (distance from the axis, height along it) sweeps."""
+    along, first, second = _frame(axis)
+    rings = max(1, round(math.dist(start, end) / spacing))
+    points = []
+    for ring in range(rings):
+        share = (ring + 0.5) / rings
+        distance, height = ((1.0 - share) * a + share * b for a, b in zip(start, end, strict=True))
+        count = max(3, round(2.0 * math.pi * distance / spacing))
+        angle = (np.arange(count) + 0.5 * (ring % 2)) * (2.0 * math.pi / count)
+        points.append(distance * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second) + height * along)
+    return np.concatenate(points)
 
-    ω̄ is the angle turned in the frame over its length, so that a change of speed inside a frame counts in full.
-    """
-    if not wall.turns or scene.rotation.is_still:
-        return torch.zeros_like(point)
-    speed = scene.rotation.angle(time, time + scene.frame_interval) / scene.frame_interval
-    axis = point.new_tensor(scene.rotation.axis)
-    return speed * torch.linalg.cross(axis.expand_as(point), point)
+
+def _cover_plane(shape: FloatArray, spacing: float, low: FloatArray, high: FloatArray) -> tuple[FloatArray, ...]:
+    """Rows of points on a plane, where a box lies before it, every other row moved by half a spacing."""
+    normal, first, second = _frame(shape[DIRECTION])
+    column, row = (_lattice(shape[POINT], axis, spacing, low, high) for axis in (first, second))
+    across = (column[None, :] + 0.5 * (row[:, None] % 2)) * spacing
+    up = np.broadcast_to(row[:, None] * spacing, across.shape)
+    position = shape[POINT] + across.reshape(-1, 1) * first + up.reshape(-1, 1) * second
+    return position, np.broadcast_to(normal, position.shape).copy()
 
 
-def _near(position: Tensor, scene: Scene, radius: float) -> tuple[Tensor, list[tuple[Tensor, Tensor]]]:
-    """Which particles are closer than R to a wall, ``(P,)``, and distance and normal for each wall."""
-    found = [closest_point(wall, position) for wall in scene.walls]
-    distance = torch.stack([d.detach() for d, _ in found]).amin(dim=0)
-    return torch.nonzero(distance < radius)[:, 0], found
+def _cover_cylinder(shape: FloatArray, spacing: float, low: FloatArray, high: FloatArray) -> tuple[FloatArray, ...]:
+    """A cylinder without an end, as far as a box goes along it."""
+    row = _lattice(shape[POINT], shape[DIRECTION], spacing, low, high)
+    return _on_cylinder(shape, row * spacing, spacing, row)
+
+
+def _lattice(point: FloatArray, axis: FloatArray, spacing: float, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Numbers of the multiples of a spacing along an axis from a point that span a box."""
+    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+    along = (corners - point) @ axis / spacing
+    return np.arange(math.floor(along.min()), math.ceil(along.max()) + 1)
+
+
+def _near(position: Tensor, shapes: FloatArray, radius: float) -> tuple[Tensor, Tensor, list[tuple[Tensor, Tensor]]]:
+    """Particles closer than R to a wall, ``(P,)``, how far each is, and distance and direction of each wall for all."""
+    found = [closest_point(shape, position) for shape in shapes]
+    distance = torch.stack([d for d, _ in found]).amin(dim=0)
+    near = torch.nonzero(distance.detach() < radius)[:, 0]
+    return near, distance[near], found
 
 
 def see_spheres(position: Tensor, scene: Scene, time: float, radius: float, spacing: float) -> WallPairs:
@@ -198,10 +218,15 @@ def see_spheres(position: Tensor, scene: Scene, time: float, radius: float, spac
         radius: R, m.
         spacing: of the spheres, m.
     """
-    near, _ = _near(position, scene, radius)
-    cover = wall_spheres(scene, spacing, beyond=radius)
+    shapes = frame_walls(scene, time).after
+    near, distance, _ = _near(position, shapes, radius)
     centres = position.detach()[near].double().cpu().numpy()
+    low, high = (centres.min(axis=0), centres.max(axis=0)) if len(centres) else (np.zeros(3), np.zeros(3))
+    cover = wall_spheres(scene, shapes, spacing, low - radius, high + radius, beyond=radius)
     query_index, sphere = cell_neighbors(centres, cover.position, radius)
+    away = ((centres[query_index] - cover.position[sphere]) * cover.normal[sphere]).sum(axis=1)
+    facing = ~cover.two_sided[sphere] | (away >= 0.0)
+    query_index, sphere = query_index[facing], sphere[facing]
     seen = np.zeros(len(cover.position), bool)
     seen[sphere] = True
     kept, source_index = np.flatnonzero(seen), (np.cumsum(seen) - 1)[sphere]
@@ -216,6 +241,7 @@ def see_spheres(position: Tensor, scene: Scene, time: float, radius: float, spac
         velocity[mine] = wall_velocity(wall, point[mine], scene, time)
     return WallPairs(
         near=near,
+        distance=distance,
         query=query,
         source=source,
         relative=point.index_select(0, source) - position[near].index_select(0, query),
@@ -234,20 +260,21 @@ def see_contacts(position: Tensor, velocity: Tensor, scene: Scene, time: float, 
         time: start of the frame, s.
         radius: R, m.
     """
-    near, found = _near(position, scene, radius)
+    near, distances, found = _near(position, frame_walls(scene, time).after, radius)
     place = torch.full((len(position),), -1, dtype=torch.int64, device=position.device)
     place[near] = torch.arange(len(near), device=position.device)
     columns: list[tuple[Tensor, ...]] = []
-    for wall, (distance, normal) in zip(scene.walls, found, strict=True):
+    for wall, (distance, toward) in zip(scene.walls, found, strict=True):
         seen = torch.nonzero(distance.detach() < radius)[:, 0]
-        relative = -distance[seen, None] * normal[seen]
+        relative = distance[seen, None] * toward[seen]
         moving = wall_velocity(wall, position[seen] + relative, scene, time)
         gap = (distance[seen] - scene.filling.radius) / scene.filling.diameter
-        columns.append((place[seen], relative, normal[seen], moving, gap, moving - velocity[seen]))
+        columns.append((place[seen], relative, -toward[seen], moving, gap, moving - velocity[seen]))
     query, relative, normal, moving, gap, slip = (torch.cat(parts) for parts in zip(*columns, strict=True))
     order = torch.argsort(query, stable=True)
     return WallPairs(
         near=near,
+        distance=distances,
         query=query[order],
         source=torch.arange(len(query), device=position.device),
         relative=relative[order],

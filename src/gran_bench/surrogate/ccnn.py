@@ -17,7 +17,13 @@ from gran_bench.surrogate.boundary import KINDS, WallPairs, see_contacts, see_sp
 from gran_bench.surrogate.cconv import ContinuousConvolution
 from gran_bench.surrogate.kernels.lattice import LatticeBasis
 from gran_bench.surrogate.kernels.radial import RadialBasis
-from gran_bench.surrogate.neighborhood import KernelBasis, Neighborhood, particle_neighborhood, weigh_pairs
+from gran_bench.surrogate.neighborhood import (
+    KernelBasis,
+    Neighborhood,
+    nearness,
+    particle_neighborhood,
+    weigh_pairs,
+)
 from gran_bench.surrogate.step import NewtonSurrogate
 
 _SOLID_FRACTION = 0.58  # of a settled bed; only sets the scale of the first weights
@@ -63,6 +69,10 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
     points; the gap (in d) joins the normals and the slip velocity the wall's velocities. A boundary feature that is
     switched off takes its convolution with it; without normals, a constant 1 stands for the wall's presence.
 
+    A branch's output fades to zero where its nearest neighbour, or the wall, reaches the edge of R
+    (:func:`~gran_bench.surrogate.neighborhood.nearness`), whatever its linear maps and biases say: a sphere that sees
+    nothing flies ballistically.
+
     Velocities enter in m/s, normals as they are, and outputs count ``output_scale`` metres a frame squared:
     a = output · output_scale / Δt². The map does not depend on where the scene lies, but it does on its axes.
 
@@ -82,7 +92,7 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         if boundary.kind not in KINDS:
             raise ConfigError(f"boundary.kind={boundary.kind} is not for {config.name}; choose {' or '.join(KINDS)}")
         self.config, self.boundary = config, boundary
-        diameter = scene.filling.diameter
+        self.diameter = diameter = scene.filling.diameter
         self.pair_basis = _basis(config, diameter, contact=diameter)
         self.wall_basis = _basis(config, diameter, contact=0.5 * diameter)
         half = config.width // 2
@@ -131,11 +141,13 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         if self.config.backend == "fused":
             position = position.detach()
         pairs = particle_neighborhood(self.pair_basis, position, scene.period)
-        output = of_pairs = self._particle_branch(velocity, pairs)
-        if self.has_walls:
+        output = of_pairs = pairs.nearness(self.diameter)[:, None] * self._particle_branch(velocity, pairs)
+        if self.has_walls and scene.walls:
             wall = self._see_walls(position, velocity, scene, time)
             if len(wall.near):
-                output = output.index_add(0, wall.near, self._wall_branch(velocity[wall.near], pairs, wall))
+                fade = nearness(wall.distance, 0.5 * self.diameter, self.config.radius)
+                of_wall = fade[:, None] * self._wall_branch(velocity[wall.near], pairs, wall)
+                output = output.index_add(0, wall.near, of_wall)
         unit = self.config.output_scale / scene.frame_interval**2
         return output * unit, of_pairs * unit
 

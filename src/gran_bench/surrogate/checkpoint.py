@@ -31,8 +31,10 @@ class ModelCard:
     Attributes:
         model: resolved ``model`` keys.
         boundary: resolved ``boundary`` keys.
-        scene: resolved ``scene`` keys that the model was trained on.
-        origin: provenance: command, commit, hardware, data digest, training steps and seconds.
+        scene: resolved ``scene`` keys that the model was trained on: diameter, frame interval, material, gravity,
+            walls and number of spheres, which a rollout compares.
+        origin: provenance: command, commit, hardware, data digest, training steps and seconds, and the drum's
+            ``training_speeds_rpm``, which a rollout compares too.
     """
 
     model: dict[str, Any]
@@ -98,7 +100,7 @@ def load_card(path: Path) -> tuple[ModelCard, dict[str, Tensor]]:
 
 
 def load_model(path: str | Path, device: str = "cpu") -> tuple[Surrogate, ModelCard]:
-    """Build the model of a file and give it its weights.
+    """Build the model of a file and give it its weights; it carries what its card says that it was trained for.
 
     Args:
         path: a ``model.pt``.
@@ -111,7 +113,8 @@ def load_model(path: str | Path, device: str = "cpu") -> tuple[Surrogate, ModelC
     try:
         scene = build_scene(read_config(SceneConfig, card.scene))
         schema = MODEL_SCHEMAS[card.model["name"]]
-        model = build_model(read_config(schema, card.model), read_config(BoundaryConfig, card.boundary), scene)
+        speeds = card.origin.get("training_speeds_rpm", ())
+        model = build_model(read_config(schema, card.model), read_config(BoundaryConfig, card.boundary), scene, speeds)
         model.load_state_dict(weights)
     except (AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())

@@ -14,9 +14,10 @@ from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
 from gran_bench.surrogate.contact_geometry import MILLIMETRE, find_contacts
 from gran_bench.surrogate.contact_memory import ContactMemory, follow_memory, springs_of, update_memory
-from gran_bench.surrogate.contact_solver import PAIR, RAMP_NODES, solve_contacts
+from gran_bench.surrogate.contact_solver import PAIR, RAMP_NODES, nearest_fade, solve_contacts
 from gran_bench.surrogate.kernels.contact_fused import fused_solve
 from gran_bench.surrogate.step import FrameState, Surrogate, wrap
+from gran_bench.surrogate.walls import frame_walls
 
 WALL_FADE = 0.5  # of the wall's reach
 
@@ -31,7 +32,8 @@ class ContactNetwork(Surrogate):
         D_i += ½ (τ − a n),  D_j −= ½ (τ − a n),  q_{i,j} += 1.25 σ n × τ,  with q = r ω Δt.
 
     The answer fades to zero at the edge of the reach. Then each particle may take back a learned share of gravity's
-    step. Contacts conserve linear momentum exactly. At the end x + D, D/Δt, q/(r Δt).
+    step, times the fade of its nearest contact at the guess: nothing without a contact. Contacts conserve linear
+    momentum exactly. At the end x + D, D/Δt, q/(r Δt).
 
     With ``memory``, each contact carries the tangential displacement ξ that its surfaces have gathered
     (:mod:`gran_bench.surrogate.contact_memory`); the perceptrons see it and may push along it: τ += e ξ.
@@ -109,37 +111,43 @@ class ContactNetwork(Surrogate):
         """The springs at each of F stored frames; exact where the first one is the settled state."""
         return list(follow_memory(scene, times, positions, angular_velocities)) if self.has_memory else None
 
-    def forward(self, state: FrameState, scene: Scene, time: float) -> FrameState:
-        interval = scene.frame_interval
+    def advance(self, state: FrameState, scene: Scene, time: float) -> FrameState:
+        interval, period = scene.frame_interval, scene.period / MILLIMETRE
         to_frame, to_spin = interval / MILLIMETRE, 0.5 * self.diameter * interval
-        position = state.position / MILLIMETRE
-        fall = position.new_tensor(scene.gravity) * interval * to_frame
-        velocity = state.velocity * to_frame + fall
-        guess = velocity - 0.5 * fall if self._is_instantaneous else velocity
-        spin = state.angular_velocity * to_spin
+        gravity = state.velocity.new_tensor(scene.gravity) * interval
+        position, fall = state.position / MILLIMETRE, gravity * to_frame
+        # The ballistic frame in SI; all that follows is what contacts change of it, and nothing where there are none.
+        fallen = state.velocity + gravity
+        carried = fallen - 0.5 * gravity if self._is_instantaneous else fallen
+        guess, spin = carried * to_frame, state.angular_velocity * to_spin
 
+        room = frame_walls(scene, time)
+        walls = room.in_unit(MILLIMETRE)
         with torch.no_grad():
             end = wrap((position + guess) * MILLIMETRE, scene.period).cpu().numpy()
-            contacts = find_contacts(scene, end, self.config.radius, self.config.wall_reach)
+            contacts = find_contacts(scene, room, end, self.config.radius, self.config.wall_reach)
         springs = springs_of(state.memory, contacts, len(position)).to(position) if self.has_memory else None
+        nearness = nearest_fade(self, period, walls, contacts, position + guess)
 
         if self.config.backend == "fused" and position.device.type == "cpu" and position.dtype == torch.float32:
             solve = fused_solve
         else:
             solve = solve_contacts
         displacement, new_spin, extra, extra_spin = solve(
-            self, scene, time, contacts, position, guess, spin, fall, springs
+            self, period, walls, contacts, position, guess, spin, fall, nearness, springs
         )
+        moved, turned = displacement - guess, new_spin - spin
         if self._is_instantaneous:
-            velocity = velocity + (displacement - guess) + extra
-            last_spin = new_spin + extra_spin
+            velocity, turned = fallen + (moved + extra) / to_frame, turned + extra_spin
         else:
-            velocity, last_spin = displacement, new_spin
+            velocity = fallen + moved / to_frame
         after = FrameState(
-            wrap((position + displacement) * MILLIMETRE, scene.period), velocity / to_frame, last_spin / to_spin
+            wrap(state.position + (interval * carried + MILLIMETRE * moved), scene.period),
+            velocity,
+            state.angular_velocity + turned / to_spin,
         )
         if self.has_memory:
-            after.memory = update_memory(scene, time, state, after, contacts, springs)
+            after.memory = update_memory(scene, walls, state, after, contacts, springs)
         return after
 
 

@@ -5,7 +5,6 @@ A contact joins particle i to a partner j, another particle or a wall; the norma
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +13,12 @@ from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
+from gran_bench.dem.walls import wall_contact
 from gran_bench.neighbors import check_period, list_pairs
-from gran_bench.scene import Cylinder, Plane, Scene
+from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
 from gran_bench.surrogate.step import minimum_image
+from gran_bench.surrogate.walls import FrameWalls, closest_point
 
 MILLIMETRE = 1.0e-3  # m; the unit of length inside the contact network
 
@@ -42,10 +43,13 @@ class ContactList:
         return np.concatenate((pair_keys, count * count + self.wall * count + self.wall_particle))
 
 
-def find_contacts(scene: Scene, position: FloatArray, reach: float, wall_reach: float) -> ContactList:
+def find_contacts(
+    scene: Scene, walls: FrameWalls, position: FloatArray, reach: float, wall_reach: float
+) -> ContactList:
     """Pairs closer than ``reach`` and walls closer than ``wall_reach``, at the ballistic guess of a frame's end.
 
     Args:
+        walls: of the frame, m.
         position: ``(N, 3)`` m, y in [−L/2, L/2) where the scene is periodic. A position that is not finite has no
             contact to search for; then nothing has, and the frame carries the failure on.
         reach: distance of two centres, m.
@@ -55,19 +59,19 @@ def find_contacts(scene: Scene, position: FloatArray, reach: float, wall_reach: 
         ValueError: a period that is shorter than twice the reach.
     """
     check_period(scene.period, reach)
-    particles, walls = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    particles, indices = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     if not np.isfinite(position).all():
-        return ContactList(np.zeros((0, 2), np.int64), particles[0], walls[0])
-    for index, wall in enumerate(scene.walls):
-        near = np.flatnonzero(wall_distance(wall, position) - scene.filling.radius < wall_reach)
+        return ContactList(np.zeros((0, 2), np.int64), particles[0], indices[0])
+    for index, shape in enumerate(walls.after):
+        near = np.flatnonzero(wall_contact(shape, position)[0] - scene.filling.radius < wall_reach)
         particles.append(near)
-        walls.append(np.full(len(near), index, np.int64))
+        indices.append(np.full(len(near), index, np.int64))
     sphere = np.zeros((len(position), 4))
     sphere[:, :3] = position
     if scene.period > 0.0:
         sphere[:, 1] %= scene.period
     pairs = _in_order(*list_pairs(sphere, reach, scene.period), len(position))
-    return ContactList(pairs, np.concatenate(particles), np.concatenate(walls))
+    return ContactList(pairs, np.concatenate(particles), np.concatenate(indices))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -89,32 +93,6 @@ def _in_order(first, second, count):  # pragma: no cover - jitted
         pairs[fill[i], 0] = i
         fill[i] += 1
     return pairs
-
-
-def wall_distance(wall: Plane | Cylinder, position: FloatArray) -> FloatArray:
-    """Distance of each centre from a wall, positive inside the container, ``(N,)``, in the unit of ``position``, m."""
-    offset = position - np.asarray(wall.point, position.dtype)
-    if isinstance(wall, Plane):
-        return offset @ np.asarray(wall.normal, position.dtype)
-    axis = np.asarray(wall.axis, position.dtype)
-    radial = offset - (offset @ axis)[:, None] * axis
-    return wall.radius - np.sqrt(np.einsum("nk,nk->n", radial, radial))
-
-
-def wall_displacement_matrix(scene: Scene, wall: Plane | Cylinder, time: float) -> FloatArray:
-    """M with M c = how far the wall's material, now at c, moved in the frame that ends there, ``(3, 3)``.
-
-    M = I − Q(−θ), with Q the rotation about the scene's axis and θ = ∫ω dt over the frame: the wall's motion is exact.
-
-    Args:
-        time: s, start of the frame.
-    """
-    if not wall.turns or scene.rotation.is_still:
-        return np.zeros((3, 3))
-    theta = scene.rotation.angle(time, time + scene.frame_interval)
-    x, y, z = scene.rotation.axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return math.sin(theta) * cross - (1.0 - math.cos(theta)) * cross @ cross
 
 
 @dataclass
@@ -169,26 +147,19 @@ def pair_surfaces(
 
 
 def wall_surfaces(
-    wall: Plane | Cylinder, motion: FloatArray, end: Tensor, displacement: Tensor, spin: Tensor, radius: float
+    walls: FrameWalls, index: int, end: Tensor, displacement: Tensor, spin: Tensor, radius: float
 ) -> Surfaces:
-    """Surfaces of C particles near one wall at the end of the frame; the wall's point moves by M c and does not spin.
+    """Surfaces of C particles near one wall at the end of the frame; the wall's point has its exact motion, no spin.
 
     Args:
-        motion: ``(3, 3)`` M of :func:`wall_displacement_matrix`.
+        walls: of the frame, mm.
+        index: of the wall.
         end: ``(C, 3)`` x + D, mm.
         displacement: ``(C, 3)`` mm a frame.
         spin: ``(C, 3)`` mm a frame.
         radius: of the particles, mm.
     """
-    offset = end - end.new_tensor(wall.point) / MILLIMETRE
-    if isinstance(wall, Plane):
-        normal = -end.new_tensor(wall.normal).expand_as(end)
-        distance = -(offset * normal).sum(1)
-    else:
-        axis = end.new_tensor(wall.axis)
-        radial = offset - (offset @ axis)[:, None] * axis
-        from_axis = torch.linalg.vector_norm(radial, dim=1)
-        normal = radial / from_axis[:, None]
-        distance = wall.radius / MILLIMETRE - from_axis
+    distance, normal = closest_point(walls.after[index], end)
     touched = end + distance[:, None] * normal
-    return Surfaces.from_motion(normal, distance - radius, touched @ end.new_tensor(motion).T - displacement, spin)
+    moved = touched @ end.new_tensor(walls.turn[index]).T + end.new_tensor(walls.shift[index])
+    return Surfaces.from_motion(normal, distance - radius, moved - displacement, spin)

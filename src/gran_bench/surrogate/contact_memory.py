@@ -20,11 +20,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gran_bench.scene import Cylinder, Plane, Scene
+from gran_bench.scene import Plane, Rotation, Scene, Translation, Vibration, Wall
 from gran_bench.state import FloatArray
-from gran_bench.surrogate.contact_geometry import MILLIMETRE, ContactList, find_contacts, wall_displacement_matrix
-from gran_bench.surrogate.kernels.contact_springs import stretch_pairs, stretch_wall
+from gran_bench.surrogate.contact_geometry import MILLIMETRE, ContactList, find_contacts
+from gran_bench.surrogate.kernels.contact_springs import stretch_pairs, stretch_walls
 from gran_bench.surrogate.step import FrameState
+from gran_bench.surrogate.walls import FrameWalls, frame_walls
+
+FLIP = np.array([1.0, -1.0, 1.0])  # y → −y
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,22 @@ class ContactMemory:
         order = np.argsort(keys, kind="stable")
         return ContactMemory(keys[order], self.spring[order] * np.array([1.0, -1.0, 1.0], np.float32))
 
+    def renumbered(self, numbers: NDArray[np.int64], count: int) -> ContactMemory:
+        """The memory under other numbers of the particles.
+
+        Args:
+            numbers: ``(N,)`` new number of each particle, increasing where it is kept; −1 where it is not.
+            count: of particles under the new numbers.
+        """
+        before = len(numbers)
+        first, second = np.divmod(self.keys, max(before, 1))
+        of_pair = self.keys < before * before
+        kept = (numbers[second] >= 0) & (~of_pair | (numbers[np.where(of_pair, first, second)] >= 0))
+        # A wall contact is count² + wall count + particle: its wall is what is left above the pairs.
+        new_first = np.where(of_pair, numbers[np.where(of_pair, first, second)], first - before + count)
+        keys = new_first * count + numbers[second]
+        return ContactMemory(keys[kept], self.spring[kept])
+
 
 def springs_of(memory: ContactMemory, contacts: ContactList, count: int) -> Tensor:
     """The spring of each listed contact, zero where it is new, ``(M + W, 3)`` float32 mm."""
@@ -71,12 +90,12 @@ def springs_of(memory: ContactMemory, contacts: ContactList, count: int) -> Tens
 
 
 def update_memory(
-    scene: Scene, time: float, before: FrameState, after: FrameState, contacts: ContactList, springs: Tensor
+    scene: Scene, walls: FrameWalls, before: FrameState, after: FrameState, contacts: ContactList, springs: Tensor
 ) -> ContactMemory:
     """The memory at the end of a frame that a model has moved.
 
     Args:
-        time: s, start of the frame.
+        walls: of the frame, mm.
         before, after: states at its two ends.
         contacts: that the frame had.
         springs: ``(M + W, 3)`` mm, theirs at the start.
@@ -87,7 +106,7 @@ def update_memory(
 
     return _gather(
         scene,
-        time,
+        walls,
         (plain(before.position), plain(after.position)),
         (plain(before.angular_velocity), plain(after.angular_velocity)),
         contacts,
@@ -108,9 +127,11 @@ def follow_memory(
     memory = ContactMemory.empty()
     yield memory
     for k, time in enumerate(list(times)[:-1]):
-        contacts = find_contacts(scene, positions[k + 1], scene.filling.diameter, 0.0)
+        walls = frame_walls(scene, time)
+        contacts = find_contacts(scene, walls, positions[k + 1], scene.filling.diameter, 0.0)
         springs = springs_of(memory, contacts, positions.shape[1]).numpy()
-        memory = _gather(scene, time, positions[k : k + 2], angular_velocities[k : k + 2], contacts, springs)
+        in_millimetres = walls.in_unit(MILLIMETRE)
+        memory = _gather(scene, in_millimetres, positions[k : k + 2], angular_velocities[k : k + 2], contacts, springs)
         yield memory
 
 
@@ -130,7 +151,7 @@ def warm_memory(
 
 def _gather(
     scene: Scene,
-    time: float,
+    walls: FrameWalls,
     positions: tuple[FloatArray, FloatArray] | FloatArray,
     angular_velocities: tuple[FloatArray, FloatArray] | FloatArray,
     contacts: ContactList,
@@ -148,42 +169,59 @@ def _gather(
     count = len(contacts.pairs)
     period = scene.period / MILLIMETRE
     stretch_pairs(contacts.pairs, start, end, spin, 2.0 * radius, period, springs, spring, touches)
-    for index, wall in enumerate(scene.walls):
-        low, high = contacts.wall.searchsorted([index, index + 1])
-        span = slice(count + low, count + high)
-        stretch_wall(
-            contacts.wall_particle[low:high],
-            start,
-            end,
-            spin,
-            radius,
-            period,
-            isinstance(wall, Cylinder),
-            np.array(wall.point) / MILLIMETRE,
-            np.array(wall.axis if isinstance(wall, Cylinder) else wall.normal),
-            wall.radius / MILLIMETRE if isinstance(wall, Cylinder) else 0.0,
-            wall_displacement_matrix(scene, wall, time),
-            springs[span],
-            spring[span],
-            touches[span],
-        )
+    stretch_walls(
+        contacts.wall_particle,
+        contacts.wall,
+        start,
+        end,
+        spin,
+        radius,
+        period,
+        walls.before,
+        walls.after,
+        walls.turn,
+        walls.shift,
+        springs[count:],
+        spring[count:],
+        touches[count:],
+    )
     return ContactMemory(contacts.keys(len(start))[touches], spring[touches])
 
 
 def _mirror_image(scene: Scene, index: int) -> int:
-    """Which wall the reflection y → −y lays wall ``index`` onto."""
-    flip = np.array([1.0, -1.0, 1.0])
+    """Which wall the reflection y → −y lays wall ``index`` onto, with its motion."""
     wall = scene.walls[index]
-    for other, candidate in enumerate(scene.walls):
-        if type(candidate) is not type(wall) or candidate.turns != wall.turns:
-            continue
-        if isinstance(wall, Plane):
-            normal = flip * wall.normal
-            offset = (flip * wall.point - np.array(candidate.point)) @ normal
-            if np.allclose(normal, candidate.normal) and abs(offset) < 1e-9:
-                return other
-        elif candidate.radius == wall.radius and np.allclose(np.abs(flip * wall.axis @ candidate.axis), 1.0):
-            offset = flip * wall.point - np.array(candidate.point)
-            if np.allclose(offset - (offset @ candidate.axis) * np.array(candidate.axis), 0.0):
+    if _mirrors_motion(wall):
+        for other, candidate in enumerate(scene.walls):
+            alike = (candidate.turns, candidate.motion, candidate.opens) == (wall.turns, wall.motion, wall.opens)
+            if alike and type(candidate) is type(wall) and _mirrors(wall, candidate):
                 return other
     raise ValueError(f"wall {index} of scene {scene.name!r} has no mirror image; switch rollout.mirror off")
+
+
+def _mirrors(wall: Wall, other: Wall) -> bool:
+    """Whether the reflection lays the one's surface onto the other's."""
+    if isinstance(wall, Plane):
+        normal = FLIP * wall.normal
+        return np.allclose(normal, other.normal) and abs((FLIP * wall.point - np.array(other.point)) @ normal) < 1e-9
+    if wall.meridian is None:
+        along = FLIP * wall.point - np.array(other.point)
+        across = along - (along @ other.axis) * np.array(other.axis)
+        parallel = np.allclose(np.abs(FLIP * wall.axis @ other.axis), 1.0)
+        return bool(parallel and wall.radius == other.radius and np.allclose(across, 0.0))
+    here, there = ([(r, np.array(w.point) + s * np.array(w.axis)) for r, s in w.meridian] for w in (wall, other))
+    parallel = np.allclose(np.abs(FLIP * wall.axis @ other.axis), 1.0)
+    return bool(parallel) and any(
+        all(np.isclose(r, q) and np.allclose(FLIP * x, y) for (r, x), (q, y) in zip(here, order, strict=True))
+        for order in (there, there[::-1])
+    )
+
+
+def _mirrors_motion(wall: Wall) -> bool:
+    """Whether a motion of the wall's own is its own image."""
+    motion = wall.motion
+    if isinstance(motion, Rotation):  # of a turned-round axis but for its y
+        return not (motion.axis[0] or motion.axis[2])
+    if isinstance(motion, Translation):
+        return not np.any(np.array(motion.velocities)[:, 1])
+    return not isinstance(motion, Vibration) or motion.direction[1] == 0.0

@@ -8,16 +8,9 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from gran_bench.scene import Scene, Wall
-from gran_bench.state import FloatArray
-from gran_bench.surrogate.contact_geometry import (
-    MILLIMETRE,
-    ContactList,
-    Surfaces,
-    pair_surfaces,
-    wall_displacement_matrix,
-    wall_surfaces,
-)
+from gran_bench.surrogate.contact_geometry import ContactList, Surfaces, pair_surfaces, wall_surfaces
+from gran_bench.surrogate.step import minimum_image
+from gran_bench.surrogate.walls import FrameWalls, closest_point
 
 if TYPE_CHECKING:
     from gran_bench.surrogate.contact import ContactNetwork
@@ -52,29 +45,33 @@ class Answer:
 
 def solve_contacts(
     model: ContactNetwork,
-    scene: Scene,
-    time: float,
+    period: float,
+    walls: FrameWalls,
     contacts: ContactList,
     position: Tensor,
     displacement: Tensor,
     spin: Tensor,
     fall: Tensor,
+    nearness: Tensor,
     springs: Tensor | None,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """All iterations of a frame in plain torch: the readable reference of the fused kernel.
 
     Args:
+        period: mm, along y; 0 where nothing wraps.
+        walls: of the frame, mm.
         position: ``(N, 3)`` at the start of the frame, mm.
         displacement: ``(N, 3)`` ballistic guess D, mm a frame.
         spin: ``(N, 3)`` q, mm a frame.
         fall: ``(3,)`` g Δt², mm a frame.
+        nearness: ``(N,)`` of :func:`nearest_fade`.
         springs: ``(M + W, 3)`` mm, of each contact, or None.
 
     Returns:
         D and q at the end, and what acts on the velocity alone (translation, spin); each ``(N, 3)`` mm a frame.
     """
     config, channels_count = model.config, model.config.channels
-    groups = _contact_groups(contacts, scene, time, position.device)
+    groups = _contact_groups(contacts, len(walls.after), position.device)
     channels = position.new_zeros(len(position), channels_count)
     extra, extra_spin = torch.zeros_like(position), torch.zeros_like(position)
     taken_back = 0.5 * fall if config.velocity == "instantaneous" else fall
@@ -83,7 +80,7 @@ def solve_contacts(
         end = position + displacement
         moves = []
         for index, group in enumerate(groups):
-            surfaces = group.surfaces(end, displacement, spin, model.diameter, scene.period / MILLIMETRE)
+            surfaces = group.surfaces(end, displacement, spin, model.diameter, period, walls)
             together = channels[group.first] + channels[group.second]
             spring = None if springs is None else springs[group.span]
             answer, sums[index] = _answer(model, k, group.kind, surfaces, sums[index], together, spring)
@@ -95,12 +92,33 @@ def solve_contacts(
             extra_spin = group.scatter(extra_spin, SPIN_RESPONSE * answer.extra_turn, 1.0)
             channels = group.scatter(channels, answer.messages, 1.0)
         limited = channels.clamp(-CHANNEL_CLAMP, CHANNEL_CLAMP)
-        share = limited @ model.mix_weight[k, channels_count]
+        share = nearness * (limited @ model.mix_weight[k, channels_count])
         displacement = displacement + share[:, None] * taken_back
         extra = extra + share[:, None] * (fall - taken_back)
         mixed = limited @ model.mix_weight[k, :channels_count].T + model.mix_bias[k, :channels_count]
         channels = channels + 0.5 * torch.relu(mixed)
     return displacement, spin, extra, extra_spin
+
+
+def nearest_fade(model: ContactNetwork, period: float, walls: FrameWalls, contacts: ContactList, end: Tensor) -> Tensor:
+    """The largest fade among each particle's contacts at the ballistic guess, ``(N,)``.
+
+    1 where a contact is within full reach, 0 without a contact: the share of its answer that a particle may have
+    where no contact acts on it directly.
+
+    Args:
+        period: mm, along y; 0 where nothing wraps.
+        walls: of the frame, mm.
+        end: ``(N, 3)`` ballistic guess of the frame's end, mm.
+    """
+    nearness = end.new_zeros(len(end))
+    for group in _contact_groups(contacts, len(walls.after), end.device):
+        reach, width = model.fade(group.kind)
+        fade = ((reach - group.gap(end, model.diameter, period, walls)) / width).clamp(0.0, 1.0)
+        nearness = nearness.scatter_reduce(0, group.first, fade, "amax")
+        if group.kind == PAIR:
+            nearness = nearness.scatter_reduce(0, group.second, fade, "amax")
+    return nearness
 
 
 @dataclass
@@ -111,29 +129,36 @@ class _Group:
     first: Tensor
     second: Tensor
     span: slice  # among all contacts of the frame
-    wall: Wall | None = None
-    motion: FloatArray | None = None
+    wall: int = -1
 
-    def surfaces(self, end: Tensor, displacement: Tensor, spin: Tensor, diameter: float, period: float) -> Surfaces:
+    def gap(self, end: Tensor, diameter: float, period: float, walls: FrameWalls) -> Tensor:
+        if self.kind == PAIR:
+            offset = minimum_image(end.index_select(0, self.second) - end.index_select(0, self.first), period)
+            return torch.linalg.vector_norm(offset, dim=1) - diameter
+        return closest_point(walls.after[self.wall], end[self.first])[0] - 0.5 * diameter
+
+    def surfaces(
+        self, end: Tensor, displacement: Tensor, spin: Tensor, diameter: float, period: float, walls: FrameWalls
+    ) -> Surfaces:
         if self.kind == PAIR:
             pairs = torch.stack((self.first, self.second), 1)
             return pair_surfaces(pairs, end, displacement, spin, diameter, period)
         near = self.first
-        return wall_surfaces(self.wall, self.motion, end[near], displacement[near], spin[near], 0.5 * diameter)
+        return wall_surfaces(walls, self.wall, end[near], displacement[near], spin[near], 0.5 * diameter)
 
     def scatter(self, target: Tensor, value: Tensor, sign: float) -> Tensor:
         target = target.index_add(0, self.first, value)
         return target.index_add(0, self.second, sign * value) if self.kind == PAIR else target
 
 
-def _contact_groups(contacts: ContactList, scene: Scene, time: float, device: torch.device) -> list[_Group]:
+def _contact_groups(contacts: ContactList, walls: int, device: torch.device) -> list[_Group]:
     first, second = torch.from_numpy(contacts.pairs).to(device).unbind(1)
     groups = [_Group(PAIR, first, second, slice(0, len(first)))]
     particle = torch.from_numpy(contacts.wall_particle).to(device)
-    for index, wall in enumerate(scene.walls):
+    for index in range(walls):
         low, high = contacts.wall.searchsorted([index, index + 1])
         near, span = particle[low:high], slice(len(first) + low, len(first) + high)
-        groups.append(_Group(WALL, near, near, span, wall, wall_displacement_matrix(scene, wall, time)))
+        groups.append(_Group(WALL, near, near, span, index))
     return groups
 
 

@@ -45,6 +45,7 @@ class Neighborhood:
         source: ``(M,)`` int64, the source of each pair.
         first: ``(M,)`` int64, first basis function of each pair.
         coefficient: ``(M, 8)`` window × basis function; differentiable in the positions unless they were detached.
+        window: ``(M,)`` (1 − r²/R²)³.
         source_count: S.
         symmetric: queries are the sources, and with (q, i) the list holds (i, q) with the opposite vector. The
             transposed layer is then the same layer with a mirrored kernel, and its backward pass needs no other list.
@@ -55,6 +56,7 @@ class Neighborhood:
     source: Tensor
     first: Tensor
     coefficient: Tensor
+    window: Tensor
     source_count: int
     symmetric: bool = False
 
@@ -69,6 +71,11 @@ class Neighborhood:
         rows = torch.arange(self.query_count, device=self.row_start.device)
         return torch.repeat_interleave(rows, self.row_start.diff())
 
+    def nearness(self, touching: float) -> Tensor:
+        """How near each query's nearest source is, ``(Q,)``: see :func:`nearness`; 0 where it has none."""
+        largest = self.window.new_zeros(self.query_count).scatter_reduce(0, self.query, self.window, "amax")
+        return _share_of_full(largest, touching, self.basis.radius)
+
     @cached_property
     def transposed(self) -> Neighborhood:
         """The same pairs listed by source, with queries in the sources' place (same vectors, kernel not mirrored)."""
@@ -80,6 +87,7 @@ class Neighborhood:
             source=self.query[order],
             first=self.first[order],
             coefficient=self.coefficient.index_select(0, order),
+            window=self.window.index_select(0, order),
             source_count=self.query_count,
             symmetric=False,
         )
@@ -100,6 +108,7 @@ class Neighborhood:
             source=source.index_select(0, inside),
             first=self.first.index_select(0, inside),
             coefficient=self.coefficient.index_select(0, inside),
+            window=self.window.index_select(0, inside),
             source_count=len(kept),
         )
 
@@ -121,13 +130,14 @@ def weigh_pairs(
         relative: ``(M, 3)`` source − query, m; at most R long.
         symmetric: see :class:`Neighborhood`; the caller's promise.
     """
-    first, coefficient = _weigh(basis, relative)
+    first, coefficient, window = _weigh(basis, relative)
     return Neighborhood(
         basis=basis,
         row_start=_starts(torch.bincount(query, minlength=query_count)),
         source=source,
         first=first,
         coefficient=coefficient,
+        window=window,
         source_count=source_count,
         symmetric=symmetric,
     )
@@ -158,7 +168,7 @@ def particle_neighborhood(basis: KernelBasis, position: Tensor, period: float = 
     pair = [side.astype(np.int64) for side in list_pairs(sphere, basis.radius, 0.0)]
     lists = (torch.from_numpy(a).to(position.device) for a in (*pair, *_both_sides(*pair, count)))
     one, other, row_start, source, entry = lists
-    first, coefficient = _weigh(basis, position.index_select(0, other) - position.index_select(0, one))
+    first, coefficient, window = _weigh(basis, position.index_select(0, other) - position.index_select(0, one))
     mirrored_first, mirrored = basis.turned(first, coefficient)
     return Neighborhood(
         basis=basis,
@@ -166,6 +176,7 @@ def particle_neighborhood(basis: KernelBasis, position: Tensor, period: float = 
         source=source,
         first=torch.cat((first, mirrored_first)).index_select(0, entry),
         coefficient=torch.cat((coefficient, mirrored)).index_select(0, entry),
+        window=torch.cat((window, window)).index_select(0, entry),
         source_count=count,
         symmetric=True,
     )
@@ -217,12 +228,33 @@ def _both_sides(one, other, count):
     return row_start, source, entry
 
 
-def _weigh(basis: KernelBasis, relative: Tensor) -> tuple[Tensor, Tensor]:
-    """First basis function ``(M,)`` and window × value ``(M, 8)`` of each vector."""
+def nearness(distance: Tensor, touching: float, radius: float) -> Tensor:
+    """What a body at a distance counts: 1 as far as half-way from ``touching`` to R, from there falling to 0 at R.
+
+    Args:
+        distance: m.
+        touching: distance of touching bodies, m.
+        radius: R, m.
+    """
+    return _share_of_full(_window(distance.clamp_min(0.0) ** 2, radius), touching, radius)
+
+
+def _share_of_full(window: Tensor, touching: float, radius: float) -> Tensor:
+    half_way = 0.5 * (touching + radius)
+    return (window / (1.0 - (half_way / radius) ** 2) ** 3).clamp(max=1.0)
+
+
+def _window(squared: Tensor, radius: float) -> Tensor:
+    """(1 − r²/R²)³, 0 beyond R."""
+    return (1.0 - squared / radius**2).clamp_min(0.0) ** 3
+
+
+def _weigh(basis: KernelBasis, relative: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """First basis function ``(M,)``, window × value ``(M, 8)`` and window ``(M,)`` of each vector."""
     x, y, z = relative.unbind(-1)
-    window = (1.0 - (x * x + y * y + z * z) / basis.radius**2).clamp_min(0.0) ** 3
+    window = _window(x * x + y * y + z * z, basis.radius)
     first, value = basis.evaluate(relative)
-    return first, window[:, None] * value
+    return first, window[:, None] * value, window
 
 
 def _starts(counts: Tensor) -> Tensor:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from gran_bench.config import CconvModelConfig
 from gran_bench.config_rules import checked
+from gran_bench.dem.outlet import taking_part
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
+from gran_bench.surrogate.trained_for import TrainedFor
 
 
 @dataclass
@@ -21,7 +25,9 @@ class FrameState:
         position: ``(N, 3)`` m; y lies in [−L/2, L/2) where the scene is periodic.
         velocity: ``(N, 3)`` m/s, of the model's ``velocity_kind``.
         angular_velocity: ``(N, 3)`` rad/s, or None for a model that has no spin.
-        memory: whatever else a model keeps of the past (a contact memory, say), or None.
+        memory: whatever else a model keeps of the past, such as a
+            :class:`~gran_bench.surrogate.contact_memory.ContactMemory`; its ``renumbered`` follows spheres that leave.
+            Or None.
         pair_acceleration: ``(N, 3)`` m/s², what particles gave each other in the frame that ends here, or None at a
             start and for a model that does not tell it from what walls gave.
     """
@@ -40,11 +46,13 @@ class Surrogate(nn.Module):
         velocity_kind: ``mean`` over the frame that ends at the state, or ``instantaneous``.
         uses_spin: whether angular velocities are part of the state.
         has_memory: whether the state carries a memory of earlier frames.
+        trained_for: what the model was made for, which a rollout compares; None for a model of no scene.
     """
 
     velocity_kind: str = "mean"
     uses_spin: bool = False
     has_memory: bool = False
+    trained_for: TrainedFor | None = None
 
     def begin(
         self,
@@ -68,10 +76,16 @@ class Surrogate(nn.Module):
             memory: of the start frame, as :meth:`memories` gives it; a model without memory takes no notice.
 
         Raises:
-            ValueError: a model of spin that is given none.
+            ValueError: a model of spin that is given none, or a value that is not ``(N, 3)`` or not finite.
         """
         if self.uses_spin and angular_velocity is None:
             raise ValueError(f"{type(self).__name__} carries spin; give angular_velocity (N, 3) in rad/s to begin()")
+        given = {"position": position, "velocity": velocity, "angular_velocity": angular_velocity}
+        for name, values in given.items():
+            if values is not None and values.shape != (len(position), 3):
+                raise ValueError(f"{name} has shape {tuple(values.shape)}; give begin() one of ({len(position)}, 3)")
+            if values is not None and not torch.isfinite(values).all():
+                raise ValueError(f"{name} is not finite; give begin() finite values, a model can make nothing of it")
         if self.velocity_kind == "mean" and previous_position is not None:
             velocity = minimum_image(position - previous_position, scene.period) / scene.frame_interval
         return FrameState(position, velocity, angular_velocity if self.uses_spin else None)
@@ -89,7 +103,17 @@ class Surrogate(nn.Module):
         return None
 
     def forward(self, state: FrameState, scene: Scene, time: float) -> FrameState:
-        """The state one frame later, from ``time`` to ``time + scene.frame_interval`` (s); differentiable."""
+        """The state one frame later, from ``time`` to ``time + scene.frame_interval`` (s); differentiable.
+
+        A sphere whose centre is beyond the scene's outlet keeps its last state and touches nothing, as in the DEM.
+        """
+        inside = taking_part(scene, state.position.detach().cpu().numpy())
+        if inside is None:
+            return self.advance(state, scene, time)
+        return _rejoined(state, inside, lambda part: self.advance(part, scene, time)) if inside.any() else state
+
+    def advance(self, state: FrameState, scene: Scene, time: float) -> FrameState:
+        """:meth:`forward` of spheres that all take part."""
         raise NotImplementedError
 
     @property
@@ -137,7 +161,7 @@ class NewtonSurrogate(Surrogate):
         """:meth:`acceleration`, and the part of it that particles give each other, None where it is not told apart."""
         return self.acceleration(position, velocity, scene, time), None
 
-    def forward(self, state: FrameState, scene: Scene, time: float) -> FrameState:
+    def advance(self, state: FrameState, scene: Scene, time: float) -> FrameState:
         interval = scene.frame_interval
         before = state.velocity
         predicted = before
@@ -158,6 +182,30 @@ class NewtonSurrogate(Surrogate):
     def _travel_velocity(self, before: Tensor, after: Tensor) -> Tensor:
         """Velocity that carries a particle through the frame, ``(N, 3)`` m/s."""
         return after if self.update == "mean" else 0.5 * (before + after)
+
+
+def _rejoined(state: FrameState, inside: np.ndarray, advance: Callable[[FrameState], FrameState]) -> FrameState:
+    """The whole state after the spheres that are ``inside``, ``(N,)`` bool, were moved on; the others as they were."""
+    number = np.flatnonzero(inside)
+    rows = torch.from_numpy(number).to(state.position.device)
+
+    def part(values: Tensor | None) -> Tensor | None:
+        return None if values is None else values.index_select(0, rows)
+
+    def whole(values: Tensor | None, moved: Tensor | None) -> Tensor | None:
+        return None if values is None or moved is None else values.index_copy(0, rows, moved)
+
+    memory = state.memory
+    if memory is not None:
+        memory = memory.renumbered(np.where(inside, np.cumsum(inside) - 1, -1), len(number))
+    after = advance(FrameState(part(state.position), part(state.velocity), part(state.angular_velocity), memory))
+    return FrameState(
+        whole(state.position, after.position),
+        whole(state.velocity, after.velocity),
+        whole(state.angular_velocity, after.angular_velocity),
+        None if after.memory is None else after.memory.renumbered(number, len(inside)),
+        whole(torch.zeros_like(state.position), after.pair_acceleration),
+    )
 
 
 def wrap(position: Tensor, period: float) -> Tensor:

@@ -47,17 +47,21 @@ EXTRA = 6 + CHANNELS  # in a row of adjoints (D, q, h, extra translation, extra 
 
 
 @njit(nogil=True, error_model="numpy")
-def _mix_adjoint(messages, adjoint, gravity, weight, bias, d_weight, d_bias):  # pragma: no cover - jitted
+def _mix_adjoint(
+    messages, adjoint, gravity, nearness, weight, bias, d_weight, d_bias, d_nearness
+):  # pragma: no cover - jitted
     """Adjoint of :func:`contact_iterations.mix`; ``messages``: channels before it, ``adjoint``: the particles' rows."""
     held, d_held = np.empty(CHANNELS, np.float32), np.empty(CHANNELS, np.float32)
     for i in range(len(adjoint)):
         d_share = ZERO
         for m in range(3):
             d_share += adjoint[i, m] * gravity[0, m] + adjoint[i, 6 + CHANNELS + m] * gravity[1, m]
+        d_whole = nearness[i] * d_share
         for m in range(CHANNELS):
             held[m] = min(max(messages[i, m], -CHANNEL_CLAMP), CHANNEL_CLAMP)
-            d_held[m] = d_share * weight[CHANNELS, m]
-            d_weight[CHANNELS, m] += d_share * held[m]
+            d_held[m] = d_whole * weight[CHANNELS, m]
+            d_weight[CHANNELS, m] += d_whole * held[m]
+            d_nearness[i] += d_share * weight[CHANNELS, m] * held[m]
         for out in range(CHANNELS):
             mixed = bias[out]
             for m in range(CHANNELS):
@@ -124,14 +128,14 @@ def _respond_adjoint(
 
 @njit(nogil=True, error_model="numpy")
 def iterate_adjoint(
-    pairs, near, wall_start, walls, springs, limits, period, gravity,
+    pairs, near, wall_start, walls, springs, limits, period, gravity, nearness,
     w1, b1, w2, b2, stiffness, spin_share, mix_weight, mix_bias, states, messages, sums, adjoint, d_position,
-    d_w1, d_b1, d_w2, d_b2, d_stiffness, d_spin_share, d_mix_weight, d_mix_bias,
+    d_nearness, d_w1, d_b1, d_w2, d_b2, d_stiffness, d_spin_share, d_mix_weight, d_mix_bias,
 ):  # fmt: skip  # pragma: no cover - jitted
     """Adjoint of :func:`contact_iterations.iterate`; ``adjoint`` is its seed and its result.
 
     A row of it is (D, q, h, extra translation, extra spin). The extra parts are only ever added to, so their adjoint
-    stays what it was seeded with.
+    stays what it was seeded with. ``d_nearness`` is what the particles' nearness gets.
     """
     iterations, pair_count = len(w1), len(pairs)
     b = np.zeros(ROWS * LANES, np.float32)
@@ -140,7 +144,8 @@ def iterate_adjoint(
     diameter = limits[4]
     for k in range(iterations - 1, -1, -1):
         now, running = states[k], sums[k]
-        _mix_adjoint(messages[k], adjoint, gravity, mix_weight[k], mix_bias[k], d_mix_weight[k], d_mix_bias[k])
+        d_mixing = d_mix_weight[k], d_mix_bias[k]
+        _mix_adjoint(messages[k], adjoint, gravity, nearness, mix_weight[k], mix_bias[k], *d_mixing, d_nearness)
         before[:] = adjoint
         slope, reach = ONE / limits[1], limits[0]
         u1, c1, u2, c2 = w1[k, 0], b1[k, 0], w2[k, 0], b2[k, 0]
@@ -177,7 +182,7 @@ def iterate_adjoint(
             for first in range(wall_start[w], wall_start[w + 1], LANES):
                 last = min(first + LANES, wall_start[w + 1])
                 strength, share = stiffness[k, 1] + stiffness[k, 1], spin_share[k, 1]
-                gather_walls(b, near, first, last, pair_count, walls[w], now, running, springs, HALF * diameter)
+                gather_walls(b, near, first, last, pair_count, walls, w, now, running, springs, HALF * diameter)
                 respond(b, slope, reach, strength, share, u1, c1, u2, c2)
                 _seed_walls(b, near, pair_count, before, d_sums, first, last)
                 low, high = pair_count + first, pair_count + last
@@ -185,7 +190,7 @@ def iterate_adjoint(
                 pushed = row_sum(b, D_STIFFNESS)
                 d_stiffness[k, 1] += pushed + pushed
                 d_spin_share[k, 1] += row_sum(b, D_SHARE)
-                wall_geometry_adjoint(b, walls[w])
+                wall_geometry_adjoint(b, near, first, last, walls, w, now)
                 for c in range(last - first):
                     i = near[first + c]
                     for m in range(3):

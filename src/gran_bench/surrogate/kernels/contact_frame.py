@@ -7,6 +7,7 @@ from pathlib import Path
 
 from numba import njit
 
+from gran_bench.dem import wall_list, walls
 from gran_bench.surrogate import contact_solver
 from gran_bench.surrogate.kernels import contact_adjoint, contact_block, contact_iterations, contact_kinematics
 from gran_bench.surrogate.kernels.contact_adjoint import iterate_adjoint
@@ -35,7 +36,7 @@ def _keyed_entries(sources: str):
 
 def digest_of_sources() -> str:
     """Of the files that the entries are compiled from, as they are on disk now."""
-    others = (contact_iterations, contact_adjoint, contact_kinematics, contact_block, contact_solver)
+    others = (contact_iterations, contact_adjoint, contact_kinematics, contact_block, contact_solver, wall_list, walls)
     files = (__file__, *(module.__file__ for module in others))
     return hashlib.sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()
 

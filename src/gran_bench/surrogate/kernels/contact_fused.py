@@ -13,29 +13,29 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from gran_bench.scene import Cylinder, Scene
-from gran_bench.surrogate.contact_geometry import MILLIMETRE, ContactList, wall_displacement_matrix
+from gran_bench.surrogate.contact_geometry import ContactList
 from gran_bench.surrogate.contact_solver import PAIR, WALL
 from gran_bench.surrogate.kernels.contact_block import CHANNELS, HIDDEN, INPUTS
 from gran_bench.surrogate.kernels.contact_frame import frame_adjoint, frame_forward
 from gran_bench.surrogate.kernels.contact_kinematics import ROW
+from gran_bench.surrogate.walls import FrameWalls
 
 if TYPE_CHECKING:
     from gran_bench.surrogate.contact import ContactNetwork
 
-WALL_FIELDS = 17  # whether a cylinder, point, direction, radius, M row by row
 FUSED_SIZES = (HIDDEN, CHANNELS)  # hidden units and channels that the kernel is compiled for
 
 
 def fused_solve(
     model: ContactNetwork,
-    scene: Scene,
-    time: float,
+    period: float,
+    walls: FrameWalls,
     contacts: ContactList,
     position: Tensor,
     displacement: Tensor,
     spin: Tensor,
     fall: Tensor,
+    nearness: Tensor,
     springs: Tensor | None,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """The fused form of :func:`gran_bench.surrogate.contact_solver.solve_contacts`; same arguments, same results."""
@@ -45,16 +45,14 @@ def fused_solve(
     frame = (
         contacts.pairs,
         contacts.wall_particle,
-        contacts.wall.searchsorted(np.arange(len(scene.walls) + 1)),
-        np.stack([_wall_fields(scene, index, time) for index in range(len(scene.walls))])
-        if scene.walls
-        else np.zeros((0, WALL_FIELDS), np.float32),
+        contacts.wall.searchsorted(np.arange(len(walls.after) + 1)),
+        np.hstack((walls.after, walls.turn.reshape(-1, 9), walls.shift)).astype(np.float32),
         np.zeros((count, 3), np.float32) if springs is None else springs.numpy(),
         np.array([*model.fade(PAIR), *model.fade(WALL), model.diameter], np.float32),
-        np.float32(scene.period / MILLIMETRE),
+        np.float32(period),
         np.stack([taken_back.numpy(), (fall - taken_back).numpy()]),
     )
-    return _FusedContacts.apply(frame, position, displacement, spin, *_full_weights(model))
+    return _FusedContacts.apply(frame, position, displacement, spin, nearness, *_full_weights(model))
 
 
 def _full_weights(model: ContactNetwork) -> tuple[Tensor, ...]:
@@ -82,24 +80,14 @@ def _full_weights(model: ContactNetwork) -> tuple[Tensor, ...]:
     )
 
 
-def _wall_fields(scene: Scene, index: int, time: float) -> np.ndarray:
-    """What the kernel knows of a wall, ``(17,)`` float32, lengths in mm."""
-    wall = scene.walls[index]
-    is_cylinder = isinstance(wall, Cylinder)
-    fields = [float(is_cylinder), *(np.array(wall.point) / MILLIMETRE)]
-    fields += [*(wall.axis if is_cylinder else wall.normal), wall.radius / MILLIMETRE if is_cylinder else 0.0]
-    matrix = wall_displacement_matrix(scene, wall, time)
-    return np.array([*fields, *matrix.ravel()], np.float32)
-
-
 class _FusedContacts(torch.autograd.Function):
-    """(x, D, q, weights) → (D, q, extra translation, extra spin), all in mm and mm per frame."""
+    """(x, D, q, nearness, weights) → (D, q, extra translation, extra spin), all in mm and mm per frame."""
 
     @staticmethod
-    def forward(ctx, frame, position, displacement, spin, *weights):
+    def forward(ctx, frame, position, displacement, spin, nearness, *weights):
         weights = tuple(w.detach().contiguous().numpy() for w in weights)
         weights = tuple(w.reshape(*w.shape[:2], -1) if w.ndim == 4 else w for w in weights)
-        inputs = tuple(t.detach().contiguous().numpy() for t in (position, displacement, spin))
+        inputs = tuple(t.detach().contiguous().numpy() for t in (position, displacement, spin, nearness))
         needed = any(ctx.needs_input_grad)
         iterations, count = len(weights[0]), len(frame[4])
         kept = iterations if needed else 1
@@ -108,7 +96,7 @@ class _FusedContacts(torch.autograd.Function):
         sums = np.empty((kept, 2, count), np.float32)
         outcome = np.empty((4, len(inputs[0]), 3), np.float32)
         frame_forward(*frame, *inputs, *weights, states, messages, sums, outcome)
-        ctx.frame, ctx.weights, ctx.kept = frame, weights, (states, messages, sums)
+        ctx.frame, ctx.nearness, ctx.weights, ctx.kept = frame, inputs[3], weights, (states, messages, sums)
         return tuple(torch.from_numpy(outcome).unbind(0))
 
     @staticmethod
@@ -117,12 +105,13 @@ class _FusedContacts(torch.autograd.Function):
         results = tuple(np.zeros(w.shape, np.float32) for w in ctx.weights)
         channels = np.zeros((len(move), CHANNELS), np.float32)
         adjoint = np.concatenate((move, turned, channels, extra, extra_spin), axis=1)
-        position = np.zeros_like(move)
-        frame_adjoint(*ctx.frame, *ctx.weights, *ctx.kept, adjoint, position, *results)
+        position, nearness = np.zeros_like(move), np.zeros(len(move), np.float32)
+        frame_adjoint(*ctx.frame, ctx.nearness, *ctx.weights, *ctx.kept, adjoint, position, nearness, *results)
         shapes = {0: (INPUTS,), 2: (HIDDEN,)}
         results = [
             torch.from_numpy(r.reshape(*r.shape[:2], -1, *shapes[k]) if k in shapes else r)
             for k, r in enumerate(results)
         ]
         moved = torch.from_numpy(adjoint)
-        return None, torch.from_numpy(position), moved[:, 0:3], moved[:, 3:6], *results
+        inputs = torch.from_numpy(position), moved[:, 0:3], moved[:, 3:6], torch.from_numpy(nearness)
+        return None, *inputs, *results

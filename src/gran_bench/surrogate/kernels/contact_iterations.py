@@ -54,7 +54,7 @@ def respond(b, slope, reach, strength, share, w1, b1, w2, b2):  # pragma: no cov
 
 @njit(nogil=True, error_model="numpy")
 def iterate(
-    pairs, near, wall_start, walls, springs, limits, period, gravity, position, guess, spin,
+    pairs, near, wall_start, walls, springs, limits, period, gravity, position, guess, spin, nearness,
     w1, b1, w2, b2, stiffness, spin_share, mix_weight, mix_bias, states, messages, sums, outcome,
 ):  # fmt: skip  # pragma: no cover - jitted
     """All iterations; ``states`` and ``sums`` keep what each started from, ``messages`` the channels before mixing.
@@ -106,7 +106,7 @@ def iterate(
         for w in range(len(walls)):
             for first in range(wall_start[w], wall_start[w + 1], LANES):
                 last = min(first + LANES, wall_start[w + 1])
-                gather_walls(b, near, first, last, pair_count, walls[w], now, running, springs, HALF * diameter)
+                gather_walls(b, near, first, last, pair_count, walls, w, now, running, springs, HALF * diameter)
                 strength = stiffness[k, 1] + stiffness[k, 1]
                 respond(b, slope, reach, strength, spin_share[k, 1], u1, c1, u2, c2)
                 for c in range(last - first):
@@ -125,7 +125,7 @@ def iterate(
                 now[i, m] += gain[i, m]
             for m in range(CHANNELS):
                 messages[slot, i, m] = now[i, CHANNEL + m]
-        mix(now, extra, gravity, mix_weight[k], mix_bias[k])
+        mix(now, extra, gravity, nearness, mix_weight[k], mix_bias[k])
     for i in range(count):
         for m in range(3):
             outcome[0, i, m], outcome[1, i, m] = now[i, MOVE + m], now[i, TURNED + m]
@@ -133,14 +133,20 @@ def iterate(
 
 
 @njit(nogil=True, error_model="numpy")
-def mix(now, extra, gravity, weight, bias):  # pragma: no cover - jitted
-    """Gravity taken back and channels mixed, for all particles; ``gravity``: what D takes, what the velocity more."""
+def mix(now, extra, gravity, nearness, weight, bias):  # pragma: no cover - jitted
+    """Gravity taken back and channels mixed, for all particles.
+
+    Args:
+        gravity: ``(2, 3)`` what D takes of it, and what the velocity takes more.
+        nearness: ``(N,)`` share that a particle may take; 0 without a contact.
+    """
     held = np.empty(CHANNELS, np.float32)
     for i in range(len(now)):
         share = ZERO
         for m in range(CHANNELS):
             held[m] = min(max(now[i, CHANNEL + m], -CHANNEL_CLAMP), CHANNEL_CLAMP)
             share += weight[CHANNELS, m] * held[m]
+        share *= nearness[i]
         for m in range(3):
             now[i, MOVE + m] += share * gravity[0, m]
             extra[i, m] += share * gravity[1, m]

@@ -9,6 +9,8 @@ import math
 
 import numpy as np
 
+from gran_bench.dem.wall_list import shape_of, toward_wall
+from gran_bench.dem.walls import PLANE, REVOLUTION
 from gran_bench.surrogate.kernels.contact_block import (
     CHANNELS,
     D_GAP,
@@ -29,11 +31,15 @@ from gran_bench.surrogate.kernels.contact_block import (
     ZERO,
     block_jit,
 )
+from gran_bench.surrogate.walls import SHAPE
 
 # A particle's row: end of the frame y, displacement D, spin q, channels h.
 END, MOVE, TURNED, CHANNEL = 0, 3, 6, 9
 STATE = CHANNEL + CHANNELS
 ROW = 16  # one cache line
+# A wall's row: its shape, then M row by row and t, which move its point c by M c + t.
+TURN, SHIFT = SHAPE, SHAPE + 9
+SMALLEST = np.float32(1e-12)  # mm; keeps a division by a distance finite
 
 
 @block_jit
@@ -65,39 +71,27 @@ def gather_pairs(b, pairs, first, last, state, sums, springs, diameter, period):
 
 
 @block_jit
-def gather_walls(b, near, first, last, offset, wall, state, sums, springs, radius):  # pragma: no cover - jitted
+def gather_walls(b, near, first, last, offset, walls, w, state, sums, springs, radius):  # pragma: no cover - jitted
     """Rows of the wall contacts ``first`` to ``last``, which come after ``offset`` pairs in sums and springs."""
-    x0, x1, x2, d0, d1, d2, size = wall[1], wall[2], wall[3], wall[4], wall[5], wall[6], wall[7]
+    shape = shape_of(walls, w)
     for c in range(LANES):
         p = min(first + c, last - 1)
         i = near[p]
+        y0, y1, y2 = state[i, END], state[i, END + 1], state[i, END + 2]
+        distance, n0, n1, n2 = toward_wall(shape, y0, y1, y2)
+        # The wall's point that the particle would touch.
+        c0, c1, c2 = y0 + distance * n0, y1 + distance * n1, y2 + distance * n2
+        b[NORMAL * LANES + c], b[(NORMAL + 1) * LANES + c], b[(NORMAL + 2) * LANES + c] = n0, n1, n2
+        b[DISTANCE * LANES + c], b[GAP * LANES + c] = distance, distance - radius
         for m in range(3):
-            b[(NORMAL + m) * LANES + c] = state[i, END + m]
-            b[(MOTION + m) * LANES + c] = state[i, MOVE + m]
+            moved = walls[w, TURN + 3 * m] * c0 + walls[w, TURN + 3 * m + 1] * c1 + walls[w, TURN + 3 * m + 2] * c2
+            b[(MOTION + m) * LANES + c] = moved + walls[w, SHIFT + m] - state[i, MOVE + m]
             b[(SPIN + m) * LANES + c] = state[i, TURNED + m]
             b[(SPRING + m) * LANES + c] = springs[offset + p, m]
         for m in range(CHANNELS):
             b[(TOGETHER + m) * LANES + c] = state[i, CHANNEL + m] + state[i, CHANNEL + m]
         b[SUM_A * LANES + c] = sums[0, offset + p]
         b[SUM_B * LANES + c] = sums[1, offset + p]
-    is_cylinder = wall[0] > ZERO
-    for c in range(LANES):
-        y0, y1, y2 = b[NORMAL * LANES + c], b[(NORMAL + 1) * LANES + c], b[(NORMAL + 2) * LANES + c]
-        along = (y0 - x0) * d0 + (y1 - x1) * d1 + (y2 - x2) * d2
-        r0, r1, r2 = y0 - x0 - along * d0, y1 - x1 - along * d1, y2 - x2 - along * d2
-        from_axis = math.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
-        inverse = ONE / max(from_axis, np.float32(1e-12))
-        n0 = r0 * inverse if is_cylinder else -d0
-        n1 = r1 * inverse if is_cylinder else -d1
-        n2 = r2 * inverse if is_cylinder else -d2
-        distance = size - from_axis if is_cylinder else along
-        # The wall's point that the particle would touch moves by M c.
-        c0, c1, c2 = y0 + distance * n0, y1 + distance * n1, y2 + distance * n2
-        b[NORMAL * LANES + c], b[(NORMAL + 1) * LANES + c], b[(NORMAL + 2) * LANES + c] = n0, n1, n2
-        b[MOTION * LANES + c] = wall[8] * c0 + wall[9] * c1 + wall[10] * c2 - b[MOTION * LANES + c]
-        b[(MOTION + 1) * LANES + c] = wall[11] * c0 + wall[12] * c1 + wall[13] * c2 - b[(MOTION + 1) * LANES + c]
-        b[(MOTION + 2) * LANES + c] = wall[14] * c0 + wall[15] * c1 + wall[16] * c2 - b[(MOTION + 2) * LANES + c]
-        b[DISTANCE * LANES + c], b[GAP * LANES + c] = from_axis, distance - radius
 
 
 @block_jit
@@ -114,28 +108,46 @@ def pair_geometry_adjoint(b):  # pragma: no cover - jitted
 
 
 @block_jit
-def wall_geometry_adjoint(b, wall):  # pragma: no cover - jitted
-    """D_NORMAL becomes the adjoint of y, from D_GAP, D_NORMAL and D_MOTION."""
-    d0, d1, d2, size = wall[4], wall[5], wall[6], wall[7]
-    is_cylinder = wall[0] > ZERO
+def wall_geometry_adjoint(b, near, first, last, walls, w, state):  # pragma: no cover - jitted
+    """D_NORMAL becomes the adjoint of y, from D_GAP, D_NORMAL and D_MOTION.
+
+    The distance has the gradient −n. The normal turns with y about the wall's axis by (n·o)/ρ, with o the way out from
+    the axis and ρ the distance from it, and in the plane through the axis about a rim by −1/distance.
+    """
+    kind = walls[w, 0]
+    d0, d1, d2 = walls[w, 4], walls[w, 5], walls[w, 6]
+    r0, s0, dr, ds = walls[w, 7], walls[w, 8], walls[w, 9] - walls[w, 7], walls[w, 10] - walls[w, 8]
     for c in range(LANES):
+        i = near[min(first + c, last - 1)]
+        n0, n1, n2 = b[NORMAL * LANES + c], b[(NORMAL + 1) * LANES + c], b[(NORMAL + 2) * LANES + c]
         g0, g1, g2 = b[D_MOTION * LANES + c], b[(D_MOTION + 1) * LANES + c], b[(D_MOTION + 2) * LANES + c]
-        c0 = wall[8] * g0 + wall[11] * g1 + wall[14] * g2
-        c1 = wall[9] * g0 + wall[12] * g1 + wall[15] * g2
-        c2 = wall[10] * g0 + wall[13] * g1 + wall[16] * g2
-        along = c0 * d0 + c1 * d1 + c2 * d2
-        d_gap = b[D_GAP * LANES + c]
-        if is_cylinder:  # the touched point is on the axis' side plus R n, and n turns with y
-            n0, n1, n2 = b[NORMAL * LANES + c], b[(NORMAL + 1) * LANES + c], b[(NORMAL + 2) * LANES + c]
-            t0 = b[D_NORMAL * LANES + c] + size * c0
-            t1 = b[(D_NORMAL + 1) * LANES + c] + size * c1
-            t2 = b[(D_NORMAL + 2) * LANES + c] + size * c2
-            inverse = ONE / b[DISTANCE * LANES + c]
-            radial, axial = t0 * n0 + t1 * n1 + t2 * n2, t0 * d0 + t1 * d1 + t2 * d2
-            b[D_NORMAL * LANES + c] = along * d0 - d_gap * n0 + (t0 - radial * n0 - axial * d0) * inverse
-            b[(D_NORMAL + 1) * LANES + c] = along * d1 - d_gap * n1 + (t1 - radial * n1 - axial * d1) * inverse
-            b[(D_NORMAL + 2) * LANES + c] = along * d2 - d_gap * n2 + (t2 - radial * n2 - axial * d2) * inverse
-        else:
-            b[D_NORMAL * LANES + c] = c0 + (d_gap - along) * d0
-            b[(D_NORMAL + 1) * LANES + c] = c1 + (d_gap - along) * d1
-            b[(D_NORMAL + 2) * LANES + c] = c2 + (d_gap - along) * d2
+        distance = b[DISTANCE * LANES + c]
+        # The adjoints of the touched point, of the distance and of the normal.
+        c0 = walls[w, TURN] * g0 + walls[w, TURN + 3] * g1 + walls[w, TURN + 6] * g2
+        c1 = walls[w, TURN + 1] * g0 + walls[w, TURN + 4] * g1 + walls[w, TURN + 7] * g2
+        c2 = walls[w, TURN + 2] * g0 + walls[w, TURN + 5] * g1 + walls[w, TURN + 8] * g2
+        closer = b[D_GAP * LANES + c] + n0 * c0 + n1 * c1 + n2 * c2
+        t0 = b[D_NORMAL * LANES + c] + distance * c0
+        t1 = b[(D_NORMAL + 1) * LANES + c] + distance * c1
+        t2 = b[(D_NORMAL + 2) * LANES + c] + distance * c2
+        c0, c1, c2 = c0 - closer * n0, c1 - closer * n1, c2 - closer * n2
+        if kind != PLANE:
+            o0, o1, o2 = (
+                state[i, END] - walls[w, 1],
+                state[i, END + 1] - walls[w, 2],
+                state[i, END + 2] - walls[w, 3],
+            )
+            along = o0 * d0 + o1 * d1 + o2 * d2
+            o0, o1, o2 = o0 - along * d0, o1 - along * d1, o2 - along * d2
+            reach = math.sqrt(o0 * o0 + o1 * o1 + o2 * o2)
+            inverse = ONE / max(reach, SMALLEST)
+            o0, o1, o2 = o0 * inverse, o1 * inverse, o2 * inverse
+            f0, f1, f2 = d1 * o2 - d2 * o1, d2 * o0 - d0 * o2, d0 * o1 - d1 * o0
+            around = (n0 * o0 + n1 * o1 + n2 * o2) * inverse * (f0 * t0 + f1 * t1 + f2 * t2)
+            c0, c1, c2 = c0 + around * f0, c1 + around * f1, c2 + around * f2
+            share = (reach - r0) * dr + (along - s0) * ds
+            if kind == REVOLUTION and not ZERO < share < dr * dr + ds * ds:
+                e0, e1, e2 = n1 * f2 - n2 * f1, n2 * f0 - n0 * f2, n0 * f1 - n1 * f0
+                over = (e0 * t0 + e1 * t1 + e2 * t2) / max(distance, SMALLEST)
+                c0, c1, c2 = c0 - over * e0, c1 - over * e1, c2 - over * e2
+        b[D_NORMAL * LANES + c], b[(D_NORMAL + 1) * LANES + c], b[(D_NORMAL + 2) * LANES + c] = c0, c1, c2

@@ -5,13 +5,20 @@ Lengths are in mm. Each result is zero, and ``touches`` False, where a contact d
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
-from numba import njit
+
+from gran_bench import dem, neighbors
+from gran_bench.dem.wall_list import shape_of, toward_wall
+from gran_bench.neighbors.kernel import cached, kernel
 
 SPRING_CAP = 0.40  # of the overlap; a longer spring has slid
 
+jitted = cached(*(Path(room).parent for room in (__file__, dem.__file__, neighbors.__file__)), nogil=True)
 
-@njit(cache=True, nogil=True, error_model="numpy")
+
+@kernel
 def _stretch(spring, normal, motion, spin, overlap, overlap_before, result):  # pragma: no cover - jitted
     """ξ' of one contact into ``result``; ``motion`` is D_j − D_i, ``spin`` is q_i + q_j."""
     before = np.sqrt(spring[0] ** 2 + spring[1] ** 2 + spring[2] ** 2)
@@ -33,7 +40,7 @@ def _stretch(spring, normal, motion, spin, overlap, overlap_before, result):  # 
             result[m] *= longest / length
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@jitted
 def stretch_pairs(pairs, start, end, spin, diameter, period, springs, result, touches):  # pragma: no cover - jitted
     """ξ' of the pairs: ``start`` and ``end`` are positions, ``spin`` is q, all ``(N, 3)``."""
     normal, before, motion, turn = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -57,15 +64,21 @@ def stretch_pairs(pairs, start, end, spin, diameter, period, springs, result, to
         touches[c] = True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def stretch_wall(  # pragma: no cover - jitted
-    near, start, end, spin, radius, period, is_cylinder, point, direction, wall_radius, matrix, springs, result, touches
-):
-    """ξ' of the particles ``near`` one wall, whose touched point c moves by ``matrix`` c."""
+@jitted
+def stretch_walls(
+    near, wall, start, end, spin, radius, period, before, after, turn, shift, springs, result, touches
+):  # fmt: skip  # pragma: no cover - jitted
+    """ξ' of the particles ``near`` walls, whose touched point c moves by ``turn`` c + ``shift``.
+
+    Args:
+        wall: ``(C,)`` index of the wall of each.
+        before, after: ``(W, 11)`` shapes at the frame's two ends.
+        turn, shift: ``(W, 3, 3)`` and ``(W, 3)``.
+    """
     normal, motion, moved = np.empty(3), np.empty(3), np.empty(3)
     for c in range(len(near)):
-        i = near[c]
-        distance = _to_wall(end[i], is_cylinder, point, direction, wall_radius, normal)
+        i, w = near[c], wall[c]
+        distance, normal[0], normal[1], normal[2] = toward_wall(shape_of(after, w), end[i, 0], end[i, 1], end[i, 2])
         if distance >= radius:
             continue
         for m in range(3):
@@ -73,29 +86,9 @@ def stretch_wall(  # pragma: no cover - jitted
         if period > 0.0:
             moved[1] -= period * np.floor(moved[1] / period + 0.5)
         for m in range(3):
-            motion[m] = -moved[m]
+            motion[m] = shift[w, m] - moved[m]
             for p in range(3):
-                motion[m] += matrix[m, p] * (end[i, p] + distance * normal[p])
-        before = _to_wall(start[i], is_cylinder, point, direction, wall_radius, np.empty(3))
-        _stretch(springs[c], normal, motion, spin[i], radius - distance, radius - before, result[c])
+                motion[m] += turn[w, m, p] * (end[i, p] + distance * normal[p])
+        apart = toward_wall(shape_of(before, w), start[i, 0], start[i, 1], start[i, 2])[0]
+        _stretch(springs[c], normal, motion, spin[i], radius - distance, radius - apart, result[c])
         touches[c] = True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _to_wall(place, is_cylinder, point, direction, wall_radius, normal):  # pragma: no cover - jitted
-    """Distance of ``place`` from a wall; the unit vector towards it into ``normal``."""
-    along = 0.0
-    for m in range(3):
-        along += (place[m] - point[m]) * direction[m]
-    if not is_cylinder:
-        for m in range(3):
-            normal[m] = -direction[m]
-        return along
-    squared = 0.0
-    for m in range(3):
-        normal[m] = place[m] - point[m] - along * direction[m]
-        squared += normal[m] ** 2
-    from_axis = np.sqrt(squared)
-    for m in range(3):
-        normal[m] = normal[m] / from_axis if from_axis > 0.0 else 0.0
-    return wall_radius - from_axis
