@@ -122,7 +122,7 @@ def test_the_interval_of_frames_changes_no_bit_at_common_times(scene, dem):
 
 
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-@pytest.mark.parametrize("stop", [0.001, 0.013, 0.03])
+@pytest.mark.parametrize("stop", [0.0, 0.001, 0.013, 0.03])
 def test_a_run_goes_on_from_any_frame_bit_for_bit(scene, stop, dem):
     scene = replace(scene(), frame_interval=0.001)
     state, end = moving(scene), scene.start_time + SPAN

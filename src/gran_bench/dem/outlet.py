@@ -1,6 +1,6 @@
 """Spheres that leave: who takes part in a stretch, and how those who don't keep their last state.
 
-Who takes part follows from positions alone, so that a run that goes on from a frame decides as the run before it.
+Who takes part follows from positions alone; when it is decided does not depend on frames (frame.py).
 """
 
 from __future__ import annotations

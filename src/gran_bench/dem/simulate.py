@@ -38,7 +38,7 @@ class SimulationResult:
 
     Attributes:
         trajectory: ``(F, N, 3)`` float64 frames with the engine's diagnostics.
-        final: the last state with its contact history, for an exact restart.
+        final: the last state with its contact history and its continuation, for an exact restart.
         time_step: s.
         steps: number of steps.
         wall_seconds: s of wall time, compilation excluded.
@@ -66,8 +66,8 @@ def simulate(
 ) -> SimulationResult:
     """Runs ``state`` in ``scene`` until ``end_time``, with a frame every ``scene.frame_interval``.
 
-    The first frame is the state itself. A run that starts from another's final state goes on bit for bit as the
-    first would have.
+    The first frame is the state itself. Frames change no bit: runs with the same step and other intervals agree at
+    common times. A run that starts from another's final state goes on bit for bit as the first would have.
 
     Args:
         scene: walls, motion, materials, gravity.
@@ -97,12 +97,12 @@ def simulate(
     judged = max(impact_speed(scene), closing)
     if closing == judged:
         said += check_closing_speed(scene, smallest, time_step, closing, dem.allow_unsafe_step)
-    substeps = round(scene.frame_interval / time_step)
+    state, substeps = _as_float64(state), round(scene.frame_interval / time_step)
     record = FrameRecord(scene, state.radius)
     tuner = Tuner(_physics(scene, largest, dem), state.count, dem.skin is not None, dem.threads)
-    engine, state = ENGINES[dem.engine], _as_float64(state)
-    run = Run(engine, state, scene, time_step, tuner, lambda *frame: record.trajectory(tuple(frame)))
-    record.add(run.state(), state.time, run.take_peaks())
+    run = Run(ENGINES[dem.engine], state, scene, time_step, tuner, lambda *frame: record.trajectory(tuple(frame)))
+    state = replace(state, history=run.state().history)  # of the contacts that touch
+    record.add(state, state.time, run.take_peaks())
     times = _frame_times(scene, state.time, frames)
     started = clock.perf_counter()
     listen = progress if callable(progress) else _nobody
