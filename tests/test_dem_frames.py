@@ -136,6 +136,18 @@ def test_a_run_goes_on_from_any_frame_bit_for_bit(scene, stop, dem):
         assert np.array_equal(getattr(rest.trajectory, name), getattr(whole.trajectory, name)[first:]), name
 
 
+def test_a_run_that_everybody_has_left_goes_on_without_them(dem):
+    scene = replace(leaving(), outlet=Outlet((0.0, 0.0, 0.3), (0.0, 0.0, 1.0)), frame_interval=0.001)
+    state = moving(scene)
+    state = replace(state, position=state.position + np.array([0.0, 0.0, 0.6]))
+    fast = replace(state, velocity=np.tile([0.0, 0.0, -20.0], (state.count, 1)))
+    whole = simulate(scene, fast, scene.start_time + 0.06, dem=dem)
+    assert whole.trajectory.diagnostics["discharged"][[0, -1]].tolist() == [0, state.count]
+    half = simulate(scene, fast, scene.start_time + 0.053, dem=dem).final
+    rest = simulate(scene, half, scene.start_time + 0.06, dem=dem)
+    same(rest.final, whole.final)
+
+
 def test_threads_skin_and_single_precision_go_on_bit_for_bit_too(monkeypatch):
     monkeypatch.setattr(engine_numba, "CHUNK_SIZES", (30, 60, 1000, 2000))
     scene = drum(frame_interval=0.003)

@@ -84,7 +84,7 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
 
 
 class Stretch:
-    """Steps between two looks at a bed; it pauses wherever its state is asked for.
+    """Steps that share an order of the particles; it pauses wherever its state is asked for.
 
     Args:
         state: where it starts; at least one particle.

@@ -54,7 +54,7 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
 
 
 class Stretch:
-    """Steps between two looks at a bed; what :class:`engine_numba.Stretch` is, with the same arguments and methods."""
+    """What :class:`engine_numba.Stretch` is, with the same arguments and methods."""
 
     def __init__(
         self, state: ParticleState, physics: Physics, time_step: float, walls: FloatArray, held: Held | None = None

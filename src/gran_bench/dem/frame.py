@@ -127,7 +127,7 @@ class Run:
             SimulationError: a centre further than its radius outside the container, or beyond the outlet's rim.
         """
         if self._stretch is not None:
-            self._check(self.state())
+            self._check(self.state(), walls=True)
 
     def _begin(self) -> None:
         """A stretch from here on; none where nobody takes part."""
@@ -151,6 +151,8 @@ class Run:
         if part.count:
             with self._divergence():
                 self._stretch = self._engine.Stretch(part, self._tuner.physics, self._time_step, poses, held)
+        elif held is not None:
+            self._held = self._held._replace(order=number)
 
     def _next_poses(self) -> FloatArray:
         """Poses from here to the next look."""
@@ -163,32 +165,36 @@ class Run:
     def _look(self) -> None:
         """Who came through a wall, and who has left; after some of the looks a new stretch begins."""
         state = self.state()
-        self._check(state)
+        self._peaks_of_stretch()
+        # A centre that is beyond a wall by its radius lies in it by its diameter.
+        self._check(state, walls=self._peaks.share > 0.99)
         inside = taking_part(self._scene, state.position)
         taking = state.count if inside is None else np.count_nonzero(inside)
         part = state.count if self._inside is None else np.count_nonzero(self._inside)
         if self._steps % self._sort_steps == 0 or taking < part:
-            self._peaks_of_stretch()
             self._held, self._state, self._stretch = self._holds(), state, None
             if self._steps - self._begun == self._sort_steps:
                 self._tuner.took(self._spent)
 
-    def _check(self, state: ParticleState) -> None:
-        scene, when = self._scene, self.time
-        excess = largest_excess(scene, self._poses[self._steps - self._poses_begin], state.position)
-        gone = np.flatnonzero((excess > state.radius) & (True if self._inside is None else self._inside))
+    def _check(self, state: ParticleState, walls: bool) -> None:
+        scene, when, gone = self._scene, self.time, ()
+        if walls:
+            excess = largest_excess(scene, self._poses[self._steps - self._poses_begin], state.position)
+            gone = np.flatnonzero((excess > state.radius) & (True if self._inside is None else self._inside))
         if len(gone):
             what = f"particle {gone[0]} is {excess[gone[0]]:.3g} m beyond a wall, more than its radius"
-        else:
-            gone = leaked(scene, state.position)
-            rim = None if scene.outlet is None else scene.outlet.radius
-            what = f"they passed the outlet more than {rim} m from its middle, so they came through a wall"
-        if len(gone):
-            raise SimulationError(
-                f"particles {name_some(gone)} escaped by t = {when:.6g} s: {what}; choose a smaller dem.time_step or "
-                "a stiffer material",
-                self._failed(when, state.position, state.velocity, state.angular_velocity),
+        elif len(gone := leaked(scene, state.position)):
+            what = (
+                f"they passed the outlet more than {scene.outlet.radius:g} m from its middle, so they came through a "
+                "wall"
             )
+        else:
+            return
+        raise SimulationError(
+            f"particles {name_some(gone)} escaped by t = {when:.6g} s: {what}; choose a smaller dem.time_step or a "
+            "stiffer material",
+            self._failed(when, state.position, state.velocity, state.angular_velocity),
+        )
 
     def _holds(self) -> Held | None:
         """What goes on beside the state, of all particles."""

@@ -120,7 +120,7 @@ def turning_bed(
     count = count_failures(result.trajectory, ended)
     energy, scale = kinetic_energy(result.trajectory, place), energy_scale(place, bed)
     overlap = result.trajectory.diagnostics
-    deepest = max(overlap["overlap_max"].max(), overlap["wall_overlap_max"].max())
+    deepest = max(overlap["overlap_peak"].max(), overlap["wall_overlap_peak"].max())
     return Observation(
         {
             "energy": float(energy.max() / scale) if scale else float(energy.max()),

@@ -140,7 +140,7 @@ def fast_sphere(
     mass = mass_of(state.radius)
     energy = [0.5 * float(mass @ np.square(s.velocity).sum(axis=1)) for s in (state, result.final)]
     seen = result.trajectory.diagnostics
-    deepest = max(seen["overlap_max"].max(), seen["wall_overlap_max"].max()) / RADIUS
+    deepest = max(seen["overlap_peak"].max(), seen["wall_overlap_peak"].max()) / RADIUS
     flags = result.warnings
     if deepest > DEEP:
         flags = (*flags, f"recorded overlap of {deepest:.3g} r, beyond what Hertz's law is for")
