@@ -28,8 +28,8 @@ ROOMS = ("dem", "neighbors", "scene")
 COMPARED = {
     *("dem/barrier.py", "dem/bodies.py", "dem/compile_beside.py", "dem/compile_lists.py", "dem/compiling.py"),
     *("dem/contact.py", "dem/contact_blocks.py", "dem/contact_list.py", "dem/engine_numba.py", "dem/engine_numpy.py"),
-    *("dem/frame.py", "dem/integrate.py", "dem/kernel.py", "dem/prediction.py", "dem/rows.py", "dem/search.py"),
-    *("dem/stretch.py", "dem/wall_contacts.py", "dem/wall_list.py"),
+    *("dem/frame.py", "dem/integrate.py", "dem/kernel.py", "dem/prediction.py", "dem/rows.py", "dem/seams.py"),
+    *("dem/search.py", "dem/stretch.py", "dem/wall_contacts.py", "dem/wall_list.py"),
     *("neighbors/cells.py", "neighbors/kernel.py", "neighbors/lanes.py", "neighbors/tree.py", "scene/sizes.py"),
 }
 
