@@ -374,7 +374,7 @@ class Trainer:
                     self.last_loss = metrics["loss"]
                     bar.update()
                     bar.set_postfix(loss=f"{self.last_loss:.4f}", refresh=False)
-                    if self.step % budget.log_every == 0 or self.step == budget.steps:
+                    if self.step % budget.log_every == 0 or self.step == budget.steps or self.spent >= cap:
                         self.log(metrics | {"seconds": self.seconds}, self.step)
                     due = budget.checkpoint_steps and self.step % budget.checkpoint_steps == 0
                     stop = self.should_stop()

@@ -77,15 +77,15 @@ def advance_frame(
     gone = np.flatnonzero((excess > state.radius) & (True if inside is None else inside))
     if len(gone):
         raise SimulationError(
-            f"particles {name_some(gone)} escaped by t = {time:.6g} s: particle {gone[0]} is {excess[gone[0]]:.3g} m "
+            f"{name_some(gone)} escaped by t = {time:.6g} s: particle {gone[0]} is {excess[gone[0]]:.3g} m "
             f"beyond a wall, more than its radius; {remedy}",
             failed(state.position, state.velocity, state.angular_velocity),
         )
     astray = leaked(scene, state.position)
     if len(astray):
         raise SimulationError(
-            f"particles {name_some(astray)} escaped by t = {time:.6g} s: they passed the outlet more than "
-            f"{scene.outlet.radius:g} m from its middle, so they came through a wall; {remedy}",
+            f"{name_some(astray)} escaped by t = {time:.6g} s, past the outlet more than "
+            f"{scene.outlet.radius:g} m from its middle, so through a wall; {remedy}",
             failed(state.position, state.velocity, state.angular_velocity),
         )
     # The frame's clock, not the sum of its steps: a restart finds the same number.
