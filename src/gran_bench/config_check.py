@@ -58,6 +58,11 @@ def dotted_keys(schema: type, path: str = "") -> Iterator[str]:
             yield from new
 
 
+def sections_of(schema: type) -> list[str]:
+    """The keys of a schema that are sections."""
+    return [name for name, hint in get_type_hints(schema).items() if any(_dataclasses_of(hint))]
+
+
 def nearest_key(key: str, keys: list[str]) -> str | None:
     """The dotted key that the writer of ``key`` most likely meant, or None where none is alike.
 
@@ -101,14 +106,19 @@ def unknown_key(key: str, value: Any, schema: type, present: list[str] | None = 
     guess = nearest_key(key, keys) or nearest_key(key, everywhere)
     if guess is not None:
         return ConfigError(f"{shown}: no such key; did you mean {guess}?")
-    top = ", ".join(name for name in get_type_hints(schema))
-    return ConfigError(f"{shown}: no such key; the sections and keys are {top}")
+    while place and not any(other.startswith(f"{place}.") for other in keys):
+        place = place.rpartition(".")[0]
+    below = f"{place}." if place else ""
+    names = dict.fromkeys(other.removeprefix(below).partition(".")[0] for other in keys if other.startswith(below))
+    what = f"the keys of {place}" if place else "the sections and keys"
+    return ConfigError(f"{shown}: no such key; {what} are {', '.join(names)}")
 
 
 def _read_section(schema: type, values: Any, path: str, root: type) -> Any:
     if not isinstance(values, Mapping):
         names = ", ".join(get_type_hints(schema))
-        raise ConfigError(f"{path[:-1]}={values} is no section; give it the keys {names}")
+        shown = "null" if values is None else values
+        raise ConfigError(f"{path[:-1]}={shown} is no section; give it the keys {names}")
     if schema is SceneConfig:
         values = _with_whole_materials(values)
     hints = get_type_hints(schema)

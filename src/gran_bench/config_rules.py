@@ -320,7 +320,7 @@ RULES: dict[type, dict[str, Rule]] = {
     BenchmarkConfig: {"models": Text(), "seed": at_least(0), "measure": Switch(), "root": Text()},
     UiConfig: {"port": Range(1, 65535)},
     StressConfig: {
-        "profile": OneOf(("full", "short")),
+        "selection": OneOf(("full", "short")),
         "cases": Text(),
         "case_list": Text(),
         "checkpoint": Text(),

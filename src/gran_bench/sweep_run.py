@@ -175,7 +175,7 @@ def _report(sweep: Sweep, config: TrackingConfig) -> SweepReport:
     report = report_sweep(sweep.folder)
     settle_runs(config, sweep.parent, report.failed)
     print(report.text, flush=True)
-    tell(f"table and figures of the sweep are in {sweep.folder}; compare runs with `make ui`")
+    tell(f"table and figures of the sweep are in {sweep.folder}{tracking.how_to_compare(config)}")
     return report
 
 

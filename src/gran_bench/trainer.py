@@ -26,10 +26,9 @@ from tqdm import tqdm
 from gran_bench.config import OptimConfig, RolloutConfig, TrainConfig
 from gran_bench.dataset import Window, Windows
 from gran_bench.losses import FrameAhead, Target, WindowLoss
-from gran_bench.surrogate.checkpoint import CheckpointError, read_tensors, write_tensors
+from gran_bench.surrogate.checkpoint import CHECKPOINT, CheckpointError, read_tensors, write_tensors
 from gran_bench.surrogate.step import FrameState, Surrogate
 
-CHECKPOINT = "checkpoint.pt"
 DIVERGED = "diverged.pt"
 METRICS_EVERY_SECONDS = 5.0
 

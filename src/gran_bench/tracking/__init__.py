@@ -1,6 +1,6 @@
 """Runs in MLflow: recorded in batches, reopened on resume, never at the cost of a result."""
 
-from gran_bench.tracking.names import HEADLINE, HEADLINE_FIGURES, shown_name
+from gran_bench.tracking.names import HEADLINE, HEADLINE_FIGURES, how_to_compare, shown_name, ui_command
 from gran_bench.tracking.opening import Child, end_child, open_run, reopen_ended, schedule_children
 from gran_bench.tracking.run import Run
 from gran_bench.tracking.stand_in import fill_stand_ins
@@ -18,9 +18,11 @@ __all__ = [
     "TrackingError",
     "end_child",
     "fill_stand_ins",
+    "how_to_compare",
     "open_run",
     "reopen_ended",
     "schedule_children",
     "shown_name",
     "ui",
+    "ui_command",
 ]

@@ -14,6 +14,7 @@ import warnings
 from pathlib import Path
 
 from gran_bench.config import TrackingConfig
+from gran_bench.tracking.names import ui_command
 from gran_bench.tracking.store import QUIET, Store, TrackingError
 from gran_bench.tracking.views import view_path
 
@@ -27,9 +28,10 @@ def ui(root: Path | str, port: int = 5000, experiment: str = TrackingConfig.expe
     Raises:
         TrackingError: the store cannot be opened, or the port is taken.
     """
-    _refuse_taken(port)
+    config = TrackingConfig(experiment=experiment, root=str(root))
+    _refuse_taken(port, ui_command(config, port + 1 if port < 65535 else port - 1))
     print("opening the UI takes some seconds", file=sys.stderr, flush=True)
-    store = Store(TrackingConfig(experiment=experiment, root=str(root)))
+    store = Store(config)
     store.dress_experiment()
     os.environ.update(server_environment(store))
     page = f"http://{HOST}:{port}{view_path(store.experiment_id)}"
@@ -49,14 +51,14 @@ def server_environment(store: Store) -> dict[str, str]:
     }
 
 
-def _refuse_taken(port: int) -> None:
+def _refuse_taken(port: int, other: str) -> None:
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((HOST, port))
         except (OSError, OverflowError) as error:
             raise TrackingError(
-                f"port {port} cannot be used ({error}); is the UI open already? Choose another: make ui PORT={port + 1}"
+                f"port {port} cannot be used ({error}); is the UI open already? Choose another: {other}"
             ) from error
 
 
