@@ -368,3 +368,11 @@ def test_the_drums_flow_is_drawn_packing_by_packing(tmp_path, texts):
     draw_drum_flow(tmp_path / "flow.png", samples, {30.0: ((34.9, 0.5), (0.612, 0.015))}, labels)
     assert {"ours", "other", "20 rpm", "30 rpm", *labels} <= set(texts)
     assert Image.open(tmp_path / "flow.png").size[0] > 100
+
+
+def test_speeds_of_a_wild_but_finite_model_are_drawn_beside_those_of_the_dem(tmp_path):
+    scene = drum(end_time=2.6)
+    calm, wild = flowing(scene, seed=1), flowing(scene, seed=2)
+    wild.velocity[5:] = np.float32(1e25)
+    runs = [summarise(run, scene) for run in (calm, wild)]
+    assert speed_distribution({"model": runs[1]}, runs[:1], tmp_path / "speeds.png").stat().st_size > 5_000
