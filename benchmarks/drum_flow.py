@@ -24,8 +24,6 @@ import argparse
 import hashlib
 import json
 import math
-import os
-import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -52,6 +50,7 @@ from drum_flow_page import (
 )
 
 from gran_bench.atomic import locked, write_text
+from gran_bench.child import start_program
 from gran_bench.config import DemConfig
 from gran_bench.dataset import CaseSpec, ensure_cases, read_case, read_settled
 from gran_bench.dataset.case_file import read_attributes
@@ -140,7 +139,7 @@ class Lammps:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             (folder / "libmpi.so.12").symlink_to("/usr/lib/x86_64-linux-gnu/libmpich.so.12")
-            environment = {**os.environ, "LD_LIBRARY_PATH": str(folder), "OMP_NUM_THREADS": "1"}
+            environment = {"LD_LIBRARY_PATH": str(folder), "OMP_NUM_THREADS": "1"}
 
             def one(packing: int) -> None:
                 output = outputs[packing]
@@ -151,7 +150,7 @@ class Lammps:
                     start = folder / f"{packing}.npz"
                     np.savez(start, **{array: getattr(bed, array) for array in ARRAYS})
                     words = [self.python, str(self.path), str(start), str(output), *self.words(rpm)]
-                    if subprocess.run(words, env=environment, check=False).returncode:
+                    if start_program(words, environment).wait():
                         raise SystemExit(f"{self.name} failed at {rpm:g} rpm, packing {packing}; see above")
 
             with ThreadPoolExecutor(workers) as pool:

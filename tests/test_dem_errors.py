@@ -44,12 +44,12 @@ def test_an_overlap_of_a_fifth_is_refused_and_just_less_is_not(scene):
 
 
 def test_a_particle_outside_is_named(scene):
-    with pytest.raises(StateError, match="particles 1 have their centre outside the container"):
+    with pytest.raises(StateError, match="particle 1 has its centre outside the container"):
         simulate(scene, at((0, 0, 0), (0, 0, -0.51)), 0.1)
 
 
 def test_a_particle_deep_in_a_wall_is_named_with_the_wall(scene):
-    with pytest.raises(StateError, match="particles 0 overlap wall 2 by 20%"):
+    with pytest.raises(StateError, match="particle 0 overlaps wall 2 by 20%"):
         simulate(scene, at((0, 0.09, 0)), 0.1)
 
 
@@ -106,7 +106,7 @@ def test_divergence_names_particle_and_time_and_keeps_the_frames(scene, engine):
 def test_a_speed_that_crosses_a_quarter_of_a_radius_in_a_step_is_refused_before_the_first(scene, engine):
     free = replace(scene, walls=())
     state = replace(at((0, 0, 0), (0.2, 0, 0)), velocity=np.array([[0, 0, 0], [0, 0, 60.0]]))
-    with pytest.raises(StateError, match=r"particles 1 cross .* less than 31.2 m/s, or set dem\.time_step") as caught:
+    with pytest.raises(StateError, match=r"particle 1 crosses .* less than 31.2 m/s, or set dem\.time_step") as caught:
         simulate(free, state, 0.1, dem=DemConfig(engine=engine))
     remedy = float(str(caught.value).rsplit("at most ", 1)[1].split(" s")[0])
     dem = DemConfig(engine=engine, time_step=0.99 * remedy)
@@ -133,17 +133,17 @@ def test_escape_names_the_particle_and_saves_the_frame(scene):
 
 def test_a_particle_that_is_not_a_number_or_has_no_size_is_named():
     for field, words in (
-        ("position", "position is not finite for particles 1; remove them or repair"),
-        ("velocity", "velocity is not finite for particles 1"),
-        ("angular_velocity", "angular_velocity is not finite for particles 1"),
-        ("radius", "radius must be positive and finite; particles 1 are not"),
+        ("position", "position is not finite for particle 1; repair the values or remove"),
+        ("velocity", "velocity is not finite for particle 1"),
+        ("angular_velocity", "angular_velocity is not finite for particle 1"),
+        ("radius", "radius must be positive and finite; particle 1 is not"),
     ):
         values = np.array(getattr(at((0, 0, 0), (0.2, 0, 0)), field))
         values[1] = np.nan
         with pytest.raises(StateError, match=words):
             replace(at((0, 0, 0), (0.2, 0, 0)), **{field: values})
     for radius in (0.0, -0.025, np.inf):
-        with pytest.raises(StateError, match="particles 0 are not"):
+        with pytest.raises(StateError, match="particle 0 is not"):
             replace(at((0, 0, 0), (0.2, 0, 0)), radius=np.array([radius, 0.025]))
 
 
@@ -171,7 +171,7 @@ def test_an_impossible_step_is_refused_before_the_first(scene, step):
 
 def test_a_material_that_the_scene_lacks_is_refused_with_the_particles(scene):
     state = replace(at((0, 0, 0), (0.2, 0, 0)), material=np.array([0, 1], np.uint8))
-    with pytest.raises(StateError, match=r"particles 1 are of a material that the scene does not have \(it has 1\)"):
+    with pytest.raises(StateError, match=r"particle 1 is of a material that the scene does not have \(it has 1\)"):
         simulate(scene, state, 0.1)
     assert replace(state, material=[0, 1]).material.dtype == np.uint8
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from beds import RADIUS, drum, flowing, inclined_bed, resting
 
+from gran_bench.metrics import judge, summarise
 from gran_bench.metrics.energy import rotational_energy, sphere_masses, translational_energy
 from gran_bench.metrics.mixing import mixing_entropy
 from gran_bench.metrics.outside import count_failures
@@ -174,3 +175,32 @@ def test_starts_must_leave_room_for_the_horizon():
     assert spread_starts(13, 20) == [0, 1, 2]
     with pytest.raises(ValueError, match="too few"):
         spread_starts(10, 5)
+
+
+def test_a_flow_that_is_wild_but_finite_is_finite_in_every_figure_and_in_the_count():
+    scene = drum(end_time=1.6)
+    wild, calm = flowing(scene, seed=3), [flowing(scene, seed=1), flowing(scene, seed=2)]
+    wild.position[4:, 0] = np.float32(3e38)  # the square of each is beyond single precision
+    wild.velocity[4:, 0] = np.float32(-3e38)
+    wild.angular_velocity[4:, 0] = np.float32(3e38)
+    for kind in ("instantaneous", "mean"):
+        candidate = summarise(wild, scene, kind)
+        assert candidate.failures.non_finite_states == 0
+        assert np.isfinite(candidate.sorted_speed).all()
+        for name in ("mean_speed", "translational_energy", "rotational_energy", "mixing", "center_height"):
+            assert candidate.series[name].valid.all(), name
+        judgement = judge(candidate, [summarise(run, scene, kind) for run in calm], scene)
+        found = {row.key: row for row in judgement.requirements}
+        assert found["all_finite"].verdict == "pass"
+        assert found["speed_w1"].verdict == "fail"
+        assert found["speed_w1"].figure.number > 1e34
+        assert not any("not finite" in row.error.note for row in judgement.errors)
+
+
+def test_what_the_soft_walls_of_the_dem_let_in_stands_beside_what_a_model_has_outside():
+    scene = drum(end_time=1.52)
+    touching, escaped = (np.array([[0.0, 0.0, -0.474], [0.0, 0.0, z]]) for z in (0.476, 0.51))
+    replicas = [resting(scene, touching), resting(scene, touching * [1.0, 1.0, 0.9])]
+    lines = str(judge(resting(scene, escaped), replicas, scene))
+    assert "reach into a wall: 50 % of sphere states (of the DEM, whose walls are soft: 25 %)" in lines
+    assert "3 by > r (1 sphere)" in lines

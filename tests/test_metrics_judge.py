@@ -209,3 +209,25 @@ def test_scenes_without_a_drum_are_judged_by_what_they_have():
     judgement = judge(runs[0], runs[1:], scene)
     assert judgement.error("speed_w1").error.number == pytest.approx(0.15, abs=1e-6)
     assert "no drum" in judgement.error("com_angle").error.note
+
+
+def test_a_requirement_is_never_tighter_than_what_a_further_run_of_the_dem_keeps():
+    def replicas_at(*steady):
+        """Runs whose steady centre-of-mass angle differs as given, and nothing else."""
+        for angle in steady:
+            summary = summarise(rotating_bed(60.0), SCENE)
+            series = summary.series["com_angle"]
+            value = np.where(series.time > 3.4, angle, series.value)
+            yield replace(summary, series=summary.series | {"com_angle": replace(series, value=value)})
+
+    (off,) = replicas_at(35.0)
+    calm, wild = (list(replicas_at(*angles)) for angles in ((29.9, 30.0, 30.1), (27.0, 30.0, 33.0)))
+    strict, fair = (
+        next(row for row in judge(off, runs, SCENE).requirements if row.key == "com_angle_steady")
+        for runs in (calm, wild)
+    )
+    assert (strict.verdict, strict.bound, strict.label[-9:]) == ("fail", 3.0, "within 3°")
+    assert fair.verdict == "pass"
+    assert fair.bound == pytest.approx(4.303 * 3.0 * np.sqrt(4.0 / 3.0), rel=1e-3)  # t s √(1 + 1/n)
+    assert "within 14.9°" in fair.label
+    assert "not 3 deg: runs of the DEM itself scatter more" in fair.figure.note

@@ -9,6 +9,8 @@ import pytest
 
 from gran_bench.metrics.measured import Measured, Series, UndefinedMetricError, frame_at, mean_of
 from gran_bench.metrics.noise_floor import noise_floor, prediction_interval, score
+from gran_bench.plots.angle import draw_series
+from gran_bench.plots.style import drawing
 
 TIME = 1.5 + 0.01 * np.arange(401)
 
@@ -40,7 +42,7 @@ def test_a_series_is_averaged_over_the_states_valid_in_both():
     a[:20], b[10:30] = np.nan, np.nan
     difference = series(a).difference(series(b))
     assert difference.number == 2.0
-    assert "30 of 401 states" in difference.note
+    assert "20 of 401 states invalid, and 10 more of the other run" in difference.note
 
 
 @pytest.mark.parametrize(("invalid", "defined"), [(40, True), (41, False)])
@@ -53,7 +55,7 @@ def test_below_ninety_per_cent_valid_a_series_is_undefined(invalid, defined):
 
 def test_a_series_that_ends_early_counts_its_missing_states_as_invalid():
     full = series(np.zeros(401))
-    assert "21 of 401" in full.difference(series(np.ones(380))).note
+    assert "0 of 401 states invalid, and 21 more of the other run" in full.difference(series(np.ones(380))).note
     assert not series(np.ones(200)).difference(full).defined
 
 
@@ -101,3 +103,21 @@ def test_the_interval_of_five_replicas_reaches_2_78_s_root_1_2():
     assert 35.9 in interval
     assert 40.0 not in interval
     assert prediction_interval([1.0]) is None
+
+
+def test_a_table_and_a_figure_count_the_invalid_states_of_a_run_alike(tmp_path):
+    mine, theirs = np.zeros(401), [np.zeros(401) for _ in range(3)]
+    mine[:6], theirs[1][6:8] = np.nan, np.nan
+    distance = score(lambda a, b: a.difference(b), series(mine), [series(value) for value in theirs], "deg")
+    assert "6 of 401 states invalid" in distance.note
+    assert "6 of 401 states invalid" in series(mine).mean().note
+    with drawing(tmp_path / "a.png", 3.0, 2.0) as figure:
+        axes = figure.subplots()
+        draw_series(axes, series(mine), "model", "black")
+        assert axes.lines[0].get_label() == "model (6 of 401 states invalid)"
+
+
+def test_a_note_that_not_all_runs_have_says_so():
+    noted, plain = Measured(1.0, "deg", "2 of 9 states invalid: wild"), Measured(1.0, "deg")
+    assert mean_of([noted, noted], "deg").note == noted.note
+    assert mean_of([plain, noted], "deg").note == f"{noted.note} (this or the like in 1 of 2 runs)"

@@ -374,3 +374,11 @@ def test_the_drums_flow_is_drawn_packing_by_packing(tmp_path, texts):
 def test_a_case_card_says_which_way_the_drum_turns_and_how_large_its_spheres_are():
     assert default_title(drum(-30.0)).endswith("drum, -30 rpm, 3000 spheres of 50 mm")
     assert default_title(shipped_scene("collision", {"filling.radii": [0.01, 0.025]})).endswith("2 spheres of 20–50 mm")
+
+
+def test_speeds_of_a_wild_but_finite_model_are_drawn_beside_those_of_the_dem(tmp_path):
+    scene = drum(end_time=2.6)
+    calm, wild = flowing(scene, seed=1), flowing(scene, seed=2)
+    wild.velocity[5:] = np.float32(1e25)
+    runs = [summarise(run, scene) for run in (calm, wild)]
+    assert speed_distribution({"model": runs[1]}, runs[:1], tmp_path / "speeds.png").stat().st_size > 5_000

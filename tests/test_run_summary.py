@@ -12,6 +12,7 @@ import pytest
 from beds import drum, flowing
 
 from gran_bench.metrics import Judgement, judge
+from gran_bench.metrics.outside import counted
 from gran_bench.run_page import description
 from gran_bench.run_summary import flat_metrics, headline, read_summary, summary_table, write_summary
 from gran_bench.state import Trajectory
@@ -68,11 +69,11 @@ def test_spheres_outside_are_in_the_table_of_each_packing():
     escaping = flowing(SCENE, seed=3)
     escaping.position[5:, 0] *= 0.51 / np.linalg.norm(escaping.position[5:, 0, ::2], axis=1)[:, None]
     lines = summary_table(summary_of(flowing(SCENE, seed=3), escaping)).split("\n")
-    counts = [line for line in lines if "centres outside" in line]
+    counts = [line for line in lines if "reach into a wall" in line]
     assert len(counts) == 2
     assert "0 by > r" in counts[0]
-    assert "26 by > r (1 spheres)" in counts[1]
-    assert "farthest" in counts[1]
+    assert "26 by > r (1 sphere)" in counts[1]
+    assert "deepest" in counts[1]
 
 
 def test_a_rollout_that_broke_down_has_a_row_and_counts():
@@ -88,7 +89,7 @@ def test_a_rollout_that_broke_down_has_a_row_and_counts():
 def test_the_count_of_failures_is_that_of_the_failed_rows(own: bool):
     summary = summary_of(broken(3), flowing(SCENE, seed=3), failed_frames=(3, None), own=own)
     assert headline(summary)["requirements failed"] == failed_rows(summary) > 0
-    assert f"{failed_rows(summary)} requirements NOT met" in summary_table(summary)
+    assert f"{counted(failed_rows(summary), 'requirement')} NOT met" in summary_table(summary)
 
 
 def test_a_speed_that_is_not_told_apart_fails():
@@ -121,7 +122,7 @@ def test_a_summary_is_read_as_it_was_written_and_only_where_it_is(tmp_path: Path
 
 def test_the_judgement_itself_shows_the_same_failures():
     judgement: Judgement = judge(broken(3), REPLICAS, SCENE)
-    for line in judgement.failures.lines():
+    for line in judgement.failures.lines(judgement.dem_outside):
         assert line in str(judgement)
 
 
@@ -137,3 +138,27 @@ def test_a_training_that_the_clock_has_cut_says_so(shown: Callable[[dict[str, An
     assert "cut" not in shown(summary)
     summary["training"] |= {"planned_steps": None}  # a budget of time
     assert "cut" not in shown(summary)
+
+
+def test_one_failure_is_one_requirement_and_figures_that_no_requirement_is_about_are_told_apart():
+    summary = summary_of(flowing(SCENE, seed=3))
+    for row in summary["judged"]["shared"]["requirements"].values():
+        row["verdict"] = "pass"
+    for row in summary["judged"]["shared"]["figures"].values():
+        row["inside_interval"] = True
+    assert summary_table(summary).endswith("\nall requirements met")
+    energy = summary["judged"]["shared"]["figures"]["rotational_energy_steady"]
+    energy |= {"inside_interval": False, "value": 0.1, "dem_interval": [0.2, 0.3]}
+    text = summary_table(summary)
+    assert text.endswith("\nall requirements met; 1 figure lies outside the DEM's interval")
+    (row,) = [line for line in text.split("\n") if "rotational energy, steady" in line]
+    assert row.endswith("0.1 J  0.2 J … 0.3 J")
+    summary["judged"]["shared"]["requirements"]["all_finite"]["verdict"] = "fail"
+    assert "\n1 requirement NOT met; 1 figure lies outside" in summary_table(summary)
+
+
+def test_the_table_says_what_the_dem_has_outside_what_was_not_timed_and_that_one_speed_is_told_from_none():
+    text = summary_table(summary_of(flowing(SCENE, seed=3)))
+    assert "(of the DEM, whose walls are soft: " in text
+    assert "not timed" in text
+    assert "the only speed, so there is none to be told from" in text

@@ -53,7 +53,7 @@ def cases_of(text: str):
 
 
 def test_the_short_list_passes_and_leaves_its_page(tmp_path, capsys):
-    results = run_stress(StressConfig(profile="short", workers=1, output=str(tmp_path)))
+    results = run_stress(StressConfig(selection="short", workers=1, output=str(tmp_path)))
     assert {result.case.part for result in results} == {"dem", "surrogate", "data"}
     assert {result.verdict.word for result in results} <= {"met", "flagged"}
     page = tmp_path / "part" / "README.md"
@@ -138,8 +138,8 @@ def test_what_is_no_list_is_refused(text):
 def test_an_unknown_case_and_an_empty_choice_are_refused():
     with pytest.raises(ConfigError, match="did you mean 'no sphere at all'"):
         chosen(StressConfig(cases=["no spheres at all"]))
-    with pytest.raises(ConfigError, match="choose profile=full"):
-        chosen(StressConfig(profile="short", cases=["kill -9 of training"]))
+    with pytest.raises(ConfigError, match="choose selection=full"):
+        chosen(StressConfig(selection="short", cases=["kill -9 of training"]))
     with pytest.raises(CheckpointError, match="does not exist"):
         run_stress(StressConfig(cases=["20 rpm"], checkpoint="nowhere.pt"))
 

@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 import gran_bench
+from gran_bench.child import group
 from gran_bench.stability import kills, sweep_kill
 from gran_bench.stability.experiment import Bench
 from gran_bench.stability.finished_files import done_again, finished_files, records_of
-from gran_bench.stability.process_group import group
 from gran_bench.sweep.run_file import RunFile
 
 PATIENCE = 20.0  # s
@@ -114,7 +114,7 @@ def test_a_sweep_that_does_finished_runs_again_fails_and_says_which(tmp_path, mo
 PARENT = """
     import sys
     from pathlib import Path
-    from gran_bench.stability.process_group import group
+    from gran_bench.child import group
     inner = "import time; time.sleep(60)"
     outer = f"import os, subprocess, sys; p = subprocess.Popen([sys.executable, '-c', '{inner}']);" \\
         " print(os.getpid(), p.pid, flush=True); p.wait()"
@@ -184,6 +184,7 @@ def test_a_killed_sweep_that_takes_too_long_is_asked_to_end_what_it_started(tmp_
     monkeypatch.setattr(kills, "SWEEP", "slow_sweep")
     monkeypatch.setattr(kills.subprocess, "Popen", Started)
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with pytest.raises(subprocess.TimeoutExpired):
         kills.killed_sweep(Bench(tmp_path, tmp_path), longest=0.01)
     assert (tmp_path / "asked").exists()

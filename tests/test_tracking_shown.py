@@ -143,5 +143,5 @@ def test_the_ui_says_when_its_port_is_taken(template: Path):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(TrackingError, match=rf"port {port} cannot be used.*make ui PORT={port + 1}"):
+        with pytest.raises(TrackingError, match=rf"port {port} cannot be used.*gran_bench.ui .* port={port + 1}"):
             ui(template, port)

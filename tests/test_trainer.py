@@ -444,3 +444,14 @@ def test_a_growing_horizon_is_trained_on_as_it_grows(tmp_path):
     rollout = RolloutConfig(frames=1, final_frames=4, final_from=0.5, growth="linear")
     _, logged = train(tmp_path, rollout=rollout)
     assert [metrics["frames_ahead"] for _, metrics in logged] == [1, 1, 2, 2, 3, 3] + [4] * 6
+
+
+def test_the_loss_that_is_logged_last_is_the_one_that_a_training_ends_with_whatever_ends_it(tmp_path):
+    for ending in ({"steps": 7}, {"steps": 10**6, "minutes": 1e-9}):
+        folder = tmp_path / str(len(ending))
+        folder.mkdir()
+        logged = []
+        settings = config(trainer=TrainerConfig(log_every=10**5, **ending))
+        trainer = Trainer(Network(), FakeWindows(), settings, folder, lambda m, s: logged.append((s, m["loss"])))  # noqa: B023
+        result = trainer.run(progress=False)
+        assert logged == [(result.steps, result.loss)]

@@ -127,7 +127,7 @@ def described_jobs(source: Source, overrides: Sequence[str], multirun: bool) -> 
     A recipe holds its axes in ``hydra.sweeper.params``; the same key on the command line takes their place.
 
     Raises:
-        ConfigError: a recipe that is a sweep, without ``-m``.
+        ConfigError: a recipe that is a sweep, without ``-m``; a sweep without a job.
         HydraException: what Hydra cannot compose.
     """
     with source.opened():
@@ -148,7 +148,15 @@ def described_jobs(source: Source, overrides: Sequence[str], multirun: bool) -> 
         if not sweeper._target_.endswith(f".{BasicSweeper.__name__}"):
             return Described([(fixed, source.composed(fixed))], complete=False, apart=apart)
         lines = [*(f"{key}={values}" for key, values in axes.items()), *overrides]
-        (jobs,) = BasicSweeper.split_arguments(parser.parse_overrides(lines), None)
+        parsed = parser.parse_overrides(lines)
+        (jobs,) = BasicSweeper.split_arguments(parsed, None)
+        if not jobs:
+            empty = next(
+                line
+                for line, override in zip(lines, parsed, strict=True)
+                if override.is_sweep_override() and not any(True for _ in override.sweep_string_iterator())
+            )
+            raise ConfigError(f"{empty} has no value, so there is no job to run; give at least one")
         if "experiment" in swept_keys(jobs):
             _refuse_nested_sweeps(source, jobs, axes)
         return Described([(job, source.composed(job)) for job in jobs], apart=apart)

@@ -391,8 +391,8 @@ class UiConfig(Section):
 class StressConfig(Section):
     """Everything that `python -m gran_bench.stress` reads."""
 
-    profile: str = key("full", one_of("full", "short"))
-    cases: list[str] = field(default_factory=list)  # names of cases of that profile; empty: all
+    selection: str = key("full", one_of("full", "short"))
+    cases: list[str] = field(default_factory=list)  # names of cases of that selection; empty: all
     case_list: str | None = None  # YAML file of cases; null: the list in the package
     checkpoint: str = "shipped"  # model file; `shipped`: the one in the package
     also: list[str] = field(default_factory=list)  # further model files

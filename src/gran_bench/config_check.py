@@ -55,6 +55,11 @@ def dotted_keys(schema: type, path: str = "") -> Iterator[str]:
             yield from new
 
 
+def section_names(schema: type) -> list[str]:
+    """The keys of a schema that are sections."""
+    return [name for name, hint in hints_of(schema).items() if any(sections_of(hint))]
+
+
 def nearest_key(key: str, keys: list[str]) -> str | None:
     """The dotted key that the writer of ``key`` most likely meant, or None where none is alike.
 
@@ -83,7 +88,7 @@ def unknown_key(key: str, value: Any, schema: type, present: list[str] | None = 
     """
     everywhere = list(dotted_keys(schema, schema.place))
     keys = everywhere if present is None else present
-    shown = f"{key}={value}"
+    given = f"{key}={value}"
     place, _, name = key.rpartition(".")
     for section, choice, schemas in (
         ("model", "model", MODEL_SCHEMAS),
@@ -92,14 +97,18 @@ def unknown_key(key: str, value: Any, schema: type, present: list[str] | None = 
         if place == section and key in everywhere:
             owners = " or ".join(owner for owner, its in schemas.items() if name in hints_of(its))
             what = section.rpartition(".")[2]
-            return ConfigError(f"{shown}: the chosen {what} has no such key; it belongs to {choice}={owners}")
+            return ConfigError(f"{given}: the chosen {what} has no such key; it belongs to {choice}={owners}")
     if key in everywhere:
-        return ConfigError(f"{shown}: {key.rpartition('.')[0]} is null here; write +{shown}")
+        return ConfigError(f"{given}: {key.rpartition('.')[0]} is null here; write +{given}")
     guess = nearest_key(key, keys) or nearest_key(key, everywhere)
     if guess is not None:
-        return ConfigError(f"{shown}: no such key; did you mean {guess}?")
-    top = ", ".join(name for name in hints_of(schema))
-    return ConfigError(f"{shown}: no such key; the sections and keys are {top}")
+        return ConfigError(f"{given}: no such key; did you mean {guess}?")
+    while place and not any(other.startswith(f"{place}.") for other in keys):
+        place = place.rpartition(".")[0]
+    below = f"{place}." if place else ""
+    names = dict.fromkeys(other.removeprefix(below).partition(".")[0] for other in keys if other.startswith(below))
+    what = f"the keys of {place}" if place else "the sections and keys"
+    return ConfigError(f"{given}: no such key; {what} are {', '.join(names)}")
 
 
 def _read_section(schema: type, values: Any, path: str, root: type) -> Any:

@@ -37,6 +37,7 @@ def check_consistency(config: object) -> None:
     """
     if isinstance(config, TrainConfig | GenerateConfig):
         _check_scene(config.scene)
+        _check_speeds(config.scene, config.dataset)
     if isinstance(config, TrainConfig | GenerateConfig | EvaluateConfig):
         check_dem(config.dem)
         _check_dataset(config.dataset)
@@ -215,6 +216,14 @@ def _check_trainable(scene: SceneConfig) -> None:
     )
 
 
+def _check_speeds(scene: SceneConfig, dataset: DatasetConfig) -> None:
+    takes_speeds = scene.container.kind == "drum" and len(set(scene.rotation.speeds_rpm)) == 1
+    _require(
+        len(dataset.training_speeds_rpm) > 0 or not takes_speeds,
+        "dataset.training_speeds_rpm=[] leaves nothing to train on; give at least one speed",
+    )
+
+
 def _check_dataset(dataset: DatasetConfig) -> None:
     seen: dict[float, str] = {}
     for name in ("training_speeds_rpm", "validation_speeds_rpm", "holdout_speeds_rpm"):
@@ -313,11 +322,7 @@ def check_model(model: ContactModelConfig | CconvModelConfig) -> None:
 
 
 def _check_training(config: TrainConfig) -> None:
-    dataset, optim = config.dataset, config.optim
-    _require(
-        len(dataset.training_speeds_rpm) > 0,
-        "dataset.training_speeds_rpm=[] leaves nothing to train on; give at least one speed",
-    )
+    optim = config.optim
     available = round((config.scene.end_time - config.scene.start_time) / config.scene.frame_interval)
     _require(
         available >= LONGEST_HORIZON,

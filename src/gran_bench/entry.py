@@ -34,6 +34,7 @@ from gran_bench.job import FAILED, REFUSED, Job, complain
 from gran_bench.launcher import JobError, load_ahead, register_launcher
 from gran_bench.override_errors import explain
 from gran_bench.provenance import program
+from gran_bench.stopping import quiet_without_reader
 
 if TYPE_CHECKING:
     from gran_bench.sweep_jobs import Sweep
@@ -64,6 +65,13 @@ def run(
         sweep: what a multirun does around its jobs; None for nothing.
         loads: modules that a job needs, loaded ahead where jobs get processes of their own.
     """
+    with quiet_without_reader():
+        _run(task, config_name, schema, sweep, loads)
+
+
+def _run(
+    task: Callable[[Any], object], config_name: str, schema: type, sweep: OpenSweep | None, loads: Sequence[str]
+) -> NoReturn:
     # Makes Hydra raise its errors instead of printing them, also in the processes that a launcher starts.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     register_launcher()
@@ -97,6 +105,8 @@ def run(
         number = getattr(signal.Signals, str(stop), signal.SIGINT)
         print(f"stopped by {number.name}; the same command goes on from here", file=sys.stderr)
         sys.exit(128 + number)
+    except BrokenPipeError:
+        raise
     except Exception as error:
         sys.exit(max(FAILED, complain(error, schema)))
     if not job.failures:
@@ -104,6 +114,8 @@ def run(
     if multirun:  # said already, where it happened
         print("error: at least one job of the multirun failed; its message is above", file=sys.stderr)
         sys.exit(FAILED)
+    if isinstance(job.failures[0], BrokenPipeError):
+        raise job.failures[0]
     sys.exit(complain(job.failures[0], schema))
 
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 import errno
 import re
 from difflib import get_close_matches
-from pathlib import PurePosixPath
+from importlib import resources
+from typing import get_type_hints
 
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from gran_bench.config_check import unknown_key
+from gran_bench.config_check import section_names, unknown_key
+
+CONF = "gran_bench.conf"
+RECIPES = "experiment"  # the group that no command has chosen, so that one is added with +
 
 
 def explain(error: Exception, schema: type) -> str | None:
@@ -30,6 +34,8 @@ def explain(error: Exception, schema: type) -> str | None:
     if isinstance(error, OmegaConfBaseException):
         key = getattr(error, "full_key", None)
         return f"{key}: {_first_line(error)}" if key else _first_line(error)
+    if isinstance(error, BrokenPipeError):
+        return "nobody reads the output any more; what is finished is whole"
     if is_full_disk(error):
         where = f" {error.filename}" if error.filename else ""
         return (
@@ -48,29 +54,43 @@ def is_full_disk(error: Exception) -> bool:
 
 def _missing_choice(error: MissingConfigException) -> str:
     """A group has no such choice, or there is no such primary config."""
-    missing = PurePosixPath(error.missing_cfg_file or "")
-    group, choice, options = str(missing.parent), missing.name, list(error.options or [])
+    group, _, choice = (error.missing_cfg_file or "").rpartition("/")
+    options = list(error.options or [])
     if not options:
         return _first_line(error)
     guesses = get_close_matches(choice, options, n=1, cutoff=0.65)
     listed = ", ".join(options)
     meant = f"did you mean {guesses[0]}? ({listed})" if guesses else f"choose {' or '.join(options)}"
-    return f"{group}={choice}: no such choice; {meant}"
+    plus = "+" if group == RECIPES else ""
+    return f"{plus}{group}={choice}: no such choice; {meant}"
 
 
 def _composition(message: str, schema: type) -> str:
     """Hydra could not put the config together."""
-    if found := re.search(r"Could not override '([^']+)'\. No match in the defaults list", message):
-        group = found[1]
-        added = re.search(r"use (\+\S+)", message)
-        return f"{group}: not chosen yet, so it cannot be changed; write {added[1] if added else '+' + group}"
+    if found := re.search(r"(?:In '([^']+)': )?Could not override '([^']+)'\. No match in the defaults list", message):
+        added = re.search(r"use \+(\S+)", message)
+        return _unknown_group(found[2], added[1] if added else found[2], found[1], schema)
     if found := re.search(r"Could not override '([^']+)'\.?\s+To append to your config use \+(\S+)=(.*)", message):
+        if found[1].startswith("hydra."):
+            return f"{found[1]}={found[3].strip()}: no such key; --cfg hydra shows those of Hydra"
         return str(unknown_key(found[1], found[3].strip(), schema))
     if found := re.search(r"Could not append to config\. An item is already at '([^']+)'", message):
         return f"+{found[1]}: the key is there already; write {found[1]}=VALUE without +"
     if found := re.search(r"Ambiguous value for argument '([^']+)'", message):
         return f"{found[1]}: several values; add -m to run each, or write KEY=[A,B] for a list"
     return _first_line(Exception(message))
+
+
+def _unknown_group(group: str, typed: str, within: str | None, schema: type) -> str:
+    """A group that this command does not choose from, typed or asked for by the file ``within``."""
+    keys = list(get_type_hints(schema))
+    if group == RECIPES and RECIPES in keys:
+        return f"{typed}: a recipe is added; write +{typed}"
+    groups = [name for name in section_names(schema) if resources.files(CONF).joinpath(name).is_dir()]
+    has = f"its groups are {', '.join(groups)}" if groups else f"its keys are {', '.join(keys)}"
+    if within is not None:
+        return f"{within} changes {group}, which this command does not have; {has}"
+    return f"{typed}: this command has no group {group}; {has}"
 
 
 def _first_line(error: Exception) -> str:

@@ -70,7 +70,10 @@ def commit() -> str:
         return f"version {gran_bench.__version__}"
 
     def git(*arguments: str) -> str:
-        done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=False)
+        try:
+            done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=False)
+        except FileNotFoundError:  # no git here, which must not cost a result
+            return ""
         return done.stdout.strip()
 
     head = git("rev-parse", "--short=12", "HEAD") or "no commit"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 
 from gran_bench.front_page.command import report_command
+from gran_bench.stopping import quiet_without_reader
 
 if __name__ == "__main__":
-    sys.exit(report_command())
+    with quiet_without_reader():
+        sys.exit(report_command())

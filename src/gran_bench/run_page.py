@@ -11,7 +11,7 @@ from urllib.parse import quote
 from gran_bench import tracking
 from gran_bench.config import EvaluateConfig, LossConfig, RolloutConfig, TrainConfig
 from gran_bench.config_choices import loss_terms
-from gran_bench.run_summary import cut_short, flat_metrics, headline, missed_requirements, rollout_warnings
+from gran_bench.run_summary import cut_short, flat_metrics, headline, missed_requirements, rollout_warnings, verdict
 
 FIGURES = "figures"
 FIRST_FIGURES = ("flow_pattern.png", "angle_of_repose.png", "loss.png")  # in the description itself
@@ -84,7 +84,7 @@ def description(summary: dict[str, Any], folder: Path, figures: Sequence[str], r
     lines = [
         f"**{summary['model']['name']}**, {training['parameters']} parameters, {training['steps']} updates; "
         f"{summary['judged_rpm']:g} rpm, {summary['judged_as']}. "
-        + (f"**{len(missed)} requirements not met.**" if missed else "All requirements met."),
+        f"**{verdict(summary)}.**",
         "",
         *([f"**{cut[0].upper()}{cut[1:]}.**", ""] if (cut := cut_short(training)) is not None else []),
         "| figure | value |",

@@ -21,9 +21,9 @@ from gran_bench.provenance import command, provenance
 from gran_bench.run_identity import RunIdentity
 from gran_bench.run_page import FIGURES, params_of, record_judgement
 from gran_bench.run_summary import read_summary, summary_table, write_summary
+from gran_bench.surrogate.checkpoint import MODEL
 from gran_bench.sweep.run_file import read_run
 
-MODEL = "model.pt"
 TRAINING = "training.json"
 LOSSES = "losses.csv"
 CONFIG = "config.json"
@@ -74,7 +74,7 @@ class RunRecord:
                 # Last of all: its presence says that the run is finished.
                 write_summary(folder, summary)
                 print(summary_table(summary))
-                tell(f"figures and summary in {folder}; compare runs with `make ui`")
+                tell(f"figures and summary in {folder}{tracking.how_to_compare(self.config.tracking)}")
             if failure is not None:
                 raise failure
         return summary

@@ -9,7 +9,7 @@ from typing import Any
 
 from gran_bench.atomic import write_text
 from gran_bench.metrics.judgement import shown_multiple
-from gran_bench.metrics.outside import FailureCount
+from gran_bench.metrics.outside import FailureCount, counted
 from gran_bench.tracking.names import HEADLINE
 
 SUMMARY = "summary.json"
@@ -150,17 +150,19 @@ def summary_table(summary: dict[str, Any]) -> str:
             floor = _figure(row["floor"], row["unit"])
             lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>16}  {floor}{times}{_note(row)}")
         if judged["failures"]:
-            lines += [f"  {line}" for line in FailureCount(**judged["failures"]).lines()]
+            lines += [f"  {line}" for line in FailureCount(**judged["failures"]).lines(judged.get("dem_outside"))]
+        lines += _unlike_the_dem(judged["figures"])
     lines += ["", f"baselines at {summary['judged_rpm']:g} rpm, shared packing"]
     lines.append(f"  {'':<56}{'angle':>16}{'speed W1':>14}{'a frame':>12}")
     for name, errors in summary["baselines"].items():
         angle, speed = (_figure(errors[key]["value"], errors[key]["unit"]) for key in ("surface_angle", "speed_w1"))
-        time = _figure(errors["ms_per_frame"], "ms") if "ms_per_frame" in errors else "no time"
+        time = _figure(errors["ms_per_frame"], "ms") if "ms_per_frame" in errors else "not timed"
         lines.append(f"  {name:<56}{angle:>16}{speed:>14}{time:>12}")
     lines += ["", "tells speeds apart (the one DEM run at each speed that is nearest, by speed W1)"]
     for name, row in summary["nearest_case"].items():
         nearest = "undefined" if row["nearest_rpm"] is None else f"{row['nearest_rpm']:g} rpm"
-        lines.append(f"  {name:<56}{nearest:>16}  {'pass' if row['is_own'] else 'fail'}")
+        alone = "  [the only speed, so there is none to be told from]" if len(summary["nearest_case"]) == 1 else ""
+        lines.append(f"  {name:<56}{nearest:>16}  {'pass' if row['is_own'] else 'fail'}{alone}")
     for name, frame in _broken_rollouts(summary).items():
         lines.append(f"  {'rollout ' + name:<56}{f'failed at frame {frame}':>16}  fail")
     lines += [f"  {line}" for line in rollout_warnings(summary)]
@@ -175,9 +177,30 @@ def summary_table(summary: dict[str, Any]) -> str:
     )
     spent = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in summary["wall_seconds"].items())
     lines.append(f"wall time: {spent}")
-    missed = headline(summary)["requirements failed"]
-    lines += ["", "all requirements met" if not missed else f"{missed:.0f} requirements NOT met; see the rows above"]
+    lines += ["", verdict(summary)]
     return "\n".join(lines)
+
+
+def verdict(summary: dict[str, Any]) -> str:
+    """Whether the requirements are met, and how many of the figures that none of them is about are unlike the DEM's."""
+    missed, unlike = len(missed_requirements(summary)), sum(
+        row["inside_interval"] is False for judged in summary["judged"].values() for row in judged["figures"].values()
+    )
+    words = f"{counted(missed, 'requirement')} NOT met" if missed else "all requirements met"
+    further = "lies" if unlike == 1 else "lie"
+    return words + (f"; {counted(unlike, 'figure')} {further} outside the DEM's interval" if unlike else "")
+
+
+def _unlike_the_dem(figures: dict[str, Any]) -> list[str]:
+    """Rows of the figures that a further run of the DEM would not have (95 %); no requirement is about them."""
+    unlike = [row for row in figures.values() if row["inside_interval"] is False]
+    if not unlike:
+        return []
+    lines = [f"  {'outside the interval of the DEM (95 %), no requirement':<56}{'found':>16}  DEM"]
+    for row in unlike:
+        low, high = (_figure(end, row["unit"]) for end in row["dem_interval"])
+        lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>16}  {low} … {high}")
+    return lines
 
 
 def _figure(value: float | None, unit: str) -> str:

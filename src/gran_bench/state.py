@@ -136,8 +136,8 @@ class ParticleState:
             if not np.isfinite(array).all():
                 bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
                 raise StateError(
-                    f"{name} is not finite for particles {name_some(bad)}; "
-                    "remove them or repair their values before the run"
+                    f"{name} is not finite for {name_some(bad)}; "
+                    "repair the values or remove the particles before the run"
                 )
         _hold_radius("radius", self.radius, count)
         material = np.zeros(count, np.uint8) if self.material is None else self.material
@@ -214,12 +214,13 @@ class Trajectory:
         Args:
             period: length of a periodic y axis, m; a step across its seam is taken to the nearest image.
         """
-        velocity = np.array(self.velocity, copy=True)
+        # In double precision: a step of single-precision positions over Δt may exceed what single precision holds.
+        velocity = self.velocity.astype(np.float64)
         interval = np.diff(self.time)[:, None, None]
         step = np.diff(self.position.astype(np.float64), axis=0)
         if period > 0:
             step[..., 1] -= period * np.round(step[..., 1] / period)
-        velocity[1:] = (step / interval).astype(velocity.dtype)
+        velocity[1:] = step / interval
         return velocity
 
 
@@ -264,10 +265,12 @@ def _hold_radius(name: str, radius: FloatArray, count: int) -> None:
     _hold_shape(name, radius, (count,))
     bad = np.flatnonzero(~(np.isfinite(radius) & (radius > 0)))
     if len(bad):
-        raise StateError(f"{name} must be positive and finite; particles {name_some(bad)} are not")
+        raise StateError(f"{name} must be positive and finite; {name_some(bad, 'is', 'are')} not")
 
 
-def name_some(indices: NDArray[np.integer], most: int = 5) -> str:
-    """The first few of ``indices`` in words, and how many more there are."""
+def name_some(indices: NDArray[np.integer], one: str = "", several: str = "", most: int = 5) -> str:
+    """``particle 1`` or ``particles 1, 2 and 3 more``, with what is said of ``one`` or of ``several`` behind it."""
     shown = ", ".join(str(int(i)) for i in indices[:most])
-    return shown if len(indices) <= most else f"{shown} and {len(indices) - most} more"
+    rest = f" and {len(indices) - most} more" if len(indices) > most else ""
+    words = ("particle", shown, one) if len(indices) == 1 else ("particles", shown + rest, several)
+    return " ".join(filter(None, words))

@@ -1,4 +1,4 @@
-"""Stress-test numerical stability: ``python -m gran_bench.stress [profile=short] [checkpoint=FILE]``."""
+"""Stress-test numerical stability: ``python -m gran_bench.stress [selection=short] [checkpoint=FILE]``."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from gran_bench.code_identity import MODEL_SOURCES, judging_code, taken_hashes, 
 from gran_bench.composition import PlannedJob
 from gran_bench.config import TrackingConfig, TrainConfig
 from gran_bench.config_identity import telling_keys
-from gran_bench.config_rules import ConfigError, hold_values
+from gran_bench.config_rules import ConfigError, recheck
 from gran_bench.dataset import DatasetError
 from gran_bench.provenance import command, commit
 from gran_bench.run_identity import RunIdentity, hash_of, identify, judged_by, judging_plan, wants_more
@@ -45,7 +45,7 @@ def open_sweep(planned: Sequence[PlannedJob], name: str) -> Iterator[Sweep]:
         SweepFileError: a file of an earlier sweep is damaged.
     """
     for job in planned:
-        hold_values(job.config)
+        recheck(job.config)
     _refuse_twins(planned)
     config: TrackingConfig = planned[0].config.tracking
     root = Path(config.root).resolve()
@@ -177,7 +177,7 @@ def _report(sweep: Sweep, config: TrackingConfig) -> SweepReport:
     report = report_sweep(sweep.folder)
     settle_runs(config, sweep.parent, report.failed)
     print(report.text, flush=True)
-    tell(f"table and figures of the sweep are in {sweep.folder}; compare runs with `make ui`")
+    tell(f"table and figures of the sweep are in {sweep.folder}{tracking.how_to_compare(config)}")
     return report
 
 

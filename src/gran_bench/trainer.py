@@ -26,10 +26,9 @@ from tqdm import tqdm
 from gran_bench.config import OptimConfig, RolloutConfig, TrainConfig
 from gran_bench.dataset import Window, Windows
 from gran_bench.losses import FrameAhead, Target, WindowLoss
-from gran_bench.surrogate.checkpoint import CheckpointError, read_tensors, write_tensors
+from gran_bench.surrogate.checkpoint import CHECKPOINT, CheckpointError, read_tensors, write_tensors
 from gran_bench.surrogate.step import FrameState, Surrogate
 
-CHECKPOINT = "checkpoint.pt"
 DIVERGED = "diverged.pt"
 METRICS_EVERY_SECONDS = 5.0
 
@@ -405,7 +404,7 @@ class Trainer:
                     self.last_loss = metrics["loss"]
                     bar.update()
                     bar.set_postfix(loss=f"{self.last_loss:.4f}", refresh=False)
-                    if self.step % budget.log_every == 0 or self.step == budget.steps:
+                    if self.step % budget.log_every == 0 or self.step == budget.steps or self.spent >= cap:
                         self.log(metrics | {"seconds": self.seconds}, self.step)
                         if capped and frames and (said := self._cut_ahead(work, (self.spent - before[1]) / frames)):
                             capped = False

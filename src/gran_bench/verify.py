@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from gran_bench.plots.verification import draw_verification
+from gran_bench.stopping import quiet_without_reader
 from gran_bench.verification.command import run
 
 
 def main() -> None:
     """Run the suite and end with its exit code."""
-    raise SystemExit(run(draw_verification))
+    with quiet_without_reader():
+        raise SystemExit(run(draw_verification))
 
 
 if __name__ == "__main__":

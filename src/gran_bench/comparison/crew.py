@@ -3,41 +3,33 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from typing import Any
 
-import gran_bench
+from gran_bench.child import ONE_THREAD, start_module
 
 PATIENCE = 3600.0  # s that a method may prepare itself, or take for one run: the slowest take minutes
 SHUTDOWN = 10.0  # s that a process is given to end, once it has closed its pipe
-_ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-_ONE_THREAD |= {"MKL_NUM_THREADS": "1"}
 
 
 @contextmanager
 def crew() -> Iterator[Callable[[], subprocess.Popen]]:
     """Hires processes, and ends all of them when the block ends in any way."""
-    sources = str(Path(gran_bench.__file__).parent.parent)
-    paths = os.pathsep.join([sources, *filter(None, [os.environ.get("PYTHONPATH")])])
     hired: list[subprocess.Popen] = []
 
     def hire() -> subprocess.Popen:
         complaints = tempfile.TemporaryFile()  # noqa: SIM115 (lives as long as its worker)
-        worker = subprocess.Popen(
-            [sys.executable, "-m", "gran_bench.comparison.worker"],
+        worker = start_module(
+            "gran_bench.comparison.worker",
+            environment=ONE_THREAD,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=complaints,
             text=True,
-            env=os.environ | _ONE_THREAD | {"PYTHONPATH": paths},
-            start_new_session=True,  # Ctrl-C is for the parent, which then ends its workers
         )
         worker.complaints = complaints
         hired.append(worker)

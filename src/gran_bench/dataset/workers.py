@@ -1,25 +1,21 @@
 """Jobs in processes of their own, which die with the process that started them.
 
 A worker is ``python -m gran_bench.dataset.worker``: it reads jobs and writes progress as lines of JSON. That
-works from any script or notebook (nothing of the caller is imported anew), and a worker whose parent was
-killed finds its pipe broken at the next frame and ends.
+works from any script or notebook (nothing of the caller is imported anew).
 """
 
 from __future__ import annotations
 
 import json
-import os
 import queue
 import subprocess
-import sys
 import tempfile
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import gran_bench
+from gran_bench.child import ONE_THREAD, start_module
 from gran_bench.config import DemConfig
 from gran_bench.dataset.case_spec import CaseSpec
 from gran_bench.dataset.progress import SimulatedTimeBar
@@ -27,8 +23,6 @@ from gran_bench.dataset.scene_document import from_document, to_document
 
 if TYPE_CHECKING:
     from gran_bench.dataset.generation import Job
-
-_ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 
 
 def spec_to_document(spec: CaseSpec) -> dict[str, Any]:
@@ -104,19 +98,16 @@ class _Crew:
         self._lock, self._workers, self._closed = threading.Lock(), [], False
 
     def hire(self, complaints: Any) -> subprocess.Popen:
-        sources = str(Path(gran_bench.__file__).parent.parent)
-        paths = [sources, *filter(None, [os.environ.get("PYTHONPATH")])]
         with self._lock:
             if self._closed:
                 raise RuntimeError("the data generation was stopped")
-            worker = subprocess.Popen(
-                [sys.executable, "-m", "gran_bench.dataset.worker"],
+            worker = start_module(
+                "gran_bench.dataset.worker",
+                environment=ONE_THREAD,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=complaints,
                 text=True,
-                env=os.environ | _ONE_THREAD | {"PYTHONPATH": os.pathsep.join(paths)},
-                start_new_session=True,  # Ctrl-C is for the parent, which then ends its workers
             )
             self._workers.append(worker)
         return worker

@@ -184,14 +184,11 @@ class Run:
         if len(gone):
             what = f"particle {gone[0]} is {excess[gone[0]]:.3g} m beyond a wall, more than its radius"
         elif len(gone := leaked(scene, state.position)):
-            what = (
-                f"they passed the outlet more than {scene.outlet.radius:g} m from its middle, so they came through a "
-                "wall"
-            )
+            what = f"past the outlet more than {scene.outlet.radius:g} m from its middle, so through a wall"
         else:
             return
         raise SimulationError(
-            f"particles {name_some(gone)} escaped by t = {when:.6g} s: {what}; choose a smaller dem.time_step or a "
+            f"{name_some(gone)} escaped by t = {when:.6g} s: {what}; choose a smaller dem.time_step or a "
             "stiffer material",
             self._failed(when, state.position, state.velocity, state.angular_velocity),
         )

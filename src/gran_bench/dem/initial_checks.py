@@ -32,8 +32,8 @@ def check_initial_state(scene: Scene, state: ParticleState, remedy: str | None =
     unknown = np.flatnonzero(state.material >= len(scene.materials))
     if len(unknown):
         raise StateError(
-            f"particles {name_some(unknown)} are of a material that the scene does not have (it has "
-            f"{len(scene.materials)}); describe it or change their material"
+            f"{name_some(unknown, 'is', 'are')} of a material that the scene does not have (it has "
+            f"{len(scene.materials)}); describe it or choose another material"
         )
     inside = taking_part(scene, state.position)
     here, number = (state, np.arange(state.count)) if inside is None else (part_of(state, inside), inside.nonzero()[0])
@@ -70,8 +70,8 @@ def check_initial_speed(state: ParticleState, time_step: float) -> None:
     wild = np.flatnonzero(~(speed * time_step <= quarter))
     if len(wild):
         raise StateError(
-            f"particles {name_some(wild)} cross more than a quarter of the smallest radius in one step of "
-            f"{time_step:g} s (particle {wild[0]} at {speed[wild[0]]:.3g} m/s); give them less than "
+            f"{name_some(wild, 'crosses', 'cross')} more than a quarter of the smallest radius in one step of "
+            f"{time_step:g} s (particle {wild[0]} at {speed[wild[0]]:.3g} m/s); start with less than "
             f"{quarter / time_step:.3g} m/s, or set dem.time_step to at most {quarter / speed.max():.3g} s"
         )
 
@@ -106,13 +106,13 @@ def _check_walls(scene: Scene, state: ParticleState, number: np.ndarray, remedy:
     poses = wall_poses(scene, state.time, 0.0, 0)[0]
     outside = number[largest_excess(scene, poses, state.position) > 0]
     if len(outside):
-        raise StateError(f"particles {name_some(outside)} have their centre outside the container; {remedy}")
+        raise StateError(f"{name_some(outside, 'has its centre', 'have their centre')} outside the container; {remedy}")
     for index, pose in enumerate(poses):
         overlap = state.radius - wall_contact(pose, state.position)[0]
         squeezed = number[overlap >= LARGEST_INITIAL_OVERLAP * 2.0 * state.radius]
         if len(squeezed):
             raise StateError(
-                f"particles {name_some(squeezed)} overlap wall {index} by {LARGEST_INITIAL_OVERLAP:.0%} of their "
+                f"{name_some(squeezed, 'overlaps', 'overlap')} wall {index} by {LARGEST_INITIAL_OVERLAP:.0%} of the "
                 f"diameter or more; {remedy}"
             )
 

@@ -35,6 +35,8 @@ def report_command(arguments: Sequence[str] | None = None) -> int:
         return 0
     try:
         overview, page = write_overview(chosen.root), write_front_page(chosen.root)
+    except BrokenPipeError:
+        raise
     except (ResultsError, SweepFileError, ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 
 from gran_bench.front_page.records import Records, benchmark_of, judgement_of
-from gran_bench.metrics.outside import FailureCount
+from gran_bench.metrics.outside import FailureCount, counted
 from gran_bench.run_summary import missed_requirements
 from gran_bench.stability.expectation import ABSENT, FAILED, FLAGGED, MET
 from gran_bench.stability.page import PARTS
@@ -27,7 +27,7 @@ def failure_section(records: Records, mark: Callable[[str], str]) -> Iterator[st
     """
     for name, summary in records.runs.items():
         missed = missed_requirements(summary)
-        said = f"- [{name}]({name}/README.md){mark(judgement_of(name))}: {len(missed)} requirements not met"
+        said = f"- [{name}]({name}/README.md){mark(judgement_of(name))}: {counted(len(missed), 'requirement')} not met"
         yield f"{said}{_first(missed)}."
         for rollout, facts in summary["rollouts"].items():
             if facts["failed_frame"] is not None:
@@ -67,7 +67,7 @@ def outright(count: FailureCount) -> str:
     return (
         f"{count.non_finite_states} of {count.expected_states} states not finite, {missing} missing; "
         f"{count.outside_tolerated} sphere states outside by > 5 mm, {count.outside_radius} by > r "
-        f"({count.outside_spheres} spheres); farthest {farthest}"
+        f"({counted(count.outside_spheres, 'sphere')}); farthest {farthest}"
     )
 
 

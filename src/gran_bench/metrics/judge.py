@@ -72,6 +72,7 @@ def judge(
         figures=[_figure_row(row, mine, truth) for row in FIGURES],
         requirements=acceptance(mine, truth),
         failures=mine.failures,
+        dem_outside=_share_outside(truth),
         velocity_kind=kind,
         replicas=len(truth),
     )
@@ -136,6 +137,11 @@ def nearest_case(
 
 def _summary(run: Run, scene: Scene, kind: str) -> TrajectorySummary:
     return run if isinstance(run, TrajectorySummary) else summarise(run, scene, kind)
+
+
+def _share_outside(truth: Sequence[TrajectorySummary]) -> float | None:
+    counts = [run.failures for run in truth]
+    return None if None in counts else float(np.mean([count.share(count.outside) for count in counts]))
 
 
 def _figure_row(row: Figure, mine: TrajectorySummary, truth: Sequence[TrajectorySummary]) -> FigureRow:

@@ -68,6 +68,7 @@ class Judgement:
         figures: scalars beside the DEM's.
         requirements: the acceptance rows.
         failures: counts of what is not finite or outside; None for statistics without particles.
+        dem_outside: share of sphere-states that the replicas have outside, whose walls are soft; mean, per cent.
         velocity_kind: definition of velocity on both sides.
         replicas: how many runs of the DEM it was held against.
     """
@@ -76,6 +77,7 @@ class Judgement:
     figures: list[FigureRow]
     requirements: list[Requirement]
     failures: FailureCount | None
+    dem_outside: float | None
     velocity_kind: str
     replicas: int
 
@@ -128,6 +130,7 @@ class Judgement:
                 for row in self.figures
             },
             "failures": asdict(self.failures) if self.failures else None,
+            "dem_outside": self.dem_outside,
         }
 
     def to_frame(self) -> pd.DataFrame:
@@ -169,7 +172,7 @@ class Judgement:
             yield _with_note(f"{row.label:<38}{values}", row.candidate.note or row.truth.note)
         yield ""
         if self.failures is not None:
-            yield from (*self.failures.lines(), "")
+            yield from (*self.failures.lines(self.dem_outside), "")
         passed = sum(row.verdict == "pass" for row in self.requirements)
         yield f"requirements ({passed} of {len(self.requirements)} pass)"
         for row in self.requirements:

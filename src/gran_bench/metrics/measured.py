@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ class Measured:
     Attributes:
         value: finite number in ``unit``; None where the metric is undefined.
         unit: SI, or the exception that it names.
-        note: why it is undefined, or what to know about a defined value (how many states were left out).
+        note: why it is undefined, or what to know about a defined value (how many states are invalid).
 
     Raises:
         ValueError: a value that is not finite, or no value and no reason.
@@ -72,13 +72,20 @@ class Measured:
 
 
 def mean_of(figures: list[Measured], unit: str) -> Measured:
-    """Mean of figures that are all defined; undefined where one is not, because a failure may not drop out."""
+    """Mean of figures that are all defined; undefined where one is not, because a failure may not drop out.
+
+    Its note is the one that all have, or the first one with how many have such a one.
+    """
     if not figures:
         return Measured.undefined(unit, "nothing to average")
     missing = [figure for figure in figures if not figure.defined]
     if missing:
         return Measured.undefined(unit, missing[0].note)
-    return Measured(float(np.mean([figure.number for figure in figures])), unit, figures[0].note)
+    noted = [figure.note for figure in figures if figure.note]
+    note = noted[0] if noted else ""
+    if len({figure.note for figure in figures}) > 1:
+        note += f" (this or the like in {len(noted)} of {len(figures)} runs)"
+    return Measured(float(np.mean([figure.number for figure in figures])), unit, note)
 
 
 @dataclass(frozen=True)
@@ -139,7 +146,8 @@ class Series:
     def difference(self, other: Series, start: float = -math.inf, end: float = math.inf) -> Measured:
         """Mean absolute difference over the states valid in both, undefined below 90 % of the states.
 
-        A state that only one of the two has counts as invalid: a rollout that ended early is not a shorter one.
+        A state that only one of the two has counts as invalid: a rollout that ended early is not a shorter one. The
+        note counts the invalid states of this series as its own figures do, and those of the other one beside them.
 
         Raises:
             ValueError: the two have their states at different times.
@@ -147,8 +155,13 @@ class Series:
         time, mine, theirs = _aligned(self, other)
         reason = self.undefined_because or other.undefined_because
         cause = self.invalid_because if self.invalid_because == other.invalid_because else "no valid figure in both"
-        gap = Series(time, np.abs(mine - theirs), self.unit, reason, cause)
-        return gap.mean(start, end)
+        gap, own = (Series(time, value, self.unit, reason, cause) for value in (np.abs(mine - theirs), mine))
+        found, window = gap.mean(start, end), within(time, start, end)
+        further = int((window & own.valid & ~gap.valid).sum())
+        if reason or not further:
+            return found
+        total, bad = int(window.sum()), int((window & ~own.valid).sum())
+        return replace(found, note=f"{bad} of {total} states invalid, and {further} more of the other run: {cause}")
 
     def _refusal(self, window: NDArray[np.bool_]) -> str:
         if self.undefined_because:
@@ -162,7 +175,7 @@ class Series:
 
     def _note(self, window: NDArray[np.bool_]) -> str:
         total, bad = int(window.sum()), int((window & ~self.valid).sum())
-        return f"{bad} of {total} states left out: {self.invalid_because}" if bad else ""
+        return f"{bad} of {total} states invalid: {self.invalid_because}" if bad else ""
 
 
 def within(time: FloatArray, start: float, end: float) -> NDArray[np.bool_]:

@@ -35,10 +35,11 @@ def mixing_entropy(trajectory: Trajectory, scene: Scene) -> Series:
     edge = CELL * scene.filling.diameter
     value = np.full(trajectory.frame_count, np.nan)
     for frame, centers in enumerate(across):
-        if not np.isfinite(centers).all() or np.abs(centers).max() > 1e6 * edge:
+        if not np.isfinite(centers).all():
             continue
-        column, row = np.floor(centers / edge).astype(np.int64).T
-        _, cell = np.unique((column << 32) + row, return_inverse=True)
+        # Ranks instead of numbers of cells: these have no largest, however far a sphere flies.
+        column, row = (np.unique(line, return_inverse=True)[1] for line in np.floor(centers / edge).T)
+        _, cell = np.unique(column * len(centers) + row, return_inverse=True)
         count = np.bincount(cell)
         share = np.bincount(cell, coloured) / count
         value[frame] = (count * _binary_entropy(share)).sum() / (count.sum() * np.log(2.0))

@@ -36,7 +36,7 @@ def score(metric: Callable[[Run, Run], Measured], candidate: Run, replicas: Sequ
 def noise_floor(metric: Callable[[Run, Run], Measured], replicas: Sequence[Run], unit: str) -> Measured:
     """Mean over all pairs of replicas of metric(a, b); undefined below two replicas."""
     if len(replicas) < 2:
-        return Measured.undefined(unit, f"{len(replicas)} replica(s) have no noise floor; make two or more")
+        return Measured.undefined(unit, "a single replica has no noise floor; make two or more")
     pairs = [(i, j) for i in range(len(replicas)) for j in range(i)]
     return mean_of([metric(replicas[i], replicas[j]) for i, j in pairs], unit)
 

@@ -58,16 +58,26 @@ class FailureCount:
         """``count`` of all sphere-states, in per cent."""
         return 100.0 * count / max(self.sphere_states, 1)
 
-    def lines(self) -> tuple[str, str]:
-        """The counts for people: what is not finite or missing, and what is outside and how far."""
+    def lines(self, dem_outside: float | None = None) -> tuple[str, str]:
+        """The counts for people: what is not finite or missing, and what is outside and how far.
+
+        Args:
+            dem_outside: share of sphere-states that the DEM has outside, per cent; None where unknown.
+        """
         since = f" (from {self.first_non_finite:g} s)" if self.first_non_finite is not None else ""
         missing = max(0, self.expected_states - self.states)
+        soft = "" if dem_outside is None else f" (of the DEM, whose walls are soft: {dem_outside:.3g} %)"
         return (
             f"failures: {self.non_finite_states} of {self.states} states not finite{since}, {missing} missing",
-            f"  centres outside: {self.share(self.outside):.3g} % of sphere states, "
-            f"{self.share(self.outside_tolerated):.3g} % by > 5 mm, {self.outside_radius} by > r "
-            f"({self.outside_spheres} spheres); farthest {1e3 * self.farthest:.3g} mm",
+            f"  spheres that reach into a wall: {self.share(self.outside):.3g} % of sphere states{soft}, "
+            f"{self.share(self.outside_tolerated):.3g} % by > {1e3 * TOLERATED:g} mm, {self.outside_radius} by > r "
+            f"({counted(self.outside_spheres, 'sphere')}); deepest {1e3 * self.farthest:.3g} mm",
         )
+
+
+def counted(number: int, what: str) -> str:
+    """``1 sphere``, ``2 spheres``."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def distance_outside(position: FloatArray, radius: FloatArray, scene: Scene) -> FloatArray:

@@ -17,7 +17,10 @@ from gran_bench.state import VELOCITY_KINDS, FloatArray, Trajectory
 
 
 def velocities(trajectory: Trajectory, velocity_kind: str, period: float = 0.0) -> FloatArray:
-    """Velocities by the wanted definition, ``(F, N, 3)`` m/s.
+    """Velocities by the wanted definition, ``(F, N, 3)`` m/s, in double precision.
+
+    What is finite where it is stored has a finite square then, so that figures and the count of failures agree on
+    which states are finite.
 
     Args:
         trajectory: whose stored velocities are of ``trajectory.velocity_kind``.
@@ -31,7 +34,7 @@ def velocities(trajectory: Trajectory, velocity_kind: str, period: float = 0.0) 
     if velocity_kind not in VELOCITY_KINDS:
         raise ValueError(f"velocity_kind={velocity_kind!r}; choose one of {', '.join(VELOCITY_KINDS)}")
     if velocity_kind == trajectory.velocity_kind:
-        return trajectory.velocity
+        return trajectory.velocity.astype(np.float64)
     if velocity_kind == "instantaneous":
         raise ValueError(
             "the trajectory stores mean velocities, which do not give instantaneous ones; compare by velocity_kind=mean"
@@ -77,9 +80,11 @@ def wasserstein(sorted_a: FloatArray, sorted_b: FloatArray) -> float:
 def sorted_frames(values: FloatArray) -> FloatArray:
     """Each frame's values in increasing order, ``(F, N)`` float32; a frame that is not finite is NaN throughout.
 
-    Without the last rule, an infinite or missing speed would only shift the ranks and pass for a figure.
+    Without the last rule, an infinite or missing speed would only shift the ranks and pass for a figure. Finite values
+    beyond single precision stay in double.
     """
-    ordered = np.sort(values.astype(np.float32), axis=1)
+    largest = np.abs(values, where=np.isfinite(values), out=np.zeros(values.shape)).max(initial=0.0)
+    ordered = np.sort(values.astype(np.float32 if largest <= np.finfo(np.float32).max else np.float64), axis=1)
     ordered[~np.isfinite(values).all(axis=1)] = np.nan
     return ordered
 

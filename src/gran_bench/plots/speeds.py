@@ -13,6 +13,7 @@ from gran_bench.metrics.summary import PATTERN_TIME, TrajectorySummary
 from gran_bench.plots.style import BAND, DEM, FURTHER, SURROGATE, drawing, speed_label
 
 CLASS = 0.1  # m/s
+WIDEST = 10.0  # times the speeds of the DEM: a wild model would leave no room for it
 
 
 def speed_distribution(
@@ -34,8 +35,9 @@ def speed_distribution(
     """
     truth = [speed for run in replicas if (speed := _speeds(run, time)) is not None]
     found = {name: _speeds(run, time) for name, run in candidates.items()}
-    known = [*truth, *(speed for speed in found.values() if speed is not None)]
-    top = max((float(np.quantile(speed, 0.999)) for speed in known), default=1.0)
+    known = [speed for speed in found.values() if speed is not None]
+    own, top = (max((float(np.quantile(speed, 0.999)) for speed in runs), default=1.0) for runs in (truth, known))
+    top = max(own, min(top, WIDEST * max(own, CLASS)))  # what is faster is told in the legend
     edges = CLASS * np.arange(int(np.ceil(top / CLASS)) + 2)
     with drawing(path, 7.0, 4.0) as figure:
         axes = figure.subplots()

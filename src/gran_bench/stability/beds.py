@@ -14,7 +14,7 @@ from gran_bench.dataset import CaseSpec, read_settled
 from gran_bench.dataset.generation import Job
 from gran_bench.dem.simulate import simulate
 from gran_bench.metrics.energy import rotational_energy, sphere_masses, translational_energy
-from gran_bench.metrics.outside import FailureCount, count_failures
+from gran_bench.metrics.outside import FailureCount, count_failures, counted
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
 from gran_bench.stability.expectation import Observation
@@ -84,7 +84,7 @@ def escapes(count: FailureCount) -> tuple[str, ...]:
     if count.outside_tolerated:
         told.append(
             f"{count.share(count.outside_tolerated):.2g} % of sphere states outside by > 5 mm, "
-            f"{count.share(count.outside_radius):.2g} % ({count.outside_spheres} spheres) by > r, "
+            f"{count.share(count.outside_radius):.2g} % ({counted(count.outside_spheres, 'sphere')}) by > r, "
             f"farthest {1e3 * count.farthest:.3g} mm"
         )
     return tuple(told)

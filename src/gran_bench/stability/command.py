@@ -92,10 +92,10 @@ def chosen(config: StressConfig) -> tuple[list[StressCase], bool]:
     cases = [
         case
         for case in everything
-        if (case.short or config.profile == "full") and (case.name in config.cases or not config.cases)
+        if (case.short or config.selection == "full") and (case.name in config.cases or not config.cases)
     ]
     if not cases:
-        raise ConfigError(f"profile={config.profile} leaves no case of cases={config.cases}; choose profile=full")
+        raise ConfigError(f"selection={config.selection} leaves no case of cases={config.cases}; choose selection=full")
     ships = config.case_list is None and config.checkpoint == SHIPPED and not config.also
     return cases, ships and len(cases) == len(everything)
 

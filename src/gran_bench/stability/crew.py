@@ -6,15 +6,13 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-import gran_bench
+from gran_bench.child import start_module
 from gran_bench.stability.expectation import Failure, Observation, Outcome
 from gran_bench.stability.perform import Task
 
@@ -70,16 +68,13 @@ class Worker:
     def _running(self) -> subprocess.Popen[str]:
         if self._process is None or self._process.poll() is not None:
             self.dismiss()
-            sources = str(Path(gran_bench.__file__).parent.parent)
-            paths = [sources, *filter(None, [os.environ.get("PYTHONPATH")])]
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "gran_bench.stability.worker"],
+            self._process = start_module(
+                "gran_bench.stability.worker",
+                environment={"OMP_NUM_THREADS": "1"},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 text=True,
-                env=os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(paths)},
-                start_new_session=True,  # Ctrl-C is for the parent, which then ends its workers
             )
         return self._process
 

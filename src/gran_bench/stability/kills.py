@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from gran_bench.child import start_module
 from gran_bench.dataset import read_case, read_settled
 from gran_bench.stability import victim
 from gran_bench.stability.expectation import NotThereYet, Observation
@@ -88,8 +88,8 @@ def killed_sweep(bench: Bench, jobs: int = 12, kills: int = 10, longest: float =
     """
     if importlib.util.find_spec(SWEEP) is None:
         raise NotThereYet(f"{SWEEP} is not part of this version")
-    process = subprocess.Popen(
-        [sys.executable, "-m", SWEEP, "--jobs", str(jobs), "--kills", str(kills)],
+    process = start_module(
+        SWEEP, "--jobs", str(jobs), "--kills", str(kills),
         cwd=bench.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:

@@ -6,17 +6,14 @@ Started by the experiments on killed and competing processes, not by people. It 
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
-import gran_bench
 from gran_bench.atomic import write_text
+from gran_bench.child import ONE_THREAD, start_module
 from gran_bench.tracking.address import SERVER
-
-ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 
 
 def start(job: str, **values: Any) -> subprocess.Popen[str]:
@@ -39,11 +36,11 @@ def start(job: str, **values: Any) -> subprocess.Popen[str]:
 
 def launch(job: str, **values: Any) -> subprocess.Popen[str]:
     """As :func:`start`, without waiting for the job to begin."""
-    sources = str(Path(gran_bench.__file__).parent.parent)
-    paths = [sources, *filter(None, [os.environ.get("PYTHONPATH")])]
-    return subprocess.Popen(
-        [sys.executable, "-m", "gran_bench.stability.victim", job, json.dumps(values)],
-        env=os.environ | ONE_THREAD | {"PYTHONPATH": os.pathsep.join(paths), SERVER: ""},
+    return start_module(
+        "gran_bench.stability.victim",
+        job,
+        json.dumps(values),
+        environment=ONE_THREAD | {SERVER: ""},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -14,12 +14,10 @@ import torch
 
 from gran_bench.stability.expectation import Observation
 from gran_bench.stability.perform import Task, perform
-from gran_bench.stability.process_group import end_with_parent
 
 
 def main() -> None:
-    """Serve tasks until the parent closes the pipe; where it is gone, end in the middle of one."""
-    end_with_parent(os.getppid())
+    """Serve tasks until the parent closes the pipe."""
     # Whatever a library prints must not get between the lines of JSON.
     channel = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)

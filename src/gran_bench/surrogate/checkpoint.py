@@ -19,6 +19,9 @@ from gran_bench.scene import build_scene
 from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.step import Surrogate
 
+MODEL = "model.pt"  # in the folder of a run
+CHECKPOINT = "checkpoint.pt"  # there too: the state of its training
+
 
 class CheckpointError(ValueError):
     """A file of weights that cannot be read or written; the message names it and the remedy."""
@@ -95,8 +98,18 @@ def load_card(path: Path) -> tuple[ModelCard, dict[str, Tensor]]:
         return ModelCard(**content), weights
     except Exception as error:
         raise CheckpointError(
-            f"{path} is not a whole gran-bench model file ({type(error).__name__}: {error}); get or train it again"
+            f"{path} is not a whole gran-bench model file ({type(error).__name__}: {error}); {_remedy(Path(path))}"
         ) from error
+
+
+def _remedy(path: Path) -> str:
+    """What to give instead of a file that is no model: the model beside it or in it, where there is one."""
+    model = path / MODEL if path.is_dir() else path.with_name(MODEL)
+    if model != path and model.exists():
+        return f"give {model}"
+    if path.name == CHECKPOINT:
+        return f"it is the state of a training that has not ended; the command that began it leaves {MODEL} beside it"
+    return "get or train it again"
 
 
 def load_model(path: str | Path, device: str = "cpu") -> tuple[Surrogate, ModelCard]:

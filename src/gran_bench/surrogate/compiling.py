@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import numba
@@ -17,6 +16,7 @@ import torch
 
 import gran_bench
 from gran_bench.atomic import locked, write_text
+from gran_bench.child import watched
 from gran_bench.config import ContactModelConfig
 from gran_bench.scene import Cylinder, Filling, Material, Rotation, Scene
 from gran_bench.surrogate.contact import ContactNetwork
@@ -55,12 +55,13 @@ def compile_kernels(model: str) -> None:
                 return
             paths = [str(Path(gran_bench.__file__).parent.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
             done = subprocess.run(
-                [sys.executable, "-P", "-m", "gran_bench.surrogate.compiling"],
+                watched("-m", "gran_bench.surrogate.compiling"),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
                 env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
                 timeout=PATIENCE,
+                start_new_session=True,
                 check=False,
             )
             if done.returncode == 0:

@@ -26,6 +26,8 @@ def report_sweeps(folders: Sequence[Path]) -> bool:
             report = report_sweep(folder.resolve())
             print(report.text)
             report_to_parent(folder.resolve(), report)
+        except BrokenPipeError:
+            raise
         except (SweepFileError, tracking.TrackingError, OSError) as error:
             print(f"error: {error}", file=sys.stderr)
             every = False

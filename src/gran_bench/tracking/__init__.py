@@ -1,7 +1,7 @@
 """Runs in MLflow: recorded in batches, reopened on resume, never at the cost of a result."""
 
 from gran_bench.tracking.address import has_store
-from gran_bench.tracking.names import HEADLINE, HEADLINE_FIGURES, shown_name
+from gran_bench.tracking.names import HEADLINE, HEADLINE_FIGURES, how_to_compare, shown_name, ui_command
 from gran_bench.tracking.opening import Child, end_child, open_run, reopen_ended, schedule_children
 from gran_bench.tracking.run import Run
 from gran_bench.tracking.stand_in import fill_stand_ins
@@ -19,9 +19,11 @@ __all__ = [
     "end_child",
     "fill_stand_ins",
     "has_store",
+    "how_to_compare",
     "open_run",
     "reopen_ended",
     "schedule_children",
     "shown_name",
     "ui",
+    "ui_command",
 ]

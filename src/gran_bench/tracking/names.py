@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import re
+import shlex
+from pathlib import Path
+
+import gran_bench
+from gran_bench.config import TrackingConfig
 
 HEADLINE = "headline/"  # sorts before every other group, so that its charts come first
 # What a person looks at first, by name, in this order; an undefined one is absent from a run.
@@ -20,6 +25,33 @@ HEADLINE_FIGURES = (
     "rollouts failed",
 )
 _SECTION = re.compile(r"[\w.]*\.(?=\w+-)", re.ASCII)
+
+
+def ui_command(config: TrackingConfig, port: int | None = None) -> str:
+    """What opens the UI on the runs of a config, as it is typed: ``make ui`` in the folder of a clone.
+
+    Args:
+        config: where the runs are recorded.
+        port: to listen to; None for the one that is usual.
+    """
+    usual, clone = TrackingConfig(), Path(gran_bench.__file__).resolve().parents[2]
+    changed = {f"tracking.{name}": getattr(config, name) for name in ("root", "experiment")}
+    words = [f"{key}={_quoted(value)}" for key, value in changed.items() if value != getattr(usual, key[9:])]
+    if not words and clone == Path.cwd() and (clone / "Makefile").exists():
+        return "make ui" if port is None else f"make ui PORT={port}"
+    return shlex.join(["python", "-m", "gran_bench.ui", *words, *([] if port is None else [f"port={port}"])])
+
+
+def how_to_compare(config: TrackingConfig) -> str:
+    """The end of the last line of a run; empty where it was not recorded."""
+    return f"; compare runs with `{ui_command(config)}`" if config.enabled else ""
+
+
+def _quoted(value: str) -> str:
+    """A value as Hydra reads it."""
+    if re.fullmatch(r"[\w./+-]+", value, re.ASCII):
+        return value
+    return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 def shown_name(name: str) -> str:

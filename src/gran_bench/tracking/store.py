@@ -10,6 +10,7 @@ import json
 import logging
 import os
 import re
+import shlex
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -332,6 +333,12 @@ class Store:
             raise
         except Exception as error:
             # Of any kind: MLflow lets those of SQLAlchemy and of its own lookups through, and none may cost a result.
+            if "out-of-date database schema" in str(error):
+                raise TrackingError(
+                    f"the tracking store {self.database} was made by another version of MLflow; copy it, then "
+                    f"upgrade it by `python -m mlflow db upgrade {shlex.quote(self.uri)}`, which takes older ones, "
+                    "or choose another tracking.root (tracking.enabled=false does without)"
+                ) from error
             lines = [line for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
             raise TrackingError(self._complaint(shown_uri(lines[0])[:300])) from error
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from gran_bench.config import TrackingConfig
 from gran_bench.tracking.abandoned import close_abandoned
 from gran_bench.tracking.address import said_place, server_uri
+from gran_bench.tracking.names import ui_command
 from gran_bench.tracking.store import QUIET, Store, TrackingError
 from gran_bench.tracking.views import view_path
 
@@ -33,7 +34,7 @@ def ui(root: Path | str, port: int = 5000, experiment: str = TrackingConfig.expe
     if (place := said_place(config)) is not None:
         print(place, file=sys.stderr, flush=True)
     if server_uri() is None:
-        _refuse_taken(port)
+        _refuse_taken(port, ui_command(config, port + 1 if port < 65535 else port - 1))
         print("opening the UI takes some seconds", file=sys.stderr, flush=True)
     store = Store(config)
     store.dress_experiment()
@@ -63,14 +64,14 @@ def server_environment(store: Store) -> dict[str, str]:
     }
 
 
-def _refuse_taken(port: int) -> None:
+def _refuse_taken(port: int, other: str) -> None:
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((HOST, port))
         except (OSError, OverflowError) as error:
             raise TrackingError(
-                f"port {port} cannot be used ({error}); is the UI open already? Choose another: make ui PORT={port + 1}"
+                f"port {port} cannot be used ({error}); is the UI open already? Choose another: {other}"
             ) from error
 
 

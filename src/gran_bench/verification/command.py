@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from gran_bench.provenance import provenance
+from gran_bench.provenance import program, provenance
 from gran_bench.verification.case import Case, Outcome
 from gran_bench.verification.report import table, verdict, write_report
 from gran_bench.verification.suite import CASES, run_case
@@ -65,6 +65,8 @@ def run(draw: Draw, words: Sequence[str] | None = None, cases: Sequence[Case] = 
             subset = "" if whole else f"Of the whole suite's {len(cases)} cases these are {len(chosen)}."
             write_report(outcomes, folder, provenance(), draw(outcomes, folder), subset)
             print(f"\nthe page is in {folder}")
+    except BrokenPipeError:
+        raise
     except OSError as error:
         print(f"error: {error}; choose a folder for --output that can be written", file=sys.stderr)
         return REFUSED
@@ -77,6 +79,7 @@ def run(draw: Draw, words: Sequence[str] | None = None, cases: Sequence[Case] = 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
+        prog=" ".join(program()),
         description="Verify the DEM against theory; exit code 0 where all is within tolerance, 1 where it is not."
     )
     parser.add_argument(
