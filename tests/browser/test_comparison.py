@@ -15,7 +15,8 @@ from mlflow import MlflowClient
 from mlflow.entities import Run
 from pages import CHROMIUM, DRIVER, WIDE, Browser, user_interface
 
-from gran_bench.tracking import DATABASE, HEADLINE, SWEEP_TAG
+from gran_bench.tracking import HEADLINE, SWEEP_TAG
+from gran_bench.tracking.address import DATABASE
 
 pytestmark = [
     pytest.mark.browser,

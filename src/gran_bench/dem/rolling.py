@@ -13,8 +13,9 @@ the limit, M and M_k are cut together, as the friction force is (contact.py).
     C_r = 2 √(I_r k_r),    1/I_r = 1/(I₁ + m₁ r₁²) + 1/(I₂ + m₂ r₂²),    I = 2/5 m r²
 
 C_r damps critically a sphere that rolls about its contact point with a wall: a sphere that rolling friction has stopped
-comes to rest in the shortest time, and does not rock. Nothing is left to choose: what a sphere loses while it rolls is
-the limit's, whatever the dashpot.
+comes to rest in the shortest time, and does not rock. What is left of its speed decays with √(I_r/k_r): 0.023 s for a
+50 mm sphere of E = 1e7 Pa on a floor at μ_r = 0.1, in proportion to 1/μ_r. Nothing is left to choose: what a sphere
+loses while it rolls is the limit's, whatever the dashpot.
 
 Source: Ai, Chen, Rotter & Ooi (2011), Powder Technology 206, 269–282, model C, at the damping ratio η_r = 1. There the
 dashpot adds to the limit or is off beyond it; one limit for the sum is continuous (Luding 2008, Granular Matter 10,
