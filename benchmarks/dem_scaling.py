@@ -116,6 +116,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--counts", type=int, nargs="+", default=list(COUNTS))
     parser.add_argument("--grow", choices=("length", "size"), default="length", help="what grows with the number")
-    parser.add_argument("--output", type=Path, help="folder for scaling.md and scaling.png")
+    parser.add_argument("--output", type=Path, help="folder whose page gets the table")
     given = parser.parse_args()
     main(given.counts, given.grow, given.output)

@@ -109,6 +109,6 @@ def main(rounds: int, output: Path | None) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--output", type=Path, help="folder for skips.md")
+    parser.add_argument("--output", type=Path, help="folder whose page gets the table")
     given = parser.parse_args()
     main(given.rounds, given.output)

@@ -21,7 +21,6 @@ from gran_bench.config_rules import ConfigError
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_model
-from gran_bench.source_digest import EQUAL_CODE
 from gran_bench.stability import case_list, command, kills, run, steps
 from gran_bench.stability.case_list import read_cases, shipped_cases
 from gran_bench.stability.command import StressFailed, chosen, run_stress
@@ -238,7 +237,6 @@ def test_what_was_kept_counts_no_more_once_any_code_config_or_list_has_changed(t
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("a = 1\n", "utf-8")
-    (tmp_path / EQUAL_CODE).write_text('{"older": {}, "shown": []}', "utf-8")
     monkeypatch.setattr(gran_bench, "__file__", str(tmp_path / "__init__.py"))
     monkeypatch.setattr(run, "files", lambda package: tmp_path / package.removeprefix("gran_bench."))
     monkeypatch.setattr(run, "package_digest", run.package_digest.__wrapped__)

@@ -190,14 +190,12 @@ def test_runs_of_an_earlier_command_of_the_same_code_count_though_the_last_one_d
         made(run("0.1", 1, 1.0), budget="4 min"),
         made(run("0.1", 1, 1.0), data_digest="other data"),
         replace(made(run("0.1", 1, 1.0)), judged_by="another judge"),
-        run("0.1", 1, 1.0, training={"stopped_by": "time"}, facts={"provenance": {"command": "t trainer.minutes=4"}}),
         replace(made(lost("0.1", 1)), facts=made(lost("0.1", 1), code="c0").facts),
     ],
-    ids=["code", "budget", "data", "judge", "minutes typed", "failed"],
+    ids=["code", "budget", "data", "judge", "failed"],
 )
 def test_a_run_of_an_earlier_command_does_not_count_where_it_says_that_it_was_made_otherwise(earlier: RunFile):
-    command = {"provenance": {"command": "t trainer.minutes=2"}}
-    now = made(run("0.1", 0, 1.0, training={"stopped_by": "time"}), data_digest="data", **command)
+    now = made(run("0.1", 0, 1.0, training={"stopped_by": "time"}), data_digest="data")
     stands = standing(sweep_of(now), [earlier, now])
     assert (stands.counted, stands.others) == ([now], [earlier])
 
@@ -208,15 +206,6 @@ def test_choices_of_data_and_budget_may_change_data_and_budget():
     other = made(run("0.1", 0, 1.0), budget="1 min", data_digest="of a small drum")
     other = replace(other, choices=chosen, judged_by="there")
     assert standing(sweep_of(now), [now, other]).others == []
-
-
-def test_where_code_is_not_said_runs_share_the_fate_of_others_of_that_code():
-    old = {"provenance": {"code_digest": "old"}}
-    replaced, orphan = run("0.08", 0, 9.0, facts=old), run("0.08", 1, 9.0, facts=old)
-    now = replace(run("0.08", 0, 1.0, facts={"provenance": {"code_digest": "new"}}), key="f" * 12)
-    assert standing(sweep_of(now), [replaced, orphan, now]).counted == [now]
-    same_code = replace(now, facts=old)
-    assert standing(sweep_of(same_code), [replaced, orphan, same_code]).counted == [same_code, orphan]
 
 
 def test_every_committed_run_counts():
