@@ -29,6 +29,6 @@ def keep(name: str, text: str, output: Path | None, rows: Sequence[dict[str, obj
     print(text)
     if output is not None:
         made = made_by_this()
-        write_part(output / PAGE, name, f"```\n{text}\n```\n\n{stamp(made)}", f"## {name}")
+        write_part(output / PAGE, name, f"```\n{text}\n```\n\n{stamp(made)}", heading=name)
         if rows:
             write_table(output / f"{name}.csv", pd.DataFrame(rows).to_csv(index=False), made)

@@ -215,7 +215,7 @@ def main(given: argparse.Namespace) -> None:
         figures = {key: columns(flow) for key, flow in samples.items()}
         labels = [f"{quantity}, {unit}" for _, quantity, unit, _ in QUANTITIES]
         draw_drum_flow(given.output / f"{name}.png", figures, bounds, labels)
-        write_part(given.output / PAGE, name, text, f"## Steady flow in the drum, E {given.youngs_modulus:g} Pa")
+        write_part(given.output / PAGE, name, text, heading=f"Steady flow in the drum, E {given.youngs_modulus:g} Pa")
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ def main(output: Path | None, seed: int) -> None:
     print(text)
     if output is not None:
         draw_discharge(output / f"{NAME}.png", result)
-        write_part(output / PAGE, NAME, text, "## Discharge of a conical hopper")
+        write_part(output / PAGE, NAME, text, heading="Discharge of a conical hopper")
 
 
 if __name__ == "__main__":

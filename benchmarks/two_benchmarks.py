@@ -77,4 +77,4 @@ if __name__ == "__main__":
     text = part(read_results(given.first / RESULTS), read_results(given.second / RESULTS))
     print(text)
     if given.output:
-        write_part(given.output / PAGE, NAME, text, "## Two runs")
+        write_part(given.output / PAGE, NAME, text, heading="Two runs")

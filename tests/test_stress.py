@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
 import subprocess
@@ -19,6 +20,7 @@ from gran_bench.atomic import locked
 from gran_bench.config import BoundaryConfig, CconvModelConfig, SceneConfig, StressConfig
 from gran_bench.config_rules import ConfigError
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
+from gran_bench.provenance import read_table
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_model
 from gran_bench.stability import case_list, command, kills, run, steps
@@ -57,15 +59,14 @@ def test_the_short_list_passes_and_leaves_its_page(tmp_path, capsys):
     assert {result.verdict.word for result in results} <= {"met", "flagged"}
     page = tmp_path / "part" / "README.md"
     text = page.read_text("utf-8")
-    with (tmp_path / "part" / "stress.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    made, table = read_table(tmp_path / "part" / "stress.csv")
+    assert {"command", "commit", "day"} <= set(made)
+    rows = list(csv.DictReader(io.StringIO(table)))
     assert [row["case"] for row in rows] == [result.case.name for result in results]
-    for result in results:
-        assert result.case.name in text
-    # What the untrained network did wrong stands at the top of the page, and what was kept to resume from is gone.
-    top = text.partition("## The DEM")[0]
-    assert re.search(r"- untrained contact network: .*kinetic energy up to", top)
-    assert {path.name for path in page.parent.iterdir()} == {".lock", "README.md", "stress.csv", "stress.origin.json"}
+    assert f"| {len(results)} cases | met | flagged | FAILED |" in text
+    # Where the untrained network broke down stands on the page; what was kept to resume from is gone.
+    assert re.search(r"\| untrained contact network \| untrained \| 0\.\d+ \|", text)
+    assert {path.name for path in page.parent.iterdir()} == {".lock", "README.md", "stress.csv"}
     told = capsys.readouterr().out
     assert "FAILED" not in told
     assert f"{len(results)} cases in" in told

@@ -56,21 +56,23 @@ def write_text(path: Path | str, text: str) -> None:
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
-def write_part(path: Path, part: str, text: str, heading: str = "") -> None:
+def write_part(path: Path, part: str, text: str, title: str = "", heading: str = "") -> None:
     """Renew what stands between the marks ``<!-- part -->`` and ``<!-- end -->`` of a page; the rest is people's.
 
     Args:
         path: of the page; made where it is missing.
         part: its name; a page without it gets it at its end.
         text: between the marks.
-        heading: above a new part, in Markdown.
+        title: of a new page, in words.
+        heading: above a part that the page does not have yet, in words.
     """
-    page = path.read_text("utf-8") if path.exists() else ""
-    opening, closing, renewed = f"<!-- {part} -->\n", "<!-- end -->\n", f"{text.strip()}\n"
+    page = path.read_text("utf-8") if path.exists() else f"# {title}\n" if title else ""
+    opening, closing = f"<!-- {part} -->\n", "<!-- end -->\n"
     before, found, rest = page.partition(opening)
     if not found:
-        before += "\n" * bool(before) + (f"{heading}\n\n" if heading else "")
-    write_text(path, before + opening + renewed + closing + rest.partition(closing)[2])
+        above = [before.rstrip(), f"## {heading}" if heading else ""]
+        before = "".join(f"{words}\n\n" for words in above if words)
+    write_text(path, before + opening + f"{text.strip()}\n" + closing + rest.partition(closing)[2])
 
 
 def read_part(path: Path, part: str) -> str:

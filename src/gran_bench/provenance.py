@@ -117,8 +117,8 @@ def stamp(made: Mapping[str, str]) -> str:
     Args:
         made: as `provenance` gives it.
     """
-    words = (f"`{made.get('command', '?')}`", f"commit `{made.get('commit', '?')}`", made.get("day"))
-    return f"*{', '.join(word for word in (*words, made.get('hardware')) if word)}*"
+    said = {"command": "`{}`", "commit": "commit `{}`", "day": "{}", "hardware": "{}"}
+    return f"*{', '.join(words.format(made[name]) for name, words in said.items() if made.get(name))}*"
 
 
 def write_table(path: Path, table: str, made: Mapping[str, str]) -> Path:

@@ -61,7 +61,7 @@ def renew_page(folder: Path, title: str = "") -> Path:
     """
     summary = read_summary(folder)
     text = "\n".join(_lines(summary, folder))
-    write_part(folder / PAGE, "judgement", text, f"# {title or summary['experiment']}")
+    write_part(folder / PAGE, "judgement", text, title or summary["experiment"])
     return folder / PAGE
 
 

@@ -22,18 +22,14 @@ FIGURES = {
 }
 BUSY = 0.05  # share of the time that methods waited for the processor, from which on a page says so
 
-TITLE = "# Run time against error"
+TITLE = "Run time against error"
 
 
 def write_page(root: Path) -> Path:
     """Renew a part for each benchmark on the page of a folder, from all results below it."""
     for place, found in read_all(root).items():
-        write_part(root / PAGE, found["scene"], part_text(place, found), _heading(root / PAGE, found["scene"]))
+        write_part(root / PAGE, found["scene"], part_text(place, found), TITLE, found["scene"])
     return root / PAGE
-
-
-def _heading(page: Path, scene: str) -> str:
-    return f"## {scene}" if page.exists() else f"{TITLE}\n\n## {scene}"
 
 
 def part_text(place: str, found: dict[str, Any]) -> str:

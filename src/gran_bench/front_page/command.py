@@ -71,10 +71,9 @@ def renew_pages(root: Path) -> list[Path]:
         if any((root / folder).glob(record)):
             module.write_page(root / folder)
             pages.append(root / folder / PAGE)
-    if (sweeps := write_overview(root)) is not None:
-        pages.append(sweeps)
     if pages:
         for part, lines in (("drum", drum_table), ("scenes", scenes_table), ("failures", failures_table)):
-            write_part(root / PAGE, part, "\n".join(lines(root)), f"## {part}")
+            write_part(root / PAGE, part, "\n".join(lines(root)), "Results", part)
         pages.append(root / PAGE)
-    return pages
+    sweeps = write_overview(root)
+    return pages if sweeps is None else [*pages, sweeps]

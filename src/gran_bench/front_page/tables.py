@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -34,9 +35,10 @@ def drum_table(root: Path) -> Iterator[str]:
     found = next((one for one in read_all(root / "benchmark").values() if one["scene"] == "drum"), None)
     if found is not None:
         ranked = [kind["key"] for kind in found["reference"]["ranked"]]
-        shown = {entry.name for entry in frontier(entries(found))} | {found["automatic"]}
-        rows = [row for row in found["methods"] if row["kind"] != "dem" or row["name"] in shown]
-        automatic = next(row for row in rows if row["name"] == found["automatic"])
+        automatic = next(row for row in found["methods"] if row["name"] == found["automatic"])
+        front = [entry for entry in frontier(entries(found)) if entry.seconds <= automatic["wall"]["median"]]
+        shown = {found["automatic"], *(entry.name for entry in front)}
+        rows = [row for row in found["methods"] if row["kind"] == "surrogate" or row["name"] in shown]
         floors = {key: {"value": error["floor"]} for key, error in _errors(automatic).items()}
         yield _row("noise floor: the DEM against itself", None, None, floors, "1")
         for row in rows:
@@ -44,21 +46,26 @@ def drum_table(root: Path) -> Iterator[str]:
             worst = "failed" if row["failed"] else _worst(_errors(row), ranked)
             yield _row(row["name"], *times, _errors(row), worst)
     else:
-        ranked = ["surface_angle", "speed_w1"]
+        rows, ranked = [], ["surface_angle", "speed_w1"]
     for name in RUNS:
         summary = read_summary(root / name)
         if summary is None:
             continue
-        rollout = summary["rollouts"][f"{summary['judged_rpm']:g}rpm"]
-        second = rollout["ms_per_frame_median"] / summary["frame_ms"]
-        errors = summary["judged"]["shared"]["errors"]
-        who = f"`{summary['model']['name']}` ([{name}]({name}/README.md)), judged by itself"
-        times = second, rollout["ms_per_frame_median"] / rollout["dem_ms_per_frame"]
-        yield _row(who, *times, errors, _worst(errors, ranked))
+        if not any(row["name"].startswith(name) for row in rows):
+            yield _judged(name, summary, ranked)
         if name == RUNS[0]:
             for baseline, errors in summary["baselines"].items():
                 if "replayed" in baseline:
                     yield _row(f"{baseline}, judged by itself", None, None, errors, _worst(errors, ranked))
+
+
+def _judged(name: str, summary: Mapping[str, Any], ranked: list[str]) -> str:
+    """The row of a run that its own judgement timed."""
+    rollout, errors = summary["rollouts"][f"{summary['judged_rpm']:g}rpm"], summary["judged"]["shared"]["errors"]
+    second = rollout["ms_per_frame_median"] / summary["frame_ms"]
+    relative = rollout["ms_per_frame_median"] / rollout["dem_ms_per_frame"]
+    who = f"`{summary['model']['name']}` ([{name}]({name}/README.md)), judged by itself"
+    return _row(who, second, relative, errors, _worst(errors, ranked))
 
 
 def scenes_table(root: Path) -> Iterator[str]:
@@ -97,10 +104,13 @@ def failures_table(root: Path) -> Iterator[str]:
         early = [case for case, model, *_ in early_ends(rows) if model]
         words = f"{count(rows, FAILED)} of {len(rows)} expectations; {len(early)} rollouts of trained models before "
         yield _failures("[stress](stress/README.md)", made, words + f"their end: {', '.join(early) or 'none'}")
-    for found in read_all(root / "benchmark").values():
-        failed = [row["name"] for row in found["methods"] if row["failed"]]
-        words = f"{len(failed)} of {len(found['methods'])} methods: {'; '.join(failed)}"
-        yield _failures(f"[benchmark, {found['scene']}](benchmark/README.md)", found["provenance"], words)
+    if benchmarks := read_all(root / "benchmark"):
+        methods = [row for found in benchmarks.values() for row in found["methods"]]
+        names = Counter(row["name"] for row in methods if row["failed"])
+        words = f"{names.total()} of {len(methods)} methods in {len(benchmarks)} scenes: "
+        words += "; ".join(f"{name} ({scenes})" for name, scenes in names.items())
+        last = max((found["provenance"] for found in benchmarks.values()), key=lambda made: made.get("day", ""))
+        yield _failures("[benchmark](benchmark/README.md)", last, words)
     runs = [run for name in SHIPPED_SWEEPS for run in read_standing(root / SWEEPS / name).counted]
     if runs:
         lost = sum(bool(run.facts.get("broken_rollouts")) for run in runs)

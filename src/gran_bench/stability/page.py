@@ -76,7 +76,7 @@ def write_page(folder: Path) -> None:
     """Renew what the page of a folder says of its CSV."""
     origin, table = read_table(folder / TABLE)
     text = "\n".join(_page(list(csv.DictReader(io.StringIO(table))), origin, folder))
-    write_part(folder / PAGE, "cases", text, "# Stress test of numerical stability")
+    write_part(folder / PAGE, "cases", text, "Stress test of numerical stability")
 
 
 def _csv(results: Sequence[Result]) -> str:

@@ -149,11 +149,11 @@ def write_overview(root: Path) -> Path | None:
         return None
     stands = {folder: read_standing(folder) for folder in folders}
     found = [(folder.name, reach) for folder in folders for reach in reaches(stands[folder].counted)]
-    write_part(path, "what matters", "\n".join(_what_matters(found)), "# What matters, and by how much")
+    write_part(path, "what matters", "\n".join(_what_matters(found)), "What matters")
     for folder in folders:
         figures = [figure for figure in figure_paths(folder, stands[folder].counted) if figure.exists()]
         text = body(stands[folder], [f"{folder.name}/{figure.name}" for figure in figures])
-        write_part(path, folder.name, text, f"## {folder.name}")
+        write_part(path, folder.name, text, heading=folder.name)
     return path
 
 

@@ -153,7 +153,7 @@ def _made(sweep: SweepFile | None, runs: Sequence[RunFile]) -> str:
     """Command, commits, the last day and hardware of runs; a warning where that was not one machine."""
     made = [run.facts["provenance"] for run in runs if "provenance" in run.facts]
     machines = Counter(one["hardware"] for one in made if "hardware" in one)
-    said = {"command": sweep.command if sweep else "?", "day": max((run.ended_at for run in runs), default="")[:10]}
+    said = {"command": sweep.command if sweep else "", "day": max((run.ended_at for run in runs), default="")[:10]}
     said |= {"commit": ", ".join(sorted({one["commit"] for one in made if "commit" in one}))}
     counted = (f"{machine} ({count} runs)" if len(machines) > 1 else machine for machine, count in machines.items())
     several = " Times, and what equal time bought, are of several machines: compare with care."

@@ -132,8 +132,10 @@ def shown_table(runs: Sequence[RunFile]) -> str:
     for _, row in frame.iterrows():
         rows.append([*(str(row[axis]) for axis in axes), str(row["n"]), str(row["failed"])])
         rows[-1] += [_shown(row, column) for column in columns]
-    lines = [f"| {' | '.join(row)} |" for row in rows]
-    lines.insert(1, "|---" * len(headings) + "|")
+    widths = [max(len(row[i]) for row in rows) for i in range(len(headings))]
+    padded = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows]
+    lines = [f"| {' | '.join(row)} |" for row in padded]
+    lines.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
     return "\n".join(lines)
 
 

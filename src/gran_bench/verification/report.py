@@ -85,7 +85,7 @@ def write_report(outcomes: Sequence[Outcome], folder: Path, provenance: dict[str
 def write_page(folder: Path) -> None:
     """Renew the table of cases on the page of a folder, from its JSON."""
     record = json.loads((folder / JSON).read_text("utf-8"))
-    write_part(folder / PAGE, "cases", "\n".join(_page(record, folder)), "# Verification of the DEM")
+    write_part(folder / PAGE, "cases", "\n".join(_page(record, folder)), "Verification of the DEM")
 
 
 def _record(outcome: Outcome) -> dict[str, Any]:
