@@ -18,6 +18,7 @@ from test_sweep import lost, run
 from gran_bench.atomic import read_part, write_part
 from gran_bench.front_page.command import PAGE, renew_pages, report_command
 from gran_bench.front_page.tables import drum_table, failures_table, scenes_table
+from gran_bench.result_page import ResultPageError, write_page
 from gran_bench.stability.page import early_ends
 from gran_bench.sweep.overview import reaches
 
@@ -110,6 +111,20 @@ def test_the_report_renews_what_is_there_and_says_what_cannot_be_read(tmp_path: 
     (tmp_path / "paper/summary.json").write_text("{")
     assert report_command(["--root", str(tmp_path)]) == 1
     assert "error:" in capsys.readouterr().err
+
+
+def test_a_run_of_ones_own_becomes_a_page_whose_words_stay(tmp_path: Path):
+    target = tmp_path / "mine"
+    page = write_page(RESULTS / "holdout30rpm", target, "Mine")
+    assert page.read_text("utf-8").startswith("# Mine\n\n<!-- judgement -->\n`contact`, 8,072 parameters")
+    assert (target / "model.pt").exists()
+    assert (target / "figures/flow.gif").exists()
+    page.write_text(page.read_text("utf-8").replace("# Mine\n", "# Mine\n\nMy words.\n").replace("8,072", "no"))
+    text = write_page(RESULTS / "holdout30rpm", target, "Other").read_text("utf-8")
+    assert text.startswith("# Mine\n\nMy words.\n")
+    assert "8,072 parameters" in text
+    with pytest.raises(ResultPageError, match="not finished"):
+        write_page(tmp_path, target, "Mine")
 
 
 # ---- tables ----------------------------------------------------------------------------------------------

@@ -1,8 +1,9 @@
 """Which source decides a result, in written lists of rooms, and a hash of it that comments and layout don't change.
 
 A room is a file (``scene.py``), a folder (``dem``, with all below it) or a pattern (``surrogate/contact*.py``) of the
-package. What is in no list changes no weight and no figure of a judgement: config (its values are in a run's key),
-tables, figures, tracking, sweeps. `tests/test_source_digest.py` holds the lists against the imports of their files.
+package; one with a ``-`` before it is taken out of those before it. What is in no list changes no weight and no figure:
+config (its values are in a run's key), tables, figures, tracking, sweeps. `tests/test_source_digest.py` holds the lists
+against the imports of their files.
 """
 
 from __future__ import annotations
@@ -16,22 +17,21 @@ import gran_bench
 
 # What moves the DEM's particles: a change makes every case anew.
 SOLVER = ("dem", "neighbors", "scene")
-# States, walls, pairs and stored frames: what training and judging read. Of the DEM they see its data alone.
-_READING = (
-    *("state.py", "scene", "neighbors"),
-    *("dataset/case_file.py", "dataset/scene_document.py", "dataset/windows.py"),
-    *("surrogate/step.py", "surrogate/build.py"),
-)
-_CONVOLUTION = (
+CONTACT = ("surrogate/contact*.py", "surrogate/kernels/contact*.py")
+CONVOLUTION = (
     *("surrogate/ccnn.py", "surrogate/cconv.py", "surrogate/boundary.py", "surrogate/neighborhood.py"),
     *("surrogate/kernels/fused.py", "surrogate/kernels/lattice.py", "surrogate/kernels/radial.py"),
 )
 # The modules of each model, by its name.
-MODELS = {
-    "contact": ("surrogate/contact*.py", "surrogate/kernels/contact*.py"),
-    "ccnn": _CONVOLUTION,
-    "radial": _CONVOLUTION,
-}
+MODELS = {"contact": CONTACT, "ccnn": CONVOLUTION, "radial": CONVOLUTION}
+# States, walls, pairs, stored frames, and what all models share: what training and judging read. Of the DEM they know
+# its data and its walls alone.
+_READING = (
+    *("state.py", "scene", "neighbors", "dem/walls.py"),
+    *("dataset/case_file.py", "dataset/scene_document.py", "dataset/windows.py"),
+    *("surrogate", "-surrogate/checkpoint.py", "-surrogate/compiling.py"),
+    *(f"-{room}" for room in (*CONTACT, *CONVOLUTION)),
+)
 # What decides the weights of a training, beside the model's modules.
 TRAINING = (*_READING, "losses", "trainer.py", "training_start.py")
 # What a judge says of given weights, beside the model's modules. The DEM's runs are in its key by their names.
@@ -90,7 +90,7 @@ def _hash(name: str, rooms: tuple[str, ...]) -> str:
 
 
 def source_digest(rooms: Iterable[str]) -> str:
-    """SHA-256 (64 hex digits) of the bare code of rooms, in whatever order they are given.
+    """SHA-256 (64 hex digits) of the bare code of rooms, as `files_of` reads them.
 
     Args:
         rooms: files, folders and patterns of the package.
@@ -112,10 +112,11 @@ def files_of(rooms: Iterable[str]) -> list[Path]:
     """
     package, found = Path(gran_bench.__file__).parent, set()
     for room in rooms:
-        files = list((package / room).rglob("*.py")) or list(package.glob(room))
+        name = room.removeprefix("-")
+        files = list((package / name).rglob("*.py")) or list(package.glob(name))
         if not files:
-            raise FileNotFoundError(f"{package} has no {room}")
-        found.update(files)
+            raise FileNotFoundError(f"{package} has no {name}")
+        found = found.difference(files) if room.startswith("-") else found.union(files)
     return sorted(found)
 
 

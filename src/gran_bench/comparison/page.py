@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import pandas as pd
@@ -145,7 +146,7 @@ def _number(value: float | None) -> str:
 
 def _error(row: dict[str, Any]) -> str:
     if row["failed"]:
-        return f"✗ failed: {row['failure'].partition(';')[0]}"
+        return f"✗ failed: {shorten(row['failure'], 60, placeholder=' …')}"
     if row["floors"] is None:
         return "time alone"
     return f"{row['floors']:.2f} ({row['floors_low']:.2f} to {row['floors_high']:.2f})"
