@@ -125,19 +125,20 @@ def _noise(found: dict[str, Any]) -> str:
 
 
 def _table(found: dict[str, Any]) -> Iterator[str]:
-    yield "| method | time, s | another run, s | × the DEM | error, floors | memory, MiB |"
-    yield "|---|---:|---|---:|---|---:|"
-    front = {entry.name for entry in frontier(entries(found))}
+    """The methods on the frontier (bold), the DEM at its automatic step and what is no DEM; then every failure."""
+    yield "| method | time, s (another run) | × the DEM | error, floors |"
+    yield "|---|---:|---:|---|"
+    front, failed = {entry.name for entry in frontier(entries(found))}, []
     for row in found["methods"]:
-        name = f"**{row['name']}**" if row["name"] in front else row["name"]
-        if row["unfit_because"]:
-            yield f"| {name} | | | | does not fit: {row['unfit_because']} | |"
-            continue
-        wall, relative = row["wall"] or {}, row["relative"] or {}
-        times = _number(wall.get("median")), _expected(row["wall"]), _number(relative.get("median"))
-        cells = [name, *times, _error(row)]
-        cells.append("" if row["peak_bytes"] is None else f"{row['peak_bytes'] / 2**20:.0f}")
-        yield f"| {' | '.join(cells)} |"
+        if row["failed"]:
+            failed.append(f"- ✗ {row['name']} failed: {shorten(row['failure'], 80, placeholder=' …')}")
+        elif row["name"] in front or row["name"] == found["automatic"] or row["kind"] != "dem":
+            name = f"**{row['name']}**" if row["name"] in front else row["name"]
+            wall, relative = row["wall"] or {}, row["relative"] or {}
+            time = f"{_number(wall.get('median'))}{_expected(row['wall'])}"
+            yield f"| {name} | {time} | {_number(relative.get('median'))} | {_error(row)} |"
+    yield ""
+    yield from failed
 
 
 def _number(value: float | None) -> str:
@@ -145,8 +146,8 @@ def _number(value: float | None) -> str:
 
 
 def _error(row: dict[str, Any]) -> str:
-    if row["failed"]:
-        return f"✗ failed: {shorten(row['failure'], 60, placeholder=' …')}"
+    if row["unfit_because"]:
+        return f"does not fit: {row['unfit_because']}"
     if row["floors"] is None:
         return "time alone"
     return f"{row['floors']:.2f} ({row['floors_low']:.2f} to {row['floors_high']:.2f})"
@@ -154,5 +155,5 @@ def _error(row: dict[str, Any]) -> str:
 
 def _expected(spread: dict[str, Any] | None) -> str:
     if spread is None or spread["expected_low"] is None:
-        return "" if spread is None else "–"
-    return f"{spread['expected_low']:.3g} to {spread['expected_high']:.3g}"
+        return ""
+    return f" ({spread['expected_low']:.3g} to {spread['expected_high']:.3g})"
