@@ -1,4 +1,4 @@
-"""A table of a DEM benchmark, kept with the command, the commit and the hardware that made it."""
+"""A table of a DEM benchmark, on one page with the others, with the command, the commit and the day that made it."""
 
 from __future__ import annotations
 
@@ -8,30 +8,27 @@ from pathlib import Path
 
 import pandas as pd
 
-from gran_bench.atomic import write_text
-from gran_bench.provenance import commit, hardware, provenance, write_origin
+from gran_bench.atomic import write_part
+from gran_bench.provenance import provenance, stamp, write_table
 
-FOLDER = Path("results/dem_speed")
+PAGE = "README.md"
 INTERPRETER = "--lammps-python"  # an option whose value is a place on somebody's machine
 
 
-def typed_command() -> str:
-    """The command line as a reader would type it, with LAMMPS' interpreter where the benchmarks say that it is made."""
+def made_by_this() -> dict[str, str]:
+    """Where a record of this process comes from, with LAMMPS' interpreter where the benchmarks say that it is made."""
     words = ["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]
     for place, word in enumerate(words[:-1]):
         if word == INTERPRETER:
             words[place + 1] = "lammps-venv/bin/python"
-    return " ".join(words)
+    return provenance() | {"command": " ".join(words)}
 
 
 def keep(name: str, text: str, output: Path | None, rows: Sequence[dict[str, object]] = ()) -> None:
-    """Prints the text and, where a folder is given, writes it to ``<name>.md`` there, and rows to ``<name>.csv``."""
+    """Prints the text; where a folder is given, renews the part ``name`` of its page, and rows in ``<name>.csv``."""
     print(text)
     if output is not None:
-        command = typed_command()
-        made = f"Made by `{command}` at {commit()} on {hardware()}."
-        write_text(output / f"{name}.md", f"{made}\n\n```\n{text}\n```\n")
+        made = made_by_this()
+        write_part(output / PAGE, name, f"```\n{text}\n```\n\n{stamp(made)}", heading=name)
         if rows:
-            table = output / f"{name}.csv"
-            write_text(table, pd.DataFrame(rows).to_csv(index=False))
-            write_origin(table, provenance() | {"command": command})
+            write_table(output / f"{name}.csv", pd.DataFrame(rows).to_csv(index=False), made)

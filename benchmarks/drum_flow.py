@@ -13,9 +13,9 @@ That differs in two points: contacts that part do not attract, with the damping 
 tangential force falls with the load.
 
 One difference stays, because LAMMPS has no setting for it: it measures slip with the spheres' full radii, gran-bench at
-the contact point (drum_flow_page.py says what follows). Two things show that nothing else stays. With
+the contact point. Two things show that nothing else stays. With
 `dem.slip=full_radius` gran-bench has LAMMPS' slip, too, and both codes one law: that is what the bounds are for. With
---youngs-modulus 1e8 the difference is too small to show; that makes a page of its own.
+--youngs-modulus 1e8 the difference is too small to show; that makes a section of its own.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from dem_page import typed_command
+from dem_page import PAGE, made_by_this
 from dem_vs_lammps import LAMMPS_SCENE
 from drum_flow_page import (
     BOUNDS,
@@ -41,15 +41,14 @@ from drum_flow_page import (
     OURS,
     QUANTITIES,
     SAME_LAW,
-    SETTINGS,
     THEIRS,
     Flow,
     columns,
     csv,
-    page,
+    part,
 )
 
-from gran_bench.atomic import locked, write_text
+from gran_bench.atomic import locked, write_part
 from gran_bench.child import start_program
 from gran_bench.config import DemConfig
 from gran_bench.dataset import CaseSpec, ensure_cases, read_case, read_settled
@@ -58,7 +57,7 @@ from gran_bench.metrics.angle_of_repose import center_of_mass_angles
 from gran_bench.metrics.measured import within
 from gran_bench.metrics.summary import STEADY_FROM
 from gran_bench.plots import draw_drum_flow
-from gran_bench.provenance import commit, hardware, provenance, write_origin
+from gran_bench.provenance import write_table
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
 from gran_bench.verification import theory
@@ -189,14 +188,12 @@ def main(given: argparse.Namespace) -> None:
     scenes = {float(rpm): drum.at_speed(rpm) for rpm in given.speeds}
     laws = {OURS: dem, FULL_RADIUS: replace(dem, slip="full_radius")}
     specs = [spec_of(*case) for case in product(scenes.values(), packings, laws.values())]
-    paths = ensure_cases(specs, given.root, given.workers)
-    steps = {read_attributes(path)["time_step"] for path in paths}
+    ensure_cases(specs, given.root, given.workers)
     samples = {
         (name, rpm): our_flow(scene, packings, law, given.root)
         for name, law in laws.items()
         for rpm, scene in scenes.items()
     }
-    setting = f"E {given.youngs_modulus:g} Pa, Δt {', '.join(f'{step:.3g}' for step in sorted(steps))} s."
     for other, (rpm, scene) in product(others_of(given), scenes.items()):
         wanted = dict(zip(scenes, [*other.packings] * len(scenes), strict=False))[rpm]
         chosen = range(min(given.packings, wanted))
@@ -205,26 +202,19 @@ def main(given: argparse.Namespace) -> None:
         flow = other.flow(scene, chosen, given.root)
         if len(flow) >= 2:
             samples[other.name, rpm] = flow
-    codes = {code for code, _ in samples}
-    if codes - {*laws}:
-        setting += f" LAMMPS started from the same settled beds, Δt {given.lammps_step:g} s."
-    for code, words in SETTINGS.items():
-        if code in codes:
-            setting += f" {words}"
     samples = dict(sorted(samples.items(), key=lambda item: -item[0][1]))
-    command = typed_command()
     name, bounds = NAME, BOUNDS
     if given.youngs_modulus != SOFT:
         name, bounds = f"{NAME}_{given.youngs_modulus:.0e}".replace("+0", ""), {}
-    text = page(samples, f"Made by `{command}` at {commit()} on {hardware()}.", setting, name, bounds)
+    with tempfile.TemporaryDirectory() as scratch:
+        table = write_table((given.output or Path(scratch)) / f"{name}.csv", csv(samples), made_by_this())
+        text = part(table)
     print(text)
     if given.output:
         figures = {key: columns(flow) for key, flow in samples.items()}
         labels = [f"{quantity}, {unit}" for _, quantity, unit, _ in QUANTITIES]
         draw_drum_flow(given.output / f"{name}.png", figures, bounds, labels)
-        write_text(given.output / f"{name}.csv", csv(samples))
-        write_origin(given.output / f"{name}.csv", provenance() | {"command": command})
-        write_text(given.output / f"{name}.md", text)
+        write_part(given.output / PAGE, name, text, heading=f"Steady flow in the drum, E {given.youngs_modulus:g} Pa")
 
 
 if __name__ == "__main__":
@@ -241,5 +231,5 @@ if __name__ == "__main__":
     parser.add_argument("--lammps-step", type=float, default=2.0e-4, help="s, of LAMMPS")
     parser.add_argument("--root", type=Path, default=Path("data"), help="folder of the cases")
     parser.add_argument("--workers", type=int, default=2, help="cases at a time")
-    parser.add_argument("--output", type=Path, help="folder of the page, the figure and the CSV")
+    parser.add_argument("--output", type=Path, help="folder whose page gets the tables; figure and CSV beside it")
     main(parser.parse_args())

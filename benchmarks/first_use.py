@@ -44,7 +44,6 @@ def main(rounds: int, output: Path | None) -> None:
     """Starts the processes and prints what they took."""
     from dem_page import keep
 
-    lines = ["round  compiling, s  loading, s  what it says"]
     taken = []
     for number in range(rounds):
         with tempfile.TemporaryDirectory() as cache:
@@ -52,12 +51,12 @@ def main(rounds: int, output: Path | None) -> None:
             words = [sys.executable, __file__, "--once"]
             pair = [subprocess.run(words, env=environment, check=True, capture_output=True, text=True) for _ in "12"]
         taken.append([list(map(float, process.stdout.split())) for process in pair])
-        seconds = [taken[-1][k][0] for k in (0, 1)]
-        lines.append(f"{number + 1:5d} {seconds[0]:13.2f} {seconds[1]:11.2f}  {pair[0].stderr.strip()}")
-    (compiling, _), (loading, _) = np.median(taken, axis=0)
-    lines += [
-        f"median {compiling:12.2f} {loading:11.2f}",
-        f"ten million additions in Python: {np.median(np.array(taken)[:, :, 1]):.2f} s",
+        print(f"{number + 1:5d} {taken[-1][0][0]:13.2f} {taken[-1][1][0]:11.2f}  {pair[0].stderr.strip()}")
+    (low, _), (middle, yard), (high, _) = np.quantile(np.array(taken), (0.0, 0.5, 1.0), axis=0)[:, 0]
+    loading = np.median(np.array(taken)[:, 1, 0])
+    lines = [
+        f"compiling: {middle:.2f} s (median of {rounds}, {low:.2f} to {high:.2f}); loading later: {loading:.2f} s",
+        f"ten million additions in Python: {yard:.2f} s",
     ]
     keep("first_use", "\n".join(lines), output)
 
@@ -65,7 +64,7 @@ def main(rounds: int, output: Path | None) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--output", type=Path, help="folder of first_use.md")
+    parser.add_argument("--output", type=Path, help="folder whose page gets the table")
     parser.add_argument("--once", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.once:

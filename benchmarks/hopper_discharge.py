@@ -2,19 +2,19 @@
 
     python benchmarks/hopper_discharge.py [--output results/verification] [--seed 0]
 
-With --output a page and a figure of the name hopper_discharge are written there.
+With --output the part hopper_discharge of the page there is renewed, and a figure written beside it.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
-import time
 from pathlib import Path
 
-from gran_bench.atomic import write_text
+from dem_page import PAGE, made_by_this
+
+from gran_bench.atomic import write_part
 from gran_bench.plots import draw_discharge
-from gran_bench.provenance import commit, hardware
+from gran_bench.provenance import stamp
 from gran_bench.verification.hopper_discharge import HopperDischarge, discharge
 
 NAME = "hopper_discharge"
@@ -28,45 +28,36 @@ def table(result: HopperDischarge) -> list[str]:
     return lines + [f"| {d:.1f} | {opening:.4f} | {flow:.3f} | {2 * error:.3f} |" for d, opening, flow, error in rows]
 
 
-def page(result: HopperDischarge, seconds: float) -> str:
+def part(result: HopperDischarge) -> str:
     """What came out, and whether Beverloo's law holds."""
     met = "met" if abs(result.exponent - EXPECTED) <= TOLERANCE else "FAILED"
     lines = [
-        "# Discharge of a conical hopper",
-        "",
-        "Beverloo's law: W = C ρ_b √g (D − k d)^{5/2}, with ρ_b the bulk density, D the diameter of the orifice and d "
-        f"that of the spheres; k = {result.rim:g} is set (Nedderman 1992, §10.2), C and the exponent come out.",
-        "",
         f"**Exponent {result.exponent:.3f} ± {result.exponent_error:.3f}** (standard error); expected {EXPECTED:g} ± "
-        f"{TOLERANCE:g}: {met}. C = {result.factor:.3f} with the exponent 5/2, bulk density of the settled bed "
-        f"{result.bulk_density:.0f} kg/m³.",
+        f"{TOLERANCE:g}: {met}. C = {result.factor:.3f} with the exponent 5/2 and k = {result.rim:g}, bulk density of "
+        f"the settled bed {result.bulk_density:.0f} kg/m³.",
         "",
         *table(result),
         "",
-        f"![The flows against D − k d, both axes logarithmic.]({NAME}.png)",
+        f"![The flows against D − k d, both axes logarithmic; bars are two standard errors.]({NAME}.png)",
         "",
-        "*The flows against D − k d, both axes logarithmic; bars are two standard errors.*",
-        "",
-        f"Made by `{' '.join(['python', f'benchmarks/{Path(sys.argv[0]).name}', *sys.argv[1:]])}` at {commit()} on "
-        f"{hardware()}; {seconds:.0f} s of processor time.",
+        stamp(made_by_this()),
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def main(output: Path | None, seed: int) -> None:
-    """Discharges the hoppers, prints the page and writes it."""
-    started = time.process_time()
+    """Discharges the hoppers, prints what came out and writes it into the page of a folder."""
     result = discharge(seed=seed)
-    text = page(result, time.process_time() - started)
+    text = part(result)
     print(text)
     if output is not None:
         draw_discharge(output / f"{NAME}.png", result)
-        write_text(output / f"{NAME}.md", text)
+        write_part(output / PAGE, NAME, text, heading="Discharge of a conical hopper")
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--output", type=Path, help="folder of the page and the figure")
+    parser.add_argument("--output", type=Path, help="folder whose page gets the table; figure beside it")
     parser.add_argument("--seed", type=int, default=0, help="of the fillings")
     given = parser.parse_args()
     main(given.output, given.seed)

@@ -12,14 +12,15 @@ figures one is expected to fall outside by chance.
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
-from gran_bench.atomic import write_text
+from gran_bench.atomic import write_part
+from gran_bench.comparison.page import PAGE
 from gran_bench.comparison.results import RESULTS, read_results
+from gran_bench.provenance import stamp
 
-NAME = "two_runs.md"
+NAME = "two runs"
 QUANTITIES = ("time, s", "error, floors")
 
 
@@ -40,54 +41,40 @@ def verdict(one: tuple[float, float, float], other: tuple[float, float, float]) 
     return "overlap" if one[1] <= other[2] and other[1] <= one[2] else "**differ**"
 
 
-def page(first: dict[str, Any], second: dict[str, Any], command: str) -> str:
-    """The table, with a count of what agrees."""
+def part(first: dict[str, Any], second: dict[str, Any]) -> str:
+    """How much of both runs agrees, and a row for each method of which something does not."""
     others, said, lines = {row["name"]: row for row in second["methods"]}, {name: [] for name in QUANTITIES}, []
     for row in first["methods"]:
-        cells = [row["name"]]
-        for name, one, other in zip(QUANTITIES, figures(row), figures(others[row["name"]]), strict=True):
+        cells, words = [row["name"]], []
+        for one, other in zip(figures(row), figures(others[row["name"]]), strict=True):
             if one is None or other is None:
-                both = (one, other) == (None, None)
-                cells += ["failed or not measured, in both" if both else "**in one alone**", "", ""]
-                said[name] += [] if both else ["**differ**"]
+                words.append("" if (one, other) == (None, None) else "**in one alone**")
+                cells.append(words[-1])
                 continue
-            said[name].append(verdict(one, other))
-            cells += [f"{x[0]:.3g} ({x[1]:.3g} to {x[2]:.3g})" for x in (one, other)] + [said[name][-1]]
-        lines.append(f"| {' | '.join(cells)} |")
+            words.append(verdict(one, other))
+            shown = " and ".join(f"{x[0]:.3g} ({x[1]:.3g} to {x[2]:.3g})" for x in (one, other))
+            cells.append(f"{shown}: {words[-1]}")
+        for name, word in zip(QUANTITIES, words, strict=True):
+            said[name] += [word] if word else []
+        if set(words) - {"", "agree"}:
+            lines.append(f"| {' | '.join(cells)} |")
     counts = [
-        f"{name.partition(',')[0]}: {words.count('agree')} of {len(words)} lie where both runs expect them, "
-        f"{words.count('overlap')} outside one of the two intervals, which overlap, {words.count('**differ**')} differ"
+        f"- {name.partition(',')[0]}: {words.count('agree')} of {len(words)} lie where both runs expect them, "
+        f"{words.count('overlap')} outside one of the two intervals, which overlap, the other "
+        f"{len(words) - words.count('agree') - words.count('overlap')} differ."
         for name, words in said.items()
     ]
-    origins = [found["provenance"] for found in (first, second)]
-    runs = [f"`{origin['command']}` at {origin['commit']}" for origin in origins]
-    return "\n".join(
-        [
-            "# Two runs of the benchmark",
-            "",
-            f"{runs[0]} and {runs[1]}, on {origins[0]['hardware']}.",
-            "In brackets: where another run's figure is expected with 95 % confidence.",
-            "",
-            *(f"- {count[0].upper()}{count[1:]}." for count in counts),
-            "",
-            "| method | " + " | ".join(f"{name}, first | second | " for name in QUANTITIES) + " |",
-            "|---" * 7 + "|",
-            *lines,
-            "",
-            f"Made by `{command}`.",
-            "",
-        ]
-    )
+    table = [f"| method | {' | '.join(QUANTITIES)} |", "|---|---|---|", *lines, ""] if lines else []
+    return "\n".join([*counts, "", *table, *(f"- {stamp(found['provenance'])}" for found in (first, second))])
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("first", type=Path, help="folder of the results of one scene")
     parser.add_argument("second", type=Path)
-    parser.add_argument("--output", type=Path, help=f"folder of {NAME}")
+    parser.add_argument("--output", type=Path, help="folder whose page gets the table")
     given = parser.parse_args()
-    words = " ".join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
-    text = page(read_results(given.first / RESULTS), read_results(given.second / RESULTS), words)
+    text = part(read_results(given.first / RESULTS), read_results(given.second / RESULTS))
     print(text)
     if given.output:
-        write_text(given.output / NAME, text)
+        write_part(given.output / PAGE, NAME, text, heading="Two runs")

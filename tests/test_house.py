@@ -31,7 +31,7 @@ MODULES = sorted(path for path in SOURCE.rglob("*.py") if path.name != "__init__
 
 # A module may import from rooms before its own. The first six know nothing of granular flow.
 ROOMS = [
-    *("cache_folders", "atomic", "source_digest", "code_identity", "provenance", "stopping", "child"),
+    *("cache_folders", "atomic", "source_digest", "provenance", "stopping", "child"),
     *("config_rules", "config", "config_identity", "config_choices", "config_consistency", "config_check"),
     *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses", "rollout", "metrics"),
     *("baselines", "trainer", "training_start", "evaluation_plan", "evaluation", "plots", "export", "tracking"),

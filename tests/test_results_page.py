@@ -1,264 +1,163 @@
-"""The front page of the results: it is what the committed records say, and says who is old, who failed and who wins."""
+"""The pages of the results: between marks stands what the committed records say; the sentences are people's."""
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 import shutil
 import subprocess
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import pandas as pd
 import pytest
-from test_comparison_page import found, row  # noqa: F401  a fixture
+from test_comparison_page import found  # noqa: F401  a fixture
 from test_run_summary import SCENE, broken, flowing, summary_of
 from test_sweep import lost, run
 
-from gran_bench.code_identity import modules_behind
-from gran_bench.front_page import age
-from gran_bench.front_page.advice import benchmark_advice, run_advice
-from gran_bench.front_page.age import Age, age_of, today, unknown_age, without_today
-from gran_bench.front_page.command import report_command
-from gran_bench.front_page.failures import broken_cases, sweep_failures
-from gran_bench.front_page.influence import largest
-from gran_bench.front_page.page import PAGE, PAGES, page_text
-from gran_bench.front_page.records import STRESSED, Origin, read_records
-from gran_bench.front_page.speed import lammps_sentence
-from gran_bench.provenance import read_origin, write_origin
+from gran_bench.atomic import read_part, write_part
+from gran_bench.front_page.command import PAGE, renew_pages, report_command
+from gran_bench.front_page.tables import drum_table, failures_table, scenes_table
+from gran_bench.result_page import ResultPageError, write_page
+from gran_bench.stability.page import early_ends
 from gran_bench.sweep.overview import reaches
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
+PAGES = ["README.md", *(f"{name}/README.md" for name in ("benchmark", "dem_speed", "holdout30rpm", "paper", "stress"))]
+PAGES += ["sweeps/README.md", "verification/README.md"]
 
 
-def git(*words: str) -> str:
-    done = subprocess.run(["git", "-C", str(ROOT), *words], capture_output=True, encoding="utf-8", check=False)
-    return done.stdout if done.returncode == 0 else ""
+def tracked() -> list[str]:
+    words = ["git", "-C", str(ROOT), "ls-files", "results", "docs", "data_gen"]
+    return subprocess.run(words, capture_output=True, encoding="utf-8", check=False).stdout.splitlines()
 
 
-# ---- the committed page ----------------------------------------------------------------------------------
+# ---- the committed pages ---------------------------------------------------------------------------------
 
 
-def test_the_page_is_what_the_committed_records_say():
-    changed = git("status", "--porcelain", "--", "results").split("\n")
-    if [line for line in changed if line and not line.endswith("results/README.md")]:
-        pytest.skip("records differ from the commit; python -m gran_bench.report takes them up")
-    fresh = page_text(read_records(RESULTS), RESULTS, unknown_age)
-    kept = (RESULTS / PAGE).read_text("utf-8")
-    assert without_today(fresh) == without_today(kept), "run python -m gran_bench.report and commit results/README.md"
+def test_every_table_is_what_its_committed_record_says(tmp_path: Path):
+    for path in tracked():
+        if path.startswith("results/"):
+            (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / path, tmp_path / path)
+    copy = tmp_path / "results"
+    if not copy.exists():
+        pytest.skip("no repository")
+    renewed = {path.relative_to(copy).as_posix() for path in renew_pages(copy)}
+    assert renewed == set(PAGES) - {"dem_speed/README.md"}  # that one is made of timings alone, by benchmarks/
+    for page in renewed:
+        fresh, kept = (copy / page).read_text("utf-8"), (RESULTS / page).read_text("utf-8")
+        assert fresh == kept, f"run python -m gran_bench.report and commit results/{page}"
 
 
-def test_every_link_of_the_page_leads_somewhere():
-    links = re.findall(r"\]\(([^)#]+)\)", (RESULTS / PAGE).read_text("utf-8"))
-    assert len(links) > 10
-    assert [link for link in links if not (RESULTS / link).exists()] == []
+def test_there_are_ten_pages_at_most():
+    pages = [path for path in tracked() if path.endswith(".md")]
+    assert len(pages) <= 10
+    assert {f"results/{page}" for page in PAGES} <= set(pages) or not pages
 
 
-def test_a_page_that_is_there_is_in_the_table_of_pages():
-    listed = {page.partition("/")[0] for page, _, _ in PAGES}
-    tracked = {line.split("/")[1] for line in git("ls-files", "results").splitlines() if line.count("/") > 1}
-    assert tracked <= listed
+def test_the_front_page_is_short_and_begins_with_the_answer():
+    lines = (RESULTS / PAGE).read_text("utf-8").splitlines()
+    assert len(lines) <= 60
+    assert re.search(r"\d", lines[2])
 
 
-@pytest.fixture
-def copied(tmp_path: Path) -> Path:
-    """The committed records alone, in a folder of their own."""
-    for path in ("holdout30rpm/summary.json", "paper/summary.json", "verification/verification.json"):
-        (tmp_path / path).parent.mkdir(exist_ok=True)
-        shutil.copy(RESULTS / path, tmp_path / path)
-    return tmp_path
+@pytest.mark.parametrize("page", PAGES)
+def test_every_link_and_figure_is_there(page):
+    links = re.findall(r"\]\(([^)#]+)[^)]*\)", (RESULTS / page).read_text("utf-8"))
+    assert links
+    assert [link for link in links if not ((RESULTS / page).parent / link).exists()] == []
 
 
-def pure(root: Path) -> str:
-    return without_today(page_text(read_records(root), root, unknown_age))
+@pytest.mark.parametrize("page", PAGES)
+def test_every_record_says_its_command_its_commit_and_its_day(page):
+    if page == PAGE:  # its tables name the day, and link to the pages that have the rest
+        assert re.search(r"\| \d{4}-\d\d-\d\d \|", (RESULTS / page).read_text("utf-8"))
+        return
+    text = (RESULTS / page).read_text("utf-8")
+    parts = re.findall(r"<!-- (.+) -->\n(?=.)", text.replace("<!-- end -->", ""))
+    assert parts
+    for part in set(parts) - {"what matters"}:
+        assert re.search(r"`[^`]+`, commit `[^`]+`, \d{4}-\d\d-\d\d", read_part(RESULTS / page, part)), part
 
 
-def test_a_record_that_changes_changes_the_page_and_its_age_does_not(copied: Path):
-    before = pure(copied)
-    assert pure(copied) == before
-    old = page_text(read_records(copied), copied, lambda origin: Age("2026-11-22", ("dem",)))
-    assert "**STALE**" in old
-    assert without_today(old) == before
-    path = copied / "holdout30rpm/summary.json"
-    summary = json.loads(path.read_text("utf-8"))
-    summary["judged"]["shared"]["errors"]["surface_angle"]["value"] += 1.0
-    path.write_text(json.dumps(summary))
-    assert pure(copied) != before
+# ---- marks -----------------------------------------------------------------------------------------------
 
 
-def test_what_was_not_made_yet_is_named_with_the_command_that_makes_it(copied: Path):
-    text = pure(copied)
-    for words in ("`make bench`", "`make stress`", "+experiment=sweep_radius"):
-        assert re.search(rf"not (made|known) yet.*{re.escape(words)}|No sweep.*{re.escape(words)}", text), words
+def test_only_what_stands_between_marks_is_renewed(tmp_path: Path):
+    page = tmp_path / "README.md"
+    write_part(page, "drum", "| old |", "Title", "The drum")
+    assert page.read_text() == "# Title\n\n## The drum\n\n<!-- drum -->\n| old |\n<!-- end -->\n"
+    page.write_text("# Mine\n\nMy words.\n\n<!-- drum -->\n| old |\n<!-- end -->\n\nMore words.\n")
+    write_part(page, "drum", "| new |\n", "Title", "The drum")
+    assert page.read_text() == "# Mine\n\nMy words.\n\n<!-- drum -->\n| new |\n<!-- end -->\n\nMore words.\n"
+    write_part(page, "other", "text", heading="Other")
+    assert page.read_text().endswith("More words.\n\n## Other\n\n<!-- other -->\ntext\n<!-- end -->\n")
+    assert read_part(page, "drum") == "| new |"
+    assert read_part(page, "none") == ""
 
 
-def test_the_page_is_written_with_all_sweeps_and_only_where_records_are(copied: Path, capsys):
-    assert report_command(["--root", str(copied)]) == 0
-    assert without_today((copied / PAGE).read_text("utf-8")) == pure(copied)
-    (copied / "paper/summary.json").write_text("{")
-    assert report_command(["--root", str(copied)]) == 1
+# ---- the command -----------------------------------------------------------------------------------------
+
+
+def test_the_report_renews_what_is_there_and_says_what_cannot_be_read(tmp_path: Path, capsys):
+    assert report_command(["--root", str(tmp_path)]) == 2
+    (tmp_path / "paper").mkdir()
+    shutil.copy(RESULTS / "paper/summary.json", tmp_path / "paper")
+    assert report_command(["--root", str(tmp_path)]) == 0
+    assert "| `ccnn` ([paper](paper/README.md))" in read_part(tmp_path / PAGE, "drum")
+    assert "16 requirements" in read_part(tmp_path / PAGE, "failures")
+    (tmp_path / "paper/summary.json").write_text("{")
+    assert report_command(["--root", str(tmp_path)]) == 1
     assert "error:" in capsys.readouterr().err
-    assert report_command(["--root", str(copied / "nothing")]) == 2
 
 
-# ---- age -------------------------------------------------------------------------------------------------
+def test_a_run_of_ones_own_becomes_a_page_whose_words_stay(tmp_path: Path):
+    target = tmp_path / "mine"
+    page = write_page(RESULTS / "holdout30rpm", target, "Mine")
+    assert page.read_text("utf-8").startswith("# Mine\n\n<!-- judgement -->\n`contact`, 8,072 parameters")
+    assert (target / "model.pt").exists()
+    assert (target / "figures/flow.gif").exists()
+    page.write_text(page.read_text("utf-8").replace("# Mine\n", "# Mine\n\nMy words.\n").replace("8,072", "no"))
+    text = write_page(RESULTS / "holdout30rpm", target, "Other").read_text("utf-8")
+    assert text.startswith("# Mine\n\nMy words.\n")
+    assert "8,072 parameters" in text
+    with pytest.raises(ResultPageError, match="not finished"):
+        write_page(tmp_path, target, "Mine")
 
 
-def origin(commit: str, *roots: str) -> Origin:
-    return Origin("a record", "README.md", "make", commit, "two cores", roots)
+# ---- tables ----------------------------------------------------------------------------------------------
 
 
-def test_the_stress_test_goes_through_every_experiment_and_through_sweeps():
-    behind = modules_behind(*STRESSED)
-    experiments = {f"stability.{name}" for name in ("impacts", "rollouts", "kills", "sharing", "damage")}
-    sweeps = {"stability.sweep_kill", "stability.victim", "sweep_run", "launcher", "job", "experiment", "evaluation"}
-    assert {*experiments, *sweeps, "stability.case_list", "tracking.store", "dataset.worker"} <= behind
+@pytest.mark.parametrize("fails", [False, True])
+def test_every_table_says_what_failed(tmp_path: Path, found: dict, fails: bool):  # noqa: F811
+    for folder in ("holdout30rpm", "benchmark/quick/drum", "sweeps/sweep_radius"):
+        (tmp_path / folder).mkdir(parents=True)
+    rollout = broken(20) if fails else flowing(SCENE, seed=3)
+    summary = summary_of(rollout, flowing(SCENE, seed=4), failed_frames=(20 if fails else None, None))
+    made = {"command": "train", "commit": "abc", "day": "2026-11-30", "hardware": "two cores"}
+    summary |= {"provenance": made, "training": summary["training"] | made}
+    (tmp_path / "holdout30rpm/summary.json").write_text(json.dumps(summary))
+    (tmp_path / "benchmark/quick/drum/benchmark.json").write_text(json.dumps(found))
+    for one in (run("0.08", 0, 1.0), run("0.1", 0, 2.0), lost("0.2", 0)):
+        one.write(tmp_path / "sweeps/sweep_radius")
+    drum, scenes = "\n".join(drum_table(tmp_path)), "\n".join(scenes_table(tmp_path))
+    assert re.search(r"\| net \| 0\.6 \| 0\.6 \|.*\|  \|", drum)
+    assert "DEM 0.2 ms: 0.9 s, 1 floors | net: 0.6 s, 1.8 floors | the surrogate is 1.5 times as fast |" in scenes
+    failed = "\n".join(failures_table(tmp_path))
+    assert "| 1 of 4 methods in 1 scenes: DEM 5 ms (1) |" in failed
+    assert "| 1 of 3 runs; 0 broke down in a rollout |" in failed
+    assert ("[holdout30rpm](holdout30rpm/README.md) | 2026-11-30 | 0 requirements |" in failed) == (not fails)
 
 
-def test_a_record_is_stale_where_code_that_made_it_differs_from_its_commit():
-    head = git("rev-parse", "--short=12", "HEAD").strip()
-    if not head:
-        pytest.skip("no history")
-    now = age_of(origin(head, "dem.simulate"))
-    assert re.fullmatch(r"\d{4}-\d\d-\d\d", now.date)
-    if not git("status", "--porcelain", "--", "src"):
-        assert now.changed == ()
-    # At the root of the history there was no such module.
-    first = git("rev-list", "--max-parents=0", "HEAD").split()[0]
-    if git("ls-tree", "--name-only", first, "src/gran_bench/dem/simulate.py"):
-        pytest.skip("a shallow history")
-    assert "dem" in age_of(origin(first, "dem.simulate")).changed
-
-
-def test_what_came_out_of_a_solver_that_gives_the_same_bits_is_not_stale_but_its_times_are(monkeypatch):
-    head = git("rev-parse", "--short=12", "HEAD").strip()
-    if not head:
-        pytest.skip("no history")
-    monkeypatch.setattr(age, "_code_differs", lambda commit, name: "/dem/" in name)
-    monkeypatch.setattr(age, "_git", lambda *words: changed_since(*words))
-    result = origin(head, "dem.simulate")
-    for same, stale in ((True, False), (False, True)):
-        monkeypatch.setattr(age, "_same_bits", lambda commit, names, same=same: same)
-        assert age_of(result).stale is stale
-        assert age_of(replace(result, about_code=True)).stale
-
-
-def changed_since(*words: str) -> str:
-    """What git would say if all files had changed."""
-    files = git("ls-files", "src/gran_bench")
-    return files if words[0] in ("ls-tree", "diff") else "2026-11-22"
-
-
-def test_the_solver_of_this_commit_gives_its_own_bits():
-    names = git("ls-files", "src/gran_bench").split("\n")
-    if not any(names):
-        pytest.skip("no history")
-    if not git("status", "--porcelain", "--", "src"):
-        assert age._same_bits("HEAD", names)
-
-
-def test_a_commit_that_the_history_does_not_have_says_so():
-    for commit in ("0" * 12, ""):
-        age = age_of(origin(commit, "state"))
-        assert not age.stale
-        assert "not in this history" in str(age)
-
-
-def test_marks_stand_apart_from_what_the_records_say():
-    assert without_today(f"a{today(' b')}c\n{today('d')}") == "ac\n"
-    assert "**STALE**: since then changed the DEM and the judge" in str(Age("2026-11-22", ("dem", "metrics")))
-    assert "by today's code" in str(Age("2026-11-22", ()))
-
-
-def test_the_origin_of_a_table_counts_for_that_table_alone(tmp_path: Path):
-    table = tmp_path / "stress.csv"
-    table.write_text("a\n")
-    assert read_origin(table) is None
-    write_origin(table, {"commit": "abc"})
-    assert read_origin(table) == {"commit": "abc"}
-    table.write_text("b\n")
-    assert read_origin(table) is None
-
-
-# ---- sentences that follow from figures ------------------------------------------------------------------
-
-
-def test_a_surrogate_is_not_for_where_the_dem_is_as_exact_and_faster(found: dict):  # noqa: F811
-    (said,) = benchmark_advice(found)
-    # 900 s of data and training, 0.3 s saved a second beside the DEM at its automatic step.
-    assert "Not **net** in `drum` for fewer than 3,000 simulated seconds" in said
-    assert "1.5 times as fast as DEM 0.2 ms" in said
-    found["methods"].append(row("DEM 1.25 ms, soft", "dem", 0.3, 1.2))
-    (said,) = benchmark_advice(found)
-    assert said == "Not **net** in `drum`: DEM 1.25 ms, soft is 2 times as fast (1.20 floors beside 1.80)."
-    found["methods"].append(row("DEM 0.8 ms, soft", "dem", 0.6, 1.2))
-    found["methods"].remove(next(one for one in found["methods"] if one["name"] == "DEM 1.25 ms, soft"))
-    (said,) = benchmark_advice(found)
-    assert "are not told apart in time" in said
-    uncertain = {"floors_low": 1.7, "floors_high": 2.1}
-    found["methods"] = [row("DEM 0.2 ms", "dem", 0.9, 1.0), row("DEM 1.5 ms", "dem", 0.3, 1.9, **uncertain)]
-    found["methods"].append(row("net", "surrogate", 0.6, 1.8, **uncertain))
-    (said,) = benchmark_advice(found)
-    assert "it is undecided whether **net** or a DEM that is as exact is faster" in said
-    found["methods"] = [row("net", "surrogate", 0.6, None, "spheres left")]
-    assert list(benchmark_advice(found)) == ["Not **net** in `drum`: it failed, spheres left."]
-
-
-def judged(multiple: float, **baselines: float) -> dict:
-    def errors(value: float) -> dict:
-        return {"surface_angle": {"multiple_of_floor": value}, "speed_w1": {"multiple_of_floor": 0.5 * value}}
-
-    return {
-        "model": {"name": "net"},
-        "judged": {"shared": {"errors": errors(multiple), "requirements": {"a": {"label": "a", "verdict": "pass"}}}},
-        "baselines": {name: errors(value) for name, value in baselines.items()},
-    }
-
-
-def test_a_baseline_that_is_as_exact_and_costs_nothing_speaks_against_a_surrogate():
-    (said,) = run_advice("mine", judged(1.5, interpolated=1.2, replayed=1.6))
-    assert "interpolated errs by 1.20 floors, `net` (mine) by 1.50" in said
-    assert list(run_advice("mine", judged(1.1, interpolated=1.2))) == []
-    summary = judged(1.5)
-    summary["judged"]["shared"]["errors"]["speed_w1"]["multiple_of_floor"] = None
-    assert "an error is undefined" in next(run_advice("mine", summary))
-
-
-def test_rollouts_of_trained_models_that_ended_early_are_counted():
+def test_rollouts_that_ended_early_are_listed_with_their_time():
     def case(name: str, model: str, survived: float) -> dict[str, str]:
         quantities = json.dumps({"time_to_failure": survived, "horizon": 4.0})
         return {"part": "surrogate", "case": name, "model": model, "quantities": quantities}
 
     rows = [case("500 rpm", "net", 0.03), case("30 rpm", "net", 4.0), case("untrained", "", 0.1)]
-    assert broken_cases(rows) == ["500 rpm (after 0.03 s)"]
-
-
-def test_failed_runs_of_a_sweep_are_counted_with_their_reasons():
-    done = run("0.08", 0, 1.0)
-    gone = replace(done, figures=done.figures | {"angle_error_deg": None}, facts={"broken_rollouts": {"30rpm": 3}})
-    said = sweep_failures([done, gone, lost("0.2", 0)], waiting=2)
-    assert re.match(r"1 of 3 runs failed \(1 × .+\), 2 wait; of those that finished 1 broke down", said)
-    assert "1 have an undefined figure" in said
-
-
-def test_a_difference_that_seeds_alone_give_is_no_reach():
-    certain = [run("0.08", 0, 1.0), run("0.08", 1, 1.1), run("0.1", 0, 4.0), run("0.1", 1, 4.1)]
-    assert "angle error, floors" in {reach.figure for reach in largest(reaches(certain))}
-    blurred = [run("0.08", 0, 1.0), run("0.08", 1, 4.0), run("0.1", 0, 2.0), run("0.1", 1, 4.1)]
-    assert "angle error, floors" not in {reach.figure for reach in largest(reaches(blurred))}
-
-
-def test_a_single_seed_a_choice_ranks_nothing_and_the_page_says_how_many_rows_have_one(tmp_path: Path):
-    single = [run("0.08", 0, 1.0), run("0.1", 0, 4.0)]
-    assert largest(reaches(single)) == []
-    for one in single:
-        one.write(tmp_path / "sweeps/sweep_radius")
-    section = pure(tmp_path).partition("## What matters")[2].partition("##")[0]
-    assert "4 of 4 have one seed a choice and are not ranked here" in section
-    assert "(sweeps/README.md)" in section
-    assert "worst / best" not in section
+    assert early_ends(rows) == [("500 rpm", "net", 0.03, 4.0), ("untrained", "", 0.1, 4.0)]
 
 
 def test_the_time_of_a_frame_counts_only_where_the_network_has_other_work():
@@ -272,34 +171,9 @@ def test_the_time_of_a_frame_counts_only_where_the_network_has_other_work():
         assert figures(axis) == {"angle error, floors", "speed W1, floors", "position error, 10 frames, mm"}
 
 
-def test_lammps_is_held_against_as_many_cores():
-    columns = ("solver", "cores", "median_us")
-    rows = [("gran-bench numba", 1, 100), ("LAMMPS, skin 3", 1, 600), ("LAMMPS, skin 5", 1, 500)]
-    assert "100 µs a step against 500 on 1 core (LAMMPS takes 5.0 times" in lammps_sentence(
-        pd.DataFrame(rows, columns=columns)
-    )
-
-
-# ---- the sections with everything there ------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("fails", [False, True])
-def test_every_section_speaks_where_every_record_is_there(tmp_path: Path, found: dict, fails: bool):  # noqa: F811
-    write: Callable[[str, object], int] = lambda path, what: (tmp_path / path).write_text(json.dumps(what))  # noqa: E731
-    for folder in ("holdout30rpm", "benchmark/quick/drum", "sweeps/sweep_radius"):
-        (tmp_path / folder).mkdir(parents=True)
-    rollout = broken(20) if fails else flowing(SCENE, seed=3)
-    summary = summary_of(rollout, flowing(SCENE, seed=4), failed_frames=(20 if fails else None, None))
-    made = {"command": "train", "commit": "abc", "hardware": "two cores"}
-    write("holdout30rpm/summary.json", summary | {"provenance": made, "training": summary["training"] | made})
-    write("benchmark/quick/drum/benchmark.json", found)
-    finished = [run(radius, seed, 50 * float(radius) + 0.1 * seed) for radius in ("0.08", "0.1") for seed in (0, 1)]
-    for one in (*finished, lost("0.2", 0)):
-        one.write(tmp_path / "sweeps/sweep_radius")
-    text = pure(tmp_path)
-    assert "| net | 0.6 | 0.6 | 1.80 |" in text
-    assert "the fastest is **DEM 0.2 ms**" in text
-    assert "| [sweep_radius](sweeps/sweep_radius/README.md) |" in text
-    assert "1 of 4 methods failed: DEM 5 ms (sphere 3 diverged)" in text
-    assert "1 of 5 runs failed" in text
-    assert ("rollout 30rpm broke down at frame 20" in text) == fails
+def test_the_tables_beside_lammps_are_those_of_their_csv(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    part = importlib.import_module("drum_flow_page").part
+    for name in ("drum_flow", "drum_flow_1e8"):
+        kept = read_part(RESULTS / "verification/README.md", name)
+        assert part(RESULTS / "verification" / f"{name}.csv") == kept, "run benchmarks/drum_flow.py --kept"

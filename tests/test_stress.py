@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
 import subprocess
@@ -19,9 +20,9 @@ from gran_bench.atomic import locked
 from gran_bench.config import BoundaryConfig, CconvModelConfig, SceneConfig, StressConfig
 from gran_bench.config_rules import ConfigError
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
+from gran_bench.provenance import read_table
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_model
-from gran_bench.source_digest import EQUAL_CODE
 from gran_bench.stability import case_list, command, kills, run, steps
 from gran_bench.stability.case_list import read_cases, shipped_cases
 from gran_bench.stability.command import StressFailed, chosen, run_stress
@@ -58,15 +59,14 @@ def test_the_short_list_passes_and_leaves_its_page(tmp_path, capsys):
     assert {result.verdict.word for result in results} <= {"met", "flagged"}
     page = tmp_path / "part" / "README.md"
     text = page.read_text("utf-8")
-    with (tmp_path / "part" / "stress.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    made, table = read_table(tmp_path / "part" / "stress.csv")
+    assert {"command", "commit", "day"} <= set(made)
+    rows = list(csv.DictReader(io.StringIO(table)))
     assert [row["case"] for row in rows] == [result.case.name for result in results]
-    for result in results:
-        assert result.case.name in text
-    # What the untrained network did wrong stands at the top of the page, and what was kept to resume from is gone.
-    top = text.partition("## The DEM")[0]
-    assert re.search(r"- untrained contact network: .*kinetic energy up to", top)
-    assert {path.name for path in page.parent.iterdir()} == {".lock", "README.md", "stress.csv", "stress.origin.json"}
+    assert f"| {len(results)} cases | met | flagged | FAILED |" in text
+    # Where the untrained network broke down stands on the page; what was kept to resume from is gone.
+    assert re.search(r"\| untrained contact network \| untrained \| 0\.\d+ \|", text)
+    assert {path.name for path in page.parent.iterdir()} == {".lock", "README.md", "stress.csv"}
     told = capsys.readouterr().out
     assert "FAILED" not in told
     assert f"{len(results)} cases in" in told
@@ -238,7 +238,6 @@ def test_what_was_kept_counts_no_more_once_any_code_config_or_list_has_changed(t
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("a = 1\n", "utf-8")
-    (tmp_path / EQUAL_CODE).write_text('{"older": {}, "shown": []}', "utf-8")
     monkeypatch.setattr(gran_bench, "__file__", str(tmp_path / "__init__.py"))
     monkeypatch.setattr(run, "files", lambda package: tmp_path / package.removeprefix("gran_bench."))
     monkeypatch.setattr(run, "package_digest", run.package_digest.__wrapped__)

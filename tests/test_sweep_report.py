@@ -49,7 +49,7 @@ def test_a_sweep_of_which_all_failed_has_a_page_and_a_figure_too(tmp_path: Path)
 def test_sweeps_are_reported_at_any_time_from_their_files_alone(tmp_path: Path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert report_command([]) == 2
-    assert "holds no sweep" in capsys.readouterr().err
+    assert "holds no record" in capsys.readouterr().err
     for name in ("one", "two"):
         sweep_in(tmp_path / "results" / "sweeps" / name, run("0.08", 0, 1.0))
     assert report_command([]) == 0
@@ -111,10 +111,10 @@ def test_the_page_says_on_what_its_runs_were_made_and_warns_of_several_machines(
         return run(radius, 0, 1.0, facts={"provenance": {"hardware": hardware, "commit": "abc"}})
 
     sweep_in(tmp_path / "one", made("0.08", "a fast one"), made("0.1", "a fast one"))
-    assert "Made at abc on a fast one." in report_sweep(tmp_path / "one").text
+    assert "commit `abc`, 2025-01-01, a fast one*" in report_sweep(tmp_path / "one").text
     sweep_in(tmp_path / "two", made("0.08", "a fast one"), made("0.1", "a slow one"))
     text = report_sweep(tmp_path / "two").text
-    assert "a fast one (1 runs); a slow one (1 runs). Times, and what equal time bought" in text
+    assert "a fast one (1 runs); a slow one (1 runs)* Times, and what equal time bought" in text
 
 
 def test_a_figure_that_cannot_be_drawn_costs_no_table(tmp_path: Path, monkeypatch):
@@ -129,14 +129,15 @@ def test_a_figure_that_cannot_be_drawn_costs_no_table(tmp_path: Path, monkeypatc
     assert (tmp_path / "runs.csv").exists()
 
 
-def test_the_page_over_all_sweeps_begins_with_a_persons_remarks_and_shows_every_sweep(tmp_path: Path, capsys):
+def test_the_page_over_all_sweeps_keeps_a_persons_words_and_shows_every_sweep(tmp_path: Path, capsys):
     for name, radii in {"one": ("0.08", "0.1"), "two": ("0.1", "0.2")}.items():
         for radius in radii:
-            run(radius, 0, 10 * float(radius)).write(tmp_path / "sweeps" / name)
-    (tmp_path / "sweeps" / "remarks.md").write_text("The radius matters.\n")
+            for seed in (0, 1):
+                run(radius, seed, 50 * float(radius) + 0.1 * seed).write(tmp_path / "sweeps" / name)
+    (tmp_path / "sweeps" / "README.md").write_text("# Mine\n\nThe radius matters.\n")
     assert report_command(["--root", str(tmp_path)]) == 0
     page = (tmp_path / "sweeps" / "README.md").read_text()
     assert page.index("The radius matters.") < page.index("| sweep |") < page.index("## one") < page.index("## two")
-    assert "| [one](one/README.md) |  | angle error, floors | 0.08 (1.6) | 0.1 (2) | 1.25 | one seed |" in page
+    assert "| one | model.radius |  | angle error, floors | 0.08 (8.1) | 0.1 (10.1) | 1.25 |" in page
     assert "![model.radius](two/model.radius.png)" in page
     assert write_overview(tmp_path / "nothing") is None

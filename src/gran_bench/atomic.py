@@ -56,6 +56,30 @@ def write_text(path: Path | str, text: str) -> None:
     write_atomically(path, lambda file: file.write(text.encode()))
 
 
+def write_part(path: Path, part: str, text: str, title: str = "", heading: str = "") -> None:
+    """Renew what stands between the marks ``<!-- part -->`` and ``<!-- end -->`` of a page; the rest is people's.
+
+    Args:
+        path: of the page; made where it is missing.
+        part: its name; a page without it gets it at its end.
+        text: between the marks.
+        title: of a new page, in words.
+        heading: above a part that the page does not have yet, in words.
+    """
+    page = path.read_text("utf-8") if path.exists() else f"# {title}\n" if title else ""
+    opening, closing = f"<!-- {part} -->\n", "<!-- end -->\n"
+    before, found, rest = page.partition(opening)
+    if not found:
+        above = [before.rstrip(), f"## {heading}" if heading else ""]
+        before = "".join(f"{words}\n\n" for words in above if words)
+    write_text(path, before + opening + f"{text.strip()}\n" + closing + rest.partition(closing)[2])
+
+
+def read_part(path: Path, part: str) -> str:
+    """What stands between the marks of a part of a page; empty where there is none."""
+    return path.read_text("utf-8").partition(f"<!-- {part} -->\n")[2].partition("<!-- end -->\n")[0].strip()
+
+
 def remove_leftovers(path: Path | str) -> None:
     """Remove the temporary files that killed writers of ``path`` left behind.
 

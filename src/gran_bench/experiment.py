@@ -28,6 +28,7 @@ from gran_bench.run_page import FIGURES, record_judgement
 from gran_bench.run_record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, tell, training_metrics
 from gran_bench.run_summary import cut_short
 from gran_bench.scene import build_scene
+from gran_bench.source_digest import model_code
 from gran_bench.stopping import StopRequest, stop_on_signals
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model
 from gran_bench.surrogate.compiling import compile_kernels, kernels_missing
@@ -97,7 +98,7 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
     _refuse_unfair(config, card.origin)
     _compile_ahead(card.model["name"])
     plan = Plan(scene, config.dem, config.dataset, config.judge)
-    key = hash_of(digest, judged_by(plan))
+    key = hash_of(digest, judged_by(plan), model_code(card.model["name"]))
     folder = Path(config.tracking.root) / "evaluations" / f"{path.resolve().parent.name}-{key[:8]}"
     identity = RunIdentity(folder, key, judged_by(plan), card.origin["data_digest"])
     record = RunRecord(identity, config, scene.name, Clock())

@@ -12,13 +12,13 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from gran_bench.code_identity import take_over
 from gran_bench.composition import Source, checked_config, run_folder
 from gran_bench.config import TrainConfig
 from gran_bench.config_rules import ConfigError
 from gran_bench.override_errors import explain, is_full_disk
 from gran_bench.provenance import remember_command
 from gran_bench.scene import SceneError
+from gran_bench.source_digest import go_by
 from gran_bench.tracking import TrackingError
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class Job:
             self.task(self._config(composed, overrides, number))
             return
         sweep, title = self.sweep, self.sweep.title(number)
-        take_over(sweep.hashes)
+        go_by(sweep.hashes)
         print(f"{title} starts; log: {sweep.folder / sweep.jobs[number].log_name}", file=sys.stderr, flush=True)
         try:
             with sweep.logged(number, apart):

@@ -1,9 +1,7 @@
-"""Where a result comes from: command, commit, hardware, versions. Every result file carries this."""
+"""Where a result comes from: command, commit, day, hardware, versions. Every result file carries this."""
 
 from __future__ import annotations
 
-import functools
-import hashlib
 import json
 import os
 import platform
@@ -11,6 +9,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -18,15 +17,9 @@ import psutil
 
 import gran_bench
 from gran_bench.atomic import write_text
-from gran_bench.source_digest import source_digest
 
 # Whatever decides a figure: the libraries whose numerics a run goes through.
 LIBRARIES = ("numpy", "scipy", "numba", "torch")
-# The rooms that a trained model, its rollout and its judgement depend on.
-RESULT_ROOMS = (
-    *("state.py", "scene", "neighbors", "dem", "dataset", "surrogate", "losses", "rollout.py"),
-    *("metrics", "baselines.py", "trainer.py", "evaluation_plan.py", "evaluation.py"),
-)
 
 # Vector units of x86 processors by their flag, the widest first.
 VECTORS = {"avx512f": "AVX-512", "avx2": "AVX2", "sse4_2": "SSE4.2"}
@@ -98,12 +91,6 @@ def command() -> str:
     return _remembered if _remembered is not None else shlex.join([*program(), *sys.argv[1:]])
 
 
-@functools.cache
-def code_digest() -> str:
-    """Hash (12 digits) of the source that a result depends on; comments, docstrings and layout don't count."""
-    return source_digest(RESULT_ROOMS)[:12]
-
-
 def library_versions() -> str:
     """One line: the versions of the libraries whose numerics a run goes through."""
     versions = {}
@@ -116,37 +103,40 @@ def library_versions() -> str:
 
 
 def provenance() -> dict[str, str]:
-    """Command, commit, hardware, Python and library versions, code digest."""
+    """Command, commit, day, hardware, Python and library versions."""
     return {
         "command": command(),
         "commit": commit(),
-        "code_digest": code_digest(),
+        "day": date.today().isoformat(),
         "hardware": hardware(),
         "python": platform.python_version(),
         "versions": library_versions(),
     }
 
 
-def write_origin(table: Path, origin: Mapping[str, str]) -> Path:
-    """Write where a table comes from into ``NAME.origin.json`` beside it, with the table's hash.
+def stamp(made: Mapping[str, str]) -> str:
+    """Where a record comes from, in one line of Markdown.
 
     Args:
-        table: a file that is there.
-        origin: as `provenance` gives it, or more.
+        made: as `provenance` gives it.
     """
-    path = table.with_suffix(".origin.json")
-    write_text(path, json.dumps({**origin, "sha256": _digest(table)}, indent=1, ensure_ascii=False) + "\n")
+    said = {"command": "`{}`", "commit": "commit `{}`", "day": "{}", "hardware": "{}"}
+    return f"*{', '.join(words.format(made[name]) for name, words in said.items() if made.get(name))}*"
+
+
+def write_table(path: Path, table: str, made: Mapping[str, str]) -> Path:
+    """Write a CSV whose first line is a comment that says where it comes from.
+
+    Args:
+        path: of the file.
+        table: in CSV.
+        made: as `provenance` gives it, or more.
+    """
+    write_text(path, f"# {json.dumps(dict(made), ensure_ascii=False)}\n{table}")
     return path
 
 
-def read_origin(table: Path) -> dict[str, str] | None:
-    """Where a table comes from; None where nothing says so, or says so of a table with other contents."""
-    path = table.with_suffix(".origin.json")
-    if not path.exists():
-        return None
-    origin = json.loads(path.read_text("utf-8"))
-    return origin if origin.pop("sha256", "") == _digest(table) else None
-
-
-def _digest(table: Path) -> str:
-    return hashlib.sha256(table.read_bytes()).hexdigest()
+def read_table(path: Path) -> tuple[dict[str, str], str]:
+    """Where a CSV of `write_table` comes from, and the table in CSV."""
+    first, _, table = path.read_text("utf-8").partition("\n")
+    return json.loads(first.removeprefix("#")), table

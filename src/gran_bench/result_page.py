@@ -5,23 +5,24 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gran_bench.atomic import whole_file, write_text
-from gran_bench.run_summary import SUMMARY, read_summary, summary_table
+from gran_bench.atomic import whole_file, write_part
+from gran_bench.metrics.judgement import shown_multiple
+from gran_bench.provenance import stamp
+from gran_bench.run_summary import SUMMARY, missed_requirements, read_summary
 from gran_bench.surrogate.checkpoint import file_digest
 
-MODEL = "model.pt"
-LARGEST_MODEL = 1_000_000  # bytes; a larger one is named by its hash and not kept with the page
-CAPTIONS = {
-    "flow_pattern": "Flow pattern at 2.5 s, DEM beside surrogate, spheres coloured by speed (the article's figure 2).",
-    "angle_of_repose": "Angle of repose against time over the band of the DEM's replicas (figure 3a).",
-    "speed_distribution": "Distribution of speeds at 2.5 s (figure 3b).",
-    "position_error": "Position error against time; beyond the divergence horizon the DEM does not agree with itself.",
-    "nearest_case": "Distance in speed (Wasserstein-1) of each rollout from each DEM case.",
-    "loss": "Training loss.",
-    "flow": "Both flows, moving.",
+MODEL, PAGE = "model.pt", "README.md"
+LARGEST_MODEL = 1_000_000  # bytes; a larger one is not kept with the page
+ERRORS = {"surface_angle": "angle of repose", "com_angle": "centre-of-mass angle", "speed_w1": "speeds"}
+FIGURES = {
+    "flow_pattern.png": "Flow pattern at 2.5 s, DEM beside surrogate, coloured by speed (the article's figure 2).",
+    "angle_of_repose.png": "Angle of repose against time over the band of the DEM's replicas (figure 3a).",
+    "speed_distribution.png": "Distribution of speeds at 2.5 s (figure 3b).",
+    "flow.gif": "Both flows, moving.",
 }
 
 
@@ -29,14 +30,13 @@ class ResultPageError(ValueError):
     """A folder that is not a finished run."""
 
 
-def write_page(run: Path, target: Path, title: str, remark: str = "") -> Path:
-    """Copy a finished run's summary, figures and small model to a folder, and describe them in its README.
+def write_page(run: Path, target: Path, title: str) -> Path:
+    """Copy a finished run's summary, figures and small model to a folder, and renew the table of its README.
 
     Args:
         run: folder of a finished run.
-        target: folder of the page; files of the same names are replaced.
-        title: of the page.
-        remark: paragraphs of one's own, put before the table.
+        target: folder of the page; what people wrote there stays.
+        title: of a new page.
 
     Returns:
         The README.
@@ -44,61 +44,80 @@ def write_page(run: Path, target: Path, title: str, remark: str = "") -> Path:
     Raises:
         ResultPageError: the run is not finished.
     """
-    summary = read_summary(run)
-    if summary is None:
+    if read_summary(run) is None:
         raise ResultPageError(f"{run} has no {SUMMARY}: the run is not finished; run its command again")
-    figures = sorted((run / "figures").glob("*.png")) + sorted((run / "figures").glob("*.gif"))
-    for source in [run / SUMMARY, *figures]:
+    small = [run / MODEL] if (run / MODEL).exists() and (run / MODEL).stat().st_size <= LARGEST_MODEL else []
+    for source in [run / SUMMARY, *small, *sorted((run / "figures").glob("*.[pg][ni][gf]"))]:
         _copy(source, target / source.relative_to(run))
-    keeps_model = (run / MODEL).exists() and (run / MODEL).stat().st_size <= LARGEST_MODEL
-    if keeps_model:
-        _copy(run / MODEL, target / MODEL)
-    text = "\n".join(_lines(summary, [figure.relative_to(run) for figure in figures], title, remark, keeps_model, run))
-    write_text(target / "README.md", text + "\n")
-    return target / "README.md"
+    return renew_page(target, title)
 
 
-def _lines(
-    summary: dict[str, Any], figures: list[Path], title: str, remark: str, keeps_model: bool, run: Path
-) -> list[str]:
-    training, judged = summary["training"], summary["provenance"]
-    lines = [f"# {title}", ""]
-    if remark:
-        lines += [remark.strip(), ""]
-    lines += ["```", summary_table(summary), "```", ""]
-    lines += [
-        "| | training | judgement |",
-        "|---|---|---|",
-        *(
-            f"| {name} | {_code(training.get(name))} | {_code(judged.get(name))} |"
-            for name in ("command", "commit", "hardware", "versions")
-        ),
-        f"| data digest | `{training['data_digest']}` | `{summary['data_digest']}` |",
-        "",
-    ]
-    if (run / MODEL).exists():
-        where = f"[`{MODEL}`]({MODEL})" if keeps_model else "not kept here for its size"
-        lines += [f"Model file: {where}, SHA-256 `{file_digest(run / MODEL)}`.", ""]
-    lines += [f"Every figure of the table, and more, is in [`{SUMMARY}`]({SUMMARY}).", ""]
-    for figure in sorted(figures, key=_place):
-        lines += [f"![{_caption(figure)}]({figure.as_posix()})", "", f"*{_caption(figure)}*", ""]
-    return lines
+def renew_page(folder: Path, title: str = "") -> Path:
+    """Renew what the README of a folder says of its summary.
+
+    Args:
+        folder: with a ``summary.json``.
+        title: of a new page; the experiment's name where it is not given.
+    """
+    summary = read_summary(folder)
+    text = "\n".join(_lines(summary, folder))
+    write_part(folder / PAGE, "judgement", text, title or summary["experiment"])
+    return folder / PAGE
 
 
-def _place(figure: Path) -> tuple[int, str]:
-    names = list(CAPTIONS)
-    stem = figure.stem.removesuffix("_unseen")
-    return (names.index(stem) if stem in names else len(names), figure.stem)
+def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
+    training, packings = summary["training"], summary["judged"]
+    yield (
+        f"`{summary['model']['name']}`, {training['parameters']:,} parameters, {training['steps']} updates in "
+        f"{training['seconds'] / 60:.0f} min; judged at {summary['judged_rpm']:g} rpm, {summary['judged_as']}."
+    )
+    yield ""
+    yield f"| | {' | '.join(f'{name} packing' for name in packings)} |"
+    yield "|---|" + "---:|" * len(packings)
+    for kind, cell in (("requirements", _requirement), ("errors", _error)):
+        for key, row in next(iter(packings.values()))[kind].items():
+            if kind == "requirements" or key in ERRORS:
+                label = row["label"] if kind == "requirements" else f"{row['label']} (noise floors)"
+                yield f"| {label} | {' | '.join(cell(judged[kind][key]) for judged in packings.values())} |"
+    counts = (judged["failures"] for judged in packings.values())
+    yield f"| states not finite; spheres outside by more than r | {' | '.join(map(_failures, counts))} |"
+    yield ""
+    yield f"| baseline, shared packing | {' | '.join(ERRORS.values())} |"
+    yield "|---|" + "---:|" * len(ERRORS)
+    for name, errors in summary["baselines"].items():
+        yield f"| {name} | {' | '.join(_error(errors[key]) for key in ERRORS)} |"
+    yield ""
+    if missed := missed_requirements(summary):
+        further = [line for line in missed if not line.endswith("packing)")]  # the others are in the table
+        yield f"**{len(missed)} requirements are not met**{': ' * bool(further)}{'; '.join(further)}."
+        yield ""
+    for name, caption in FIGURES.items():
+        if (folder / "figures" / name).exists():
+            yield f"![{caption}](figures/{name})"
+            yield ""
+    kept = (folder / MODEL).exists()
+    model = f" Model: [`{MODEL}`]({MODEL}), SHA-256 `{file_digest(folder / MODEL)}`." if kept else ""
+    yield f"All figures: [`{SUMMARY}`]({SUMMARY}), [`figures/`](figures).{model}"
+    yield ""
+    yield f"- Training: {stamp(training)}, data `{training['data_digest']}`"
+    yield f"- Judgement: {stamp(summary['provenance'])}, data `{summary['data_digest']}`"
 
 
-def _caption(figure: Path) -> str:
-    stem = figure.stem.removesuffix("_unseen")
-    caption = CAPTIONS.get(stem, stem.replace("_", " ").capitalize() + ".")
-    return f"{caption} From a packing that training never saw." if figure.stem.endswith("_unseen") else caption
+def _requirement(row: dict[str, Any]) -> str:
+    return f"{_value(row)}, {row['verdict']}"
 
 
-def _code(value: object) -> str:
-    return f"`{value}`" if value else ""
+def _error(row: dict[str, Any]) -> str:
+    times = "" if row["multiple_of_floor"] is None else f" ({shown_multiple(row['multiple_of_floor'])})"
+    return _value(row) + times
+
+
+def _value(row: dict[str, Any]) -> str:
+    return "undefined" if row["value"] is None else f"{row['value']:.3g} {row['unit']}".replace(" deg", "°")
+
+
+def _failures(count: dict[str, Any] | None) -> str:
+    return "" if count is None else f"{count['non_finite_states']}; {count['outside_spheres']}"
 
 
 def _copy(source: Path, target: Path) -> None:
@@ -112,13 +131,11 @@ def main() -> None:
     parser.add_argument("run", type=Path, help="folder of a finished run")
     parser.add_argument("target", type=Path, help="folder of the page")
     parser.add_argument("--title", help="of the page; the experiment's name where it is not given")
-    parser.add_argument("--remark", type=Path, help="a text file put before the table")
     arguments = parser.parse_args()
     try:
         summary = read_summary(arguments.run) or {}
         title = arguments.title or str(summary.get("experiment", ""))
-        remark = arguments.remark.read_text("utf-8") if arguments.remark else ""
-        print(write_page(arguments.run, arguments.target, title, remark))
+        print(write_page(arguments.run, arguments.target, title))
     except (ResultPageError, OSError, json.JSONDecodeError) as error:
         parser.exit(2, f"error: {error}\n")
 

@@ -8,13 +8,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from gran_bench.code_identity import judging_code, training_code
 from gran_bench.config import TrainConfig
 from gran_bench.config_identity import deciding_keys
 from gran_bench.dataset import CaseSpec, Split, dataset_digest, split_cases
 from gran_bench.dataset.case_spec import key_hash
 from gran_bench.evaluation_plan import Plan
 from gran_bench.scene import build_scene
+from gran_bench.source_digest import judging_code, training_code
 
 
 @dataclass(frozen=True)

@@ -1,49 +1,123 @@
-"""A hash of source code that comments, docstrings and layout don't change, nor a rewriting that changes no result.
+"""Which source decides a result, in written lists of rooms, and a hash of it that comments and layout don't change.
 
-``equal_code.json`` names code that was shown to give the bits of older code (`benchmarks/equal_bits.py`, which writes
-it): it goes by the older hash. So a faster solver leaves data, runs and records valid. Code that is not in the table,
-such as an edit that nobody has compared, has a hash of its own.
+A room is a file (``scene.py``), a folder (``dem``, with all below it) or a pattern (``surrogate/contact*.py``) of the
+package; one with a ``-`` before it is taken out of those before it. What is in no list changes no weight and no figure:
+config (its values are in a run's key), tables, figures, tracking, sweeps. `tests/test_source_digest.py` holds the lists
+against the imports of their files.
 """
 
 from __future__ import annotations
 
 import ast
 import hashlib
-import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import gran_bench
 
-EQUAL_CODE = "equal_code.json"
+# What moves the DEM's particles: a change makes every case anew.
+SOLVER = ("dem", "neighbors", "scene")
+CONTACT = ("surrogate/contact*.py", "surrogate/kernels/contact*.py")
+CONVOLUTION = (
+    *("surrogate/ccnn.py", "surrogate/cconv.py", "surrogate/boundary.py", "surrogate/neighborhood.py"),
+    *("surrogate/kernels/fused.py", "surrogate/kernels/lattice.py", "surrogate/kernels/radial.py"),
+)
+# The modules of each model, by its name.
+MODELS = {"contact": CONTACT, "ccnn": CONVOLUTION, "radial": CONVOLUTION}
+# States, walls, pairs, stored frames, and what all models share: what training and judging read. Of the DEM they know
+# its data and its walls alone.
+_READING = (
+    *("state.py", "scene", "neighbors", "dem/walls.py"),
+    *("dataset/case_file.py", "dataset/scene_document.py", "dataset/windows.py"),
+    *("surrogate", "-surrogate/checkpoint.py", "-surrogate/compiling.py"),
+    *(f"-{room}" for room in (*CONTACT, *CONVOLUTION)),
+)
+# What decides the weights of a training, beside the model's modules.
+TRAINING = (*_READING, "losses", "trainer.py", "training_start.py")
+# What a judge says of given weights, beside the model's modules. The DEM's runs are in its key by their names.
+JUDGING = (
+    *(*_READING, "dataset/generation.py", "rollout.py", "metrics", "baselines.py"),
+    *("evaluation_plan.py", "evaluation.py"),
+)
+# What a benchmark measures of a method.
+COMPARING = (
+    *(*JUDGING, *SOLVER, "surrogate"),
+    *(f"comparison/{name}.py" for name in ("crew", "errors", "jobs", "method", "pooling", "turns", "worker")),
+)
+
+# Hashes that this process has taken; they stay what they were when its modules were loaded, whatever is edited later.
+_taken: dict[str, str] = {}
+
+
+def training_code(model: str) -> str:
+    """Hash (12 digits) of the source that decides the weights of a model.
+
+    Args:
+        model: its name, as in ``model.name``.
+    """
+    return _hash(f"training {model}", (*TRAINING, *MODELS[model]))
+
+
+def judging_code() -> str:
+    """Hash (12 digits) of the source that decides what a judge says of given rollouts."""
+    return _hash("judging", JUDGING)
+
+
+def model_code(model: str) -> str:
+    """Hash (12 digits) of a model's own modules: what given weights do."""
+    return _hash(f"model {model}", MODELS[model])
+
+
+def comparing_code() -> str:
+    """Hash (12 digits) of the source that decides what a benchmark measures of a method."""
+    return _hash("comparing", COMPARING)
+
+
+def taken_hashes() -> dict[str, str]:
+    """The hashes that this process has taken, for one that was forked from modules of the same moment."""
+    return dict(_taken)
+
+
+def go_by(hashes: Mapping[str, str]) -> None:
+    """Go by hashes that another process took: it loaded the same modules, which may have been edited since."""
+    _taken.update(hashes)
+
+
+def _hash(name: str, rooms: tuple[str, ...]) -> str:
+    if name not in _taken:
+        _taken[name] = source_digest(rooms)[:12]
+    return _taken[name]
 
 
 def source_digest(rooms: Iterable[str]) -> str:
-    """SHA-256 (64 hex digits) of the bare code of rooms, in the order given, or of older code that gives the same bits.
+    """SHA-256 (64 hex digits) of the bare code of rooms, as `files_of` reads them.
 
     Args:
-        rooms: files (``scene.py``) and folders (``dem``) of the package; a folder counts with all below it.
+        rooms: files, folders and patterns of the package.
 
     Raises:
         FileNotFoundError: there is no such room.
     """
-    package = Path(gran_bench.__file__).parent
-    paths = [
-        path
-        for room in rooms
-        for path in (sorted((package / room).rglob("*.py")) if (package / room).is_dir() else [package / room])
-    ]
-    return digest_of((path.relative_to(package).as_posix(), path.read_text("utf-8")) for path in paths)
+    package, digest = Path(gran_bench.__file__).parent, hashlib.sha256()
+    for path in files_of(rooms):
+        digest.update(f"{path.relative_to(package).as_posix()}\n{bare_code(path.read_text('utf-8'))}\n".encode())
+    return digest.hexdigest()
 
 
-def digest_of(sources: Iterable[tuple[str, str]]) -> str:
-    """The same of files by their path below the package and their source, from wherever they come."""
-    digest = hashlib.sha256()
-    for name, source in sources:
-        digest.update(f"{name}\n{bare_code(source)}\n".encode())
-    table = Path(gran_bench.__file__).parent / EQUAL_CODE
-    own = digest.hexdigest()
-    return json.loads(table.read_text("utf-8"))["older"].get(own, own)
+def files_of(rooms: Iterable[str]) -> list[Path]:
+    """The source files of rooms, each once, in order.
+
+    Raises:
+        FileNotFoundError: there is no such room.
+    """
+    package, found = Path(gran_bench.__file__).parent, set()
+    for room in rooms:
+        name = room.removeprefix("-")
+        files = list((package / name).rglob("*.py")) or list(package.glob(name))
+        if not files:
+            raise FileNotFoundError(f"{package} has no {name}")
+        found = found.difference(files) if room.startswith("-") else found.union(files)
+    return sorted(found)
 
 
 def bare_code(source: str) -> str:

@@ -13,7 +13,6 @@ from typing import Any
 
 from gran_bench import tracking
 from gran_bench.atomic import locked
-from gran_bench.code_identity import MODEL_SOURCES, judging_code, taken_hashes, training_code
 from gran_bench.composition import PlannedJob
 from gran_bench.config import TrackingConfig, TrainConfig
 from gran_bench.config_identity import telling_keys
@@ -22,6 +21,7 @@ from gran_bench.dataset import DatasetError
 from gran_bench.provenance import command, commit
 from gran_bench.run_identity import RunIdentity, hash_of, identify, judged_by, judging_plan, wants_more
 from gran_bench.run_record import finished_summary, tell
+from gran_bench.source_digest import MODELS, judging_code, taken_hashes, training_code
 from gran_bench.stopping import stop_on_signals
 from gran_bench.sweep.run_file import RUNS, SWEEPS, copied_run, read_run, recorded_runs
 from gran_bench.sweep.sweep_file import SweepFile, SweepJob
@@ -152,7 +152,7 @@ def _made_with(config: TrainConfig) -> dict[str, Any]:
     training, time = config.trainer, config.trainer.budget == "time"
     return {
         "model": config.model.name,
-        "training_code": {model: training_code(model) for model in MODEL_SOURCES},
+        "training_code": {model: training_code(model) for model in MODELS},
         "judging_code": judging_code(),
         "budget": f"{training.minutes:g} min" if time else f"{training.steps} updates",
     }

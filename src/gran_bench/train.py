@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
-from gran_bench.code_identity import MODEL_SOURCES
 from gran_bench.composition import PlannedJob
 from gran_bench.config import TrainConfig
 from gran_bench.entry import run
 
 # All that decides a result, so that a job of a sweep runs what the sweep began with, whatever is edited meanwhile.
-MODELS = sorted({f"gran_bench.{source}" for source in MODEL_SOURCES.values()})
-LOADS = ["gran_bench.experiment", "gran_bench.sweep_run", *MODELS]
+LOADS = [f"gran_bench.{name}" for name in ("experiment", "sweep_run", "surrogate.ccnn", "surrogate.contact")]
 
 
 def task(config: TrainConfig) -> object:

@@ -60,7 +60,7 @@ def run_of(folder: Path) -> Path:
 
 
 # What the clock and the checkout decide.
-ELSEWHERE = {"wall_seconds", "provenance", "command", "commit", "code_digest", "model_sha256"}
+ELSEWHERE = {"wall_seconds", "provenance", "command", "commit", "day", "model_sha256"}
 
 
 def numbers(folder: Path) -> dict:

@@ -4,17 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 from scipy import stats
 
-from gran_bench.verification.agreement import (
-    difference_of,
-    mean_of,
-    paired_difference_of,
-    share_within,
-    share_within_of,
-)
+from gran_bench.verification.agreement import difference_of, mean_of
 
 
 def test_a_mean_of_few_has_students_interval():
@@ -33,14 +26,6 @@ def test_a_difference_has_welchs_interval():
     assert found.standard_errors_from_zero == pytest.approx(abs(welch.statistic))
 
 
-def test_pairs_take_out_what_both_runs_of_a_start_share():
-    start = np.array([0.0, 5.0, 10.0, 20.0])
-    first, second = start + 1.0 + np.array([0.1, -0.1, 0.1, -0.1]), start
-    assert paired_difference_of(first, second).half_width < 0.2 < difference_of(first, second).half_width
-    with pytest.raises(ValueError, match="4 and 3 values are no pairs"):
-        paired_difference_of(first, second[:3])
-
-
 def test_samples_without_any_scatter_differ_by_infinitely_many_standard_errors():
     assert difference_of([1.0, 1.0], [2.0, 2.0]).standard_errors_from_zero == math.inf
     assert difference_of([1.0, 1.0], [1.0, 1.0]).standard_errors_from_zero == 0.0
@@ -50,10 +35,3 @@ def test_samples_without_any_scatter_differ_by_infinitely_many_standard_errors()
 def test_a_single_value_has_no_interval(values):
     with pytest.raises(ValueError, match="give at least two"):
         mean_of(values)
-
-
-def test_means_of_three_are_counted_over_all_choices():
-    # Means of three of 0, 0, 0, 3: 0 once, 1 three times.
-    assert share_within_of([0.0, 0.0, 0.0, 3.0], 0.0, 0.5) == 0.25
-    assert share_within_of([0.0, 0.0, 0.0, 3.0], 0.0, 1.0) == 1.0
-    assert share_within([0.0, 0.0, 0.0, 3.0], [1.0, 1.0, 1.0], 0.5) == 0.75

@@ -205,7 +205,7 @@ def test_the_page_holds_every_case_and_the_json_every_point(tmp_path):
     assert command("--output", str(tmp_path), cases=(failing, a_case(np.inf))) == FAILED
     page = (tmp_path / "README.md").read_text("utf-8")
     record = json.loads((tmp_path / "verification.json").read_text("utf-8"))
-    for text in ("stops: a case that stops", "division by zero", "made-up", "2 FAILED: stops, made-up", "| commit |"):
+    for text in ("| stops | a case that stops |", "division by zero", "| inf | FAILED |", "2 FAILED: stops, made-up"):
         assert text in page
     assert record["met"] is False
     assert [case["name"] for case in record["cases"]] == ["stops", "made-up"]

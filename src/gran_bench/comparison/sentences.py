@@ -31,13 +31,12 @@ def winner(found: dict[str, Any]) -> str:
         return f"No method has the DEM's own accuracy.{_perhaps(every, None, accepted)}"
     first = min(exact, key=lambda entry: entry.seconds)
     same = not_told_apart(first, exact)
-    said = f"Of the DEM's own accuracy ({accepted:.2f} floors) the fastest is "
-    said += " and ".join(f"**{entry.name}**: {_cost(entry)}" for entry in same)
-    said += ", not told apart" if len(same) > 1 else ""
+    said = f"Fastest of the DEM's own accuracy ({accepted:.2f} floors){', not told apart' * (len(same) > 1)}: "
+    said += "; ".join(f"**{entry.name}** ({_cost(entry)})" for entry in same)
     rival = fastest_rival(every, accepted, accepted)
     if rival is None or rival in same:
         return f"{said}.{_perhaps(every, first, accepted)}"
-    said += f". The fastest DEM there is **{rival.name}**: {_time(rival.seconds)}, {rival.floors:.2f} floors"
+    said += f". Fastest DEM of that accuracy: **{rival.name}** ({_time(rival.seconds)}, {rival.floors:.2f} floors)"
     return f"{said}.{_perhaps(every, first, accepted)}"
 
 
@@ -61,7 +60,7 @@ def _perhaps(every: list[Entry], first: Entry | None, accepted: float) -> str:
     if not near:
         return ""
     words = [f"**{e.name}** ({_time(e.seconds)}, {e.floors:.2f} floors, {e.least:.2f} to {e.most:.2f})" for e in near]
-    return f" Undecided{' and faster' if first else ''}, with intervals that reach that accuracy: {', '.join(words)}."
+    return f" {'Faster and p' if first else 'P'}erhaps of that accuracy, by their intervals: {', '.join(words)}."
 
 
 def verdicts(found: dict[str, Any]) -> Iterator[str]:

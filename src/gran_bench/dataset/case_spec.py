@@ -15,13 +15,10 @@ from gran_bench.config_rules import check_arguments, checked_value
 from gran_bench.dataset.scene_document import to_document
 from gran_bench.dem.simulate import choose_time_step
 from gran_bench.scene import Scene
-from gran_bench.source_digest import source_digest
+from gran_bench.source_digest import SOLVER, source_digest
 
 FORMAT_VERSION = 2  # of the files; a change makes every case anew
 NUDGE = 1.0e-9  # m, of a replica's settled state
-
-# The code that decides where particles go.
-_DEM_ROOMS = ("dem", "neighbors", "scene")
 
 
 class DatasetError(RuntimeError):
@@ -208,4 +205,4 @@ def _dem_key(scene: Scene, dem: DemConfig) -> dict[str, Any]:
 @functools.cache
 def dem_source_hash() -> str:
     """Hash of the code that moves particles; comments, docstrings and layout don't count."""
-    return source_digest(_DEM_ROOMS)[:16]
+    return source_digest(SOLVER)[:16]

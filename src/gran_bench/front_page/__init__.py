@@ -1,1 +1,1 @@
-"""The front page of the results: how accurate, how fast, what failed, when not to use a surrogate."""
+"""The tables of `results/README.md`, and all pages renewed from their records."""

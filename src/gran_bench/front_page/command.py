@@ -1,4 +1,4 @@
-"""``python -m gran_bench.report [FOLDER ...]``: sweeps, what matters over all of them, and the front page."""
+"""``python -m gran_bench.report [FOLDER ...]``: sweeps, and every table of the results that stands between marks."""
 
 from __future__ import annotations
 
@@ -7,16 +7,24 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from gran_bench.atomic import write_part
+from gran_bench.comparison import page as benchmark
 from gran_bench.comparison.results import ResultsError
-from gran_bench.front_page.page import write_front_page
+from gran_bench.front_page.tables import RUNS, drum_table, failures_table, scenes_table
+from gran_bench.result_page import renew_page
+from gran_bench.run_summary import read_summary
+from gran_bench.stability import page as stress
 from gran_bench.sweep.command import report_sweeps
 from gran_bench.sweep.overview import write_overview
-from gran_bench.sweep.run_file import SWEEPS, SweepFileError
+from gran_bench.sweep.run_file import SweepFileError
 from gran_bench.sweep.sweep_file import sweep_folders
+from gran_bench.verification import report as verification
+
+PAGE = "README.md"
 
 
 def report_command(arguments: Sequence[str] | None = None) -> int:
-    """Report sweeps; without a folder every sweep, a page over all of them, and the front page of the results.
+    """Report sweeps; without a folder every sweep, and the tables of every page of the results.
 
     Args:
         arguments: of the command line.
@@ -24,27 +32,50 @@ def report_command(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0; 1 where a record or the store could not be read; 2 where there is nothing to report.
     """
-    parser = argparse.ArgumentParser("python -m gran_bench.report", description="Make pages anew from their records.")
+    parser = argparse.ArgumentParser("python -m gran_bench.report", description="Renew tables from their records.")
     parser.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", help="of a sweep; everything if none")
     parser.add_argument("--root", type=Path, default=Path("results"), help="results folder (default: results)")
     chosen = parser.parse_args(arguments)
-    folders = chosen.folders or sweep_folders(chosen.root)
-    if not report_sweeps(folders):
+    if not report_sweeps(chosen.folders or sweep_folders(chosen.root)):
         return 1
     if chosen.folders:
         return 0
     try:
-        overview, page = write_overview(chosen.root), write_front_page(chosen.root)
+        pages = renew_pages(chosen.root)
     except BrokenPipeError:
         raise
     except (ResultsError, SweepFileError, ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    if overview is None and page is None:
-        place = chosen.root / SWEEPS
-        print(f"error: {place} holds no sweep; run one (-m), or name --root or a folder", file=sys.stderr)
+    if not pages:
+        print(f"error: {chosen.root} holds no record; make a run or a sweep, or name --root", file=sys.stderr)
         return 2
-    for what, path in (("what matters, over all sweeps", overview), ("the front page", page)):
-        if path is not None:
-            print(f"{what}: {path}", file=sys.stderr)
+    for path in pages:
+        print(f"renewed: {path}", file=sys.stderr)
     return 0
+
+
+def renew_pages(root: Path) -> list[Path]:
+    """Renew what stands between marks on every page whose record is there; the pages.
+
+    Raises:
+        ResultsError, SweepFileError, ValueError: a record that cannot be read.
+    """
+    pages = []
+    for name in RUNS:
+        if read_summary(root / name) is not None:
+            pages.append(renew_page(root / name))
+    for folder, module, record in (
+        ("verification", verification, verification.JSON),
+        ("stress", stress, stress.TABLE),
+        ("benchmark", benchmark, f"*/*/{benchmark.TABLE}"),
+    ):
+        if any((root / folder).glob(record)):
+            module.write_page(root / folder)
+            pages.append(root / folder / PAGE)
+    if pages:
+        for part, lines in (("drum", drum_table), ("scenes", scenes_table), ("failures", failures_table)):
+            write_part(root / PAGE, part, "\n".join(lines(root)), "Results", part)
+        pages.append(root / PAGE)
+    sweeps = write_overview(root)
+    return pages if sweeps is None else [*pages, sweeps]

@@ -18,7 +18,7 @@ from gran_bench.provenance import provenance
 from gran_bench.shipped import SHIPPED
 from gran_bench.stability.case_list import StressCase, cases_of_file, shipped_cases
 from gran_bench.stability.expectation import FAILED, Observation
-from gran_bench.stability.page import PAGE, closing_line, table, write_page
+from gran_bench.stability.page import PAGE, closing_line, table, write_results
 from gran_bench.stability.perform import model_file
 from gran_bench.stability.registry import EXPERIMENTS
 from gran_bench.stability.run import Result, carry_out, errands, forget
@@ -58,7 +58,8 @@ def run_stress(config: StressConfig) -> list[Result]:
         seconds = time.perf_counter() - began
         # Times are of a machine that may have had other work.
         origin = provenance() | {"load, mean of 1, 5 and 15 min": ", ".join(f"{load:.1f}" for load in os.getloadavg())}
-        write_page(results, folder, origin, draw_figures(results, folder), seconds)
+        draw_figures(results, folder)
+        write_results(results, folder, origin)
         forget(folder)
     print(f"\nthe page is {folder / PAGE}\n{closing_line(results, seconds)}")
     failed = [result.name for result in results if result.verdict.word == FAILED]

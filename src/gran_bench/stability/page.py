@@ -9,8 +9,8 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from gran_bench.atomic import write_text
-from gran_bench.provenance import write_origin
+from gran_bench.atomic import write_part
+from gran_bench.provenance import read_table, stamp, write_table
 from gran_bench.stability.expectation import ABSENT, FAILED, FLAGGED, MET, Observation
 from gran_bench.stability.run import Result
 
@@ -60,21 +60,23 @@ def closing_line(results: Sequence[Result], seconds: float) -> str:
     return f"{len(results)} cases in {seconds:.0f} s: {counted}" + (f" ({', '.join(failed)})" if failed else "")
 
 
-def write_page(
-    results: Sequence[Result], folder: Path, origin: Mapping[str, str], figures: Sequence[str], seconds: float
-) -> None:
-    """The page, the CSV and its origin; each whole or not there.
+def write_results(results: Sequence[Result], folder: Path, origin: Mapping[str, str]) -> None:
+    """The CSV, and what the page says of it; each whole or not there.
 
     Args:
         results: in order.
         folder: made where it is missing.
         origin: where the results come from.
-        figures: files in the folder that the page shows.
-        seconds: of the whole run.
     """
-    write_text(folder / TABLE, _csv(results))
-    write_origin(folder / TABLE, origin)
-    write_text(folder / PAGE, "\n".join(_page(results, origin, figures, seconds)) + "\n")
+    write_table(folder / TABLE, _csv(results), origin)
+    write_page(folder)
+
+
+def write_page(folder: Path) -> None:
+    """Renew what the page of a folder says of its CSV."""
+    origin, table = read_table(folder / TABLE)
+    text = "\n".join(_page(list(csv.DictReader(io.StringIO(table))), origin, folder))
+    write_part(folder / PAGE, "cases", text, "Stress test of numerical stability")
 
 
 def _csv(results: Sequence[Result]) -> str:
@@ -90,56 +92,47 @@ def _csv(results: Sequence[Result]) -> str:
     return text.getvalue()
 
 
-def _page(
-    results: Sequence[Result], origin: Mapping[str, str], figures: Sequence[str], seconds: float
-) -> Iterator[str]:
-    yield "# Stress test of numerical stability"
+def _page(rows: Sequence[dict[str, str]], origin: Mapping[str, str], folder: Path) -> Iterator[str]:
+    """A table of verdicts by part, every case that failed, rollouts of models that ended early, and figures."""
+    words = [word for word in (MET, FLAGGED, ABSENT, FAILED) if word != ABSENT or count(rows, word)]
+    yield f"| {len(rows)} cases | {' | '.join(words)} |"
+    yield "|---" + "|---:" * len(words) + "|"
+    for part in dict.fromkeys(row["part"] for row in rows):
+        some = [row for row in rows if row["part"] == part]
+        yield f"| {PARTS.get(part, part)} | {' | '.join(str(count(some, word)) for word in words)} |"
     yield ""
-    yield f"**{closing_line(results, seconds)}.**"
-    yield ""
-    yield (
-        "Every case has an expectation that was written before it ran: a bound that is *met*; a named *error* that "
-        "says what to do; or *flagged*: it may fail, but the program says so itself, and the failure keeps its bounds. "
-        f"Every figure and flag is in [`{TABLE}`]({TABLE}); the lists are in `src/gran_bench/stability/lists/`."
-    )
-    yield ""
-    yield from _failures(results)
-    for name in figures:
-        yield f"![{FIGURES[name]}]({name})"
+    failed = [row for row in rows if row["verdict"].startswith((FAILED, ABSENT))]
+    if failed:
+        yield from (f"- {row['verdict']}: {row['case']} {row['model']}: {row['found']}" for row in failed)
         yield ""
-        yield f"*{FIGURES[name]}*"
+    if early := early_ends(rows):
+        yield "| rollout that failed before its end | model | after, s | of, s |"
+        yield "|---|---|---:|---:|"
+        for case, model, after, whole in early:
+            yield f"| {case} | {model or 'untrained'} | {after:g} | {whole:g} |"
         yield ""
-    for part in dict.fromkeys(result.case.part for result in results):
-        yield f"## {PARTS.get(part, part)}"
-        yield ""
-        yield "| " + " | ".join(HEADS) + " |"
-        yield "|---" * (len(HEADS) - 1) + "|---:|"
-        for result in results:
-            if result.case.part == part:
-                yield "| " + " | ".join(cell.replace("|", "\\|") for cell in row(result)) + " |"
-        yield ""
-    yield "## Where this comes from"
-    yield ""
-    yield "| | |"
-    yield "|---|---|"
-    for name, value in origin.items():
-        yield f"| {name.replace('_', ' ')} | `{value}` |"
-    kept = sum(result.kept for result in results)
-    if kept:
-        yield f"| taken from an interrupted run of the same code | {kept} cases |"
+    for name, caption in FIGURES.items():
+        if (folder / name).exists():
+            yield f"![{caption}]({name})"
+            yield ""
+    yield f"Every expectation, figure and flag: [`{TABLE}`]({TABLE}). {stamp(origin)}"
 
 
-def _failures(results: Sequence[Result]) -> Iterator[str]:
-    """What every surrogate did wrong, in one list: nobody has to look for it."""
-    told = [
-        (result, result.outcome.flags)
-        for result in results
-        if result.case.part == "surrogate" and isinstance(result.outcome, Observation) and result.outcome.flags
-    ]
-    if not told:
-        return
-    yield "## What the surrogates did wrong"
-    yield ""
-    for result, flags in told:
-        yield f"- {result.name}: {'; '.join(flags)}"
-    yield ""
+def count(rows: Sequence[dict[str, str]], word: str) -> int:
+    """How many rows of the CSV have a verdict."""
+    return sum(row["verdict"].startswith(word) for row in rows)
+
+
+def early_ends(rows: Sequence[dict[str, str]]) -> list[tuple[str, str, float, float]]:
+    """Rollouts that failed before their end: case, model (empty for random weights), when, and of how long, s.
+
+    A rollout fails at its first state that is not finite, has a centre outside by more than a radius, or has more
+    than twice the energy that falling and turning give.
+    """
+    found = []
+    for row in rows:
+        quantities = json.loads(row["quantities"] or "{}")
+        after, whole = quantities.get("time_to_failure"), quantities.get("horizon")
+        if row["part"] == "surrogate" and whole is not None and after < whole:
+            found.append((row["case"], row["model"], after, whole))
+    return found

@@ -11,15 +11,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from gran_bench.atomic import write_text
-from gran_bench.sweep.run_file import FAILED, FINISHED, SWEEPS, RunFile
+from gran_bench.atomic import write_part
+from gran_bench.sweep.run_file import FINISHED, SWEEPS, RunFile
 from gran_bench.sweep.standing import read_standing
 from gran_bench.sweep.sweep_file import sweep_folders
-from gran_bench.sweep.sweep_report import figure_paths
+from gran_bench.sweep.sweep_report import body, figure_paths
 from gran_bench.sweep.table import COLUMNS, TIME, axes_of, changes_work, runs_frame
 
 OVERVIEW = "README.md"
-REMARKS = "remarks.md"  # a person's words beside the page, put before its table
 ERRORS = (
     "angle_error_floors",
     "com_angle_error_floors",
@@ -140,58 +139,44 @@ def _studentised_range(means: int, freedom: int) -> float:
 
 
 def write_overview(root: Path) -> Path | None:
-    """Write the page over all sweeps of a results folder; None where there is none.
+    """Renew the page over all sweeps of a results folder: what matters, and a part a sweep; None where there is none.
 
     Raises:
         SweepFileError: a file of a sweep is damaged.
     """
-    folders = sweep_folders(root)
+    folders, path = sweep_folders(root), root / SWEEPS / OVERVIEW
     if not folders:
         return None
-    lines = ["# What matters, and by how much", ""]
-    remarks = root / SWEEPS / REMARKS
-    if remarks.exists():
-        lines += [remarks.read_text("utf-8").strip(), ""]
-    found = [(folder.name, reach) for folder in folders for reach in reaches(read_standing(folder).counted)]
-    single = sum(reach.one_seed for _, reach in found)
-    lines += [
-        "Each row: one swept key, everything else alike. Means over seeds; *by chance* is the ratio of worst to best "
-        "that seeds alone would exceed in one of 20 such rows (Tukey's range of the means, on logarithms), and a "
-        "ratio below it is no finding. A floor is the DEM against itself. "
-        f"{single} of {len(found)} rows have one seed a choice: nothing says what chance alone would give, so they are "
-        "no finding. The time of a frame stands only beside keys that change its work.",
-        "",
-        "| sweep | beside | figure | best | worst | worst / best | by chance |",
-        "|---|---|---|---|---|---:|---:|",
-    ]
-    lines += [_row(name, reach) for name, reach in found]
+    stands = {folder: read_standing(folder) for folder in folders}
+    found = [(folder.name, reach) for folder in folders for reach in reaches(stands[folder].counted)]
+    write_part(path, "what matters", "\n".join(_what_matters(found)), "What matters")
     for folder in folders:
-        lines += ["", *_section(folder)]
-    path = root / SWEEPS / OVERVIEW
-    write_text(path, "\n".join(lines).rstrip() + "\n")
+        figures = [figure for figure in figure_paths(folder, stands[folder].counted) if figure.exists()]
+        text = body(stands[folder], [f"{folder.name}/{figure.name}" for figure in figures])
+        write_part(path, folder.name, text, heading=folder.name)
     return path
+
+
+def _what_matters(found: Sequence[tuple[str, Reach]]) -> Iterator[str]:
+    """For each sweep, key and error the comparison that differs the most, if by more than chance; and how many do."""
+    counted, single = [one for one in found if one[1].counts], sum(reach.one_seed for _, reach in found)
+    largest: dict[tuple[str, str, str], tuple[str, Reach]] = {}
+    for name, reach in sorted(counted, key=lambda one: one[1].factor):
+        largest[name, reach.axis, reach.figure] = name, reach
+    yield (
+        f"{len(counted)} of {len(found)} comparisons of one swept key differ by more than chance; {single} have one "
+        "seed a choice, so that nothing says what chance gives. The largest of each key and figure, where *chance* is "
+        "the ratio of worst to best that seeds alone exceed in one of 20 comparisons:"
+    )
+    yield ""
+    if largest:
+        yield "| sweep | key | beside | figure | best | worst | worst / best | chance |"
+        yield "|---|---|---|---|---|---|---:|---:|"
+    yield from (_row(*largest[key]) for key in sorted(largest))
 
 
 def _row(name: str, reach: Reach) -> str:
     best, worst = (f"{choice} ({value:.3g})" for choice, value in (reach.best, reach.worst))
-    chance = "one seed" if reach.one_seed else f"{reach.chance:.2f}"
     lost = f"; no figure: {', '.join(reach.lost)}" if reach.lost else ""
-    sweep, factor = f"[{name}]({name}/README.md)", f"{reach.factor:.2f}"
-    return f"| {' | '.join([sweep, reach.beside, reach.figure, best, worst + lost, factor, chance])} |"
-
-
-def _section(folder: Path) -> list[str]:
-    """A sweep's numbers of runs, its command, its figures."""
-    stands = read_standing(folder)
-    sweep, runs = stands.sweep, stands.counted
-    failed = sum(run.status == FAILED for run in runs)
-    lines = [
-        f"## {folder.name}",
-        "",
-        f"{len(runs) - failed} runs finished, {failed} failed, {len(stands.waiting)} wait.",
-    ]
-    lines[-1] += f" All figures: [table]({folder.name}/README.md), [CSV]({folder.name}/runs.csv)."
-    if sweep:
-        lines += ["", "```", sweep.command, "```"]
-    figures = [path for path in figure_paths(folder, runs) if path.exists()]
-    return [*lines, "", *(f"![{path.stem}]({folder.name}/{path.name})" for path in figures)]
+    numbers = f"{reach.factor:.2f} | {reach.chance:.2f}"
+    return f"| {' | '.join([name, reach.axis, reach.beside, reach.figure, best, worst + lost])} | {numbers} |"

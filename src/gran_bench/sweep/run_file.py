@@ -18,7 +18,7 @@ from gran_bench.atomic import write_text
 SWEEPS = "sweeps"  # folder below the results
 RUNS = "runs"  # folder below a sweep's
 FINISHED, FAILED = "finished", "failed"
-MADE = "made_with"  # among a run's facts: model, hashes of code, budget; files of before it do not have it
+MADE = "made_with"  # among a run's facts: model, hashes of code, budget
 TRAINING = ("steps", "planned_steps", "seconds", "stopped_by", "loss", "parameters")  # what is kept of a training
 ERRORS = ("surface_angle", "com_angle", "speed_w1")  # the distances from the DEM that are kept, by packing
 

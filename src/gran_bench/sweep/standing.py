@@ -66,9 +66,7 @@ def standing(sweep: SweepFile | None, runs: Sequence[RunFile]) -> Standing:
         run for run in runs if run not in named and (_choice(run) in listed or (run.key, run.judged_by) in keys)
     ]
     earlier = [run for run in runs if run not in named and run not in superseded]
-    alike = [
-        run for run in earlier if _made_alike(run, jobs, named) and not _of_superseded_code(run, named, superseded)
-    ]
+    alike = [run for run in earlier if _made_alike(run, jobs, named)]
     counted, _ = newest([*named, *alike])
     ended = {_identity(run) for run in named}
     waiting = [job for job in jobs if _identity(job) not in ended]
@@ -89,7 +87,6 @@ def _made_alike(run: RunFile, jobs: Sequence[SweepJob], named: Sequence[RunFile]
         _agrees(run, jobs, lambda one: one.judged_by or None, JUDGE_CHOICES)
         and _agrees(run, named, lambda one: one.facts.get("data_digest"), DATA_CHOICES)
         and _agrees(run, named, lambda one: one.facts.get(MADE, {}).get("budget"), BUDGET_CHOICES)
-        and _agrees(run, named, _minutes_typed, BUDGET_CHOICES)
         and _agrees(run, named, lambda one: one.facts.get(MADE, {}).get("judging_code"), ())
         and _agrees(run, named, lambda one: one.facts.get(MADE, {}).get("training_code", {}).get(model_of(run)), ())
     )
@@ -106,30 +103,6 @@ def _agrees(run: RunFile, current: Sequence[Any], said: Callable[[Any], Any], se
 def _chosen(one: RunFile | SweepJob, sections: tuple[str, ...]) -> dict[str, str]:
     """The choices of a run within some sections of the config."""
     return {key: value for key, value in one.choices.items() if key.partition(".")[0].partition("/")[0] in sections}
-
-
-def _minutes_typed(run: RunFile) -> str | None:
-    """The budget on the command line of a run that time ended; None where something else ended it."""
-    command = run.facts.get("provenance", {}).get("command")
-    if command is None or run.training.get("stopped_by") != "time":
-        return None
-    typed = [word.partition("=")[2] for word in command.split() if word.startswith("trainer.minutes=")]
-    return typed[-1] if typed else "of the recipe"
-
-
-def _of_superseded_code(run: RunFile, named: Sequence[RunFile], superseded: Sequence[RunFile]) -> bool:
-    """Whether all that is known of a run's code is that runs of it, of the same model, have lost their place.
-
-    A file of a run without the hash of its training code still says which state of the package it is from.
-    """
-    code = _package_code(run)
-    if code is None or MADE in run.facts or code in map(_package_code, named):
-        return False
-    return any(_package_code(old) == code and model_of(old) == model_of(run) for old in superseded)
-
-
-def _package_code(run: RunFile) -> str | None:
-    return run.facts.get("provenance", {}).get("code_digest")
 
 
 def unequal_updates(runs: Sequence[RunFile]) -> list[str]:

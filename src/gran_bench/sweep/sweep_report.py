@@ -12,10 +12,11 @@ from gran_bench import tracking
 from gran_bench.atomic import write_text
 from gran_bench.config import TrackingConfig
 from gran_bench.plots import drawn_for, sweep_axis
+from gran_bench.provenance import stamp
 from gran_bench.sweep.run_file import FAILED, FINISHED, RunFile, SweepFileError
 from gran_bench.sweep.standing import Standing, cut_short, read_standing, unequal_updates
-from gran_bench.sweep.sweep_file import SweepJob, read_sweep
-from gran_bench.sweep.table import COLUMNS, SEED, axes_of, best_choices, runs_frame, shown_table
+from gran_bench.sweep.sweep_file import SweepFile, SweepJob, read_sweep
+from gran_bench.sweep.table import SEED, axes_of, best_choices, runs_frame, shown_table
 
 PAGE = "README.md"
 TABLE = "runs.csv"
@@ -59,7 +60,7 @@ def report_sweep(folder: Path) -> SweepReport:
     failed = [run for run in runs if run.status == FAILED]
     name, judged = sweep.name if sweep else folder.name, _judged(runs)
     figures = figure_paths(folder, runs)
-    text = _page(name, judged, stands, figures)
+    text = f"# {name}\n\n{body(stands, [path.name for path in figures])}\n"
     write_text(folder / PAGE, text)
     if len(runs):
         write_text(folder / TABLE, frame.to_csv(index=False))
@@ -126,50 +127,34 @@ def _judged(runs: list[RunFile]) -> str:
     return f"judged at {' and '.join(words)}" if words else "nothing judged yet"
 
 
-def _made_on(runs: Sequence[RunFile]) -> list[str]:
-    """On what hardware and at which commits the runs were made; a warning where that was not one machine."""
-    made = [run.facts["provenance"] for run in runs if "provenance" in run.facts]
-    machines = Counter(one["hardware"] for one in made if "hardware" in one)
-    commits = ", ".join(sorted({one["commit"] for one in made if "commit" in one}))
-    counted = [f"{machine} ({count} runs)" if len(machines) > 1 else machine for machine, count in machines.items()]
-    lines = [f"Made at {commits} on {'; '.join(counted)}."] if machines else []
-    if len(machines) > 1:
-        lines.append("Times, and what equal time bought, are of several machines: compare with care.")
-    return [" ".join(lines)] if lines else []
+def body(stands: Standing, figures: Sequence[str]) -> str:
+    """What a page says of a sweep: how many runs there are, their table, what failed, figures, where it comes from.
 
-
-def _page(name: str, judged: str, stands: Standing, figures: list[Path]) -> str:
+    Args:
+        stands: where the sweep stands.
+        figures: paths as the page has them.
+    """
     sweep, runs, waiting = stands.sweep, stands.counted, stands.waiting
     failed = [run for run in runs if run.status == FAILED]
-    lines = [f"# {name}", ""]
-    lines.append(f"{len(runs) - len(failed)} runs finished, {len(failed)} failed, {len(waiting)} wait; {judged}.")
-    if sweep:
-        lines += ["", "```", sweep.command, "```"]
+    lines = [f"{len(runs) - len(failed)} runs finished, {len(failed)} failed, {len(waiting)} wait; {_judged(runs)}."]
     if runs:
-        lines += ["", *_made_on(runs)]
-        lines += ["", "Mean ± standard deviation over seeds, shared packing; a floor is the DEM against itself.", ""]
-        lines.append(shown_table(runs))
-        if said := [*unequal_updates(runs), *cut_short(runs)]:
-            lines += ["", " ".join(said)]
-    headings = {column.name: column.heading for column in COLUMNS}
-    best = best_choices(runs)
-    if len(best) and len(axes_of(runs)):
-        lines += ["", "Smallest mean ([what is more than chance](../README.md)):", ""]
-        lines += [f"- {headings[column]}: {value:.3g} with {choice}" for column, (choice, value) in best.items()]
-    if failed:
-        lines += ["", "## Failed", ""]
-        lines += [f"- `{run.run}`: {run.reason} (log: `{run.facts.get('log', 'none')}`)" for run in failed]
-    broken = [run for run in runs if run.facts.get("broken_rollouts")]
-    if broken:
-        lines += ["", "## Rollouts that broke down", ""]
-        for run in broken:
-            frames = ", ".join(f"{name} at frame {frame}" for name, frame in run.facts["broken_rollouts"].items())
-            lines.append(f"- `{run.run}`: {frames}")
-    if waiting:
-        lines += ["", "## Not done yet", "", *(f"- `{job.run}`" for job in waiting)]
-    if stands.others:
-        lines += ["", "## Not counted, of other code or data", ""]
-        lines.append("Made with other code, data or budget than the runs above, or replaced by a newer run.")
-        lines += ["", *(f"- `{run.file_name}`" for run in stands.others)]
-    lines += ["", *(f"![{path.stem}]({path.name})" for path in figures)]
-    return "\n".join(lines).rstrip() + "\n"
+        lines += ["", shown_table(runs), "", *unequal_updates(runs), *cut_short(runs)]
+    lines += [f"- failed: `{run.run}`: {run.reason} (log: `{run.facts.get('log', 'none')}`)" for run in failed]
+    for run in runs:
+        broken = run.facts.get("broken_rollouts") or {}
+        lines += [f"- rollout {name} broke down at frame {frame}: `{run.run}`" for name, frame in broken.items()]
+    lines += [f"- not done yet: `{job.run}`" for job in waiting]
+    lines += [f"- not counted, of other code, data or budget: `{run.file_name}`" for run in stands.others]
+    lines += ["", *(f"![{Path(figure).stem}]({figure})" for figure in figures), "", _made(sweep, runs)]
+    return "\n".join(lines).strip()
+
+
+def _made(sweep: SweepFile | None, runs: Sequence[RunFile]) -> str:
+    """Command, commits, the last day and hardware of runs; a warning where that was not one machine."""
+    made = [run.facts["provenance"] for run in runs if "provenance" in run.facts]
+    machines = Counter(one["hardware"] for one in made if "hardware" in one)
+    said = {"command": sweep.command if sweep else "", "day": max((run.ended_at for run in runs), default="")[:10]}
+    said |= {"commit": ", ".join(sorted({one["commit"] for one in made if "commit" in one}))}
+    counted = (f"{machine} ({count} runs)" if len(machines) > 1 else machine for machine, count in machines.items())
+    several = " Times, and what equal time bought, are of several machines: compare with care."
+    return stamp(said | {"hardware": "; ".join(counted)}) + several * (len(machines) > 1)

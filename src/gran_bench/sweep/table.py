@@ -28,6 +28,7 @@ class Column:
         unit: for people.
         digits: behind the point.
         ranked: whether the choice with the smallest mean is worth naming.
+        shown: whether a page has it; the CSV has all.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Column:
     unit: str
     digits: int
     ranked: bool = True
+    shown: bool = True
 
     @property
     def heading(self) -> str:
@@ -43,16 +45,16 @@ class Column:
 
 
 COLUMNS = (
-    Column("angle_error_deg", "angle error", "°", 2),
+    Column("angle_error_deg", "angle error", "°", 2, shown=False),
     Column("angle_error_floors", "angle error", "floors", 2),
-    Column("com_angle_error_deg", "centre-of-mass angle error", "°", 2),
+    Column("com_angle_error_deg", "centre-of-mass angle error", "°", 2, shown=False),
     Column("com_angle_error_floors", "centre-of-mass angle error", "floors", 2),
-    Column("speed_w1_m_s", "speed W1", "m/s", 4),
+    Column("speed_w1_m_s", "speed W1", "m/s", 4, shown=False),
     Column("speed_w1_floors", "speed W1", "floors", 2),
     Column("position_error_10_frames_mm", "position error, 10 frames", "mm", 2),
     Column(TIME, "a frame", "ms", 2),
     Column("updates", "updates", "", 0, ranked=False),
-    Column("training_minutes", "training, wall clock", "min", 2, ranked=False),
+    Column("training_minutes", "training, wall clock", "min", 2, ranked=False, shown=False),
     Column("requirements_failed", "requirements failed", "", 1, ranked=False),
 )
 
@@ -124,11 +126,12 @@ def choices_frame(runs: Sequence[RunFile]) -> pd.DataFrame:
 def shown_table(runs: Sequence[RunFile]) -> str:
     """The table of choices in Markdown, legible on a terminal too."""
     axes, frame = axes_of(runs), choices_frame(runs)
-    headings = [*axes, "runs", "failed", *(column.heading for column in COLUMNS)]
+    columns = [column for column in COLUMNS if column.shown]
+    headings = [*axes, "runs", "failed", *(column.heading for column in columns)]
     rows = [headings]
     for _, row in frame.iterrows():
         rows.append([*(str(row[axis]) for axis in axes), str(row["n"]), str(row["failed"])])
-        rows[-1] += [_shown(row, column) for column in COLUMNS]
+        rows[-1] += [_shown(row, column) for column in columns]
     widths = [max(len(row[i]) for row in rows) for i in range(len(headings))]
     padded = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows]
     lines = [f"| {' | '.join(row)} |" for row in padded]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from scipy.stats import t as student
@@ -70,46 +69,6 @@ def difference_of(first: FloatArray, second: FloatArray) -> Interval:
     if error:
         freedom = sum(squares) ** 2 / (squares[0] ** 2 / (len(first) - 1) + squares[1] ** 2 / (len(second) - 1))
     return Interval(one.middle - other.middle, error, _quantile(freedom) * error)
-
-
-def paired_difference_of(first: FloatArray, second: FloatArray) -> Interval:
-    """Mean of first − second run by run, with Student's 95 % interval.
-
-    Args:
-        first, second: ``(n,)`` of the same starts, n ≥ 2.
-
-    Raises:
-        ValueError: different lengths, or fewer than two values.
-    """
-    first, second = _sample(first), _sample(second)
-    if len(first) != len(second):
-        raise ValueError(f"{len(first)} and {len(second)} values are no pairs; give one of each start")
-    return mean_of(first - second)
-
-
-def share_within(first: FloatArray, second: FloatArray, bound: float, size: int = 3) -> float:
-    """Share of all choices of ``size`` runs of each sample whose means differ by at most ``bound``.
-
-    Args:
-        first: ``(n,)``, n ≥ size.
-        second: ``(m,)``, m ≥ size.
-        bound: in the values' unit.
-        size: runs in a mean.
-    """
-    means = [np.array([np.mean(chosen) for chosen in combinations(values, size)]) for values in (first, second)]
-    return float((np.abs(means[0][:, None] - means[1]) <= bound * (1.0 + 1e-12)).mean())
-
-
-def share_within_of(values: FloatArray, middle: float, bound: float, size: int = 3) -> float:
-    """Share of all choices of ``size`` runs whose mean lies within ``middle`` ± ``bound``.
-
-    Args:
-        values: ``(n,)``, n ≥ size.
-        middle, bound: in the values' unit.
-        size: runs in a mean.
-    """
-    means = np.array([np.mean(chosen) for chosen in combinations(values, size)])
-    return float((np.abs(means - middle) <= bound * (1.0 + 1e-12)).mean())
 
 
 def _sample(values: FloatArray) -> FloatArray:

@@ -63,7 +63,8 @@ def run(draw: Draw, words: Sequence[str] | None = None, cases: Sequence[Case] = 
         print(table(outcomes))
         if folder is not None:
             subset = "" if whole else f"Of the whole suite's {len(cases)} cases these are {len(chosen)}."
-            write_report(outcomes, folder, provenance(), draw(outcomes, folder), subset)
+            draw(outcomes, folder)
+            write_report(outcomes, folder, provenance(), subset)
             print(f"\nthe page is in {folder}")
     except BrokenPipeError:
         raise

@@ -1,4 +1,4 @@
-"""What the suite found, as a table for the terminal, as JSON with every point, and as a page."""
+"""What the suite found, as a table for the terminal, as JSON with every point, and as a table of its page."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from gran_bench.atomic import write_text
+from gran_bench.atomic import write_part, write_text
+from gran_bench.provenance import stamp
 from gran_bench.verification.case import Check, Outcome
 
 JSON, PAGE = "verification.json", "README.md"
@@ -61,16 +62,13 @@ def verdict(outcomes: Sequence[Outcome]) -> str:
     return counted + (f"{len(failed)} FAILED: {', '.join(failed)}" if failed else "all within tolerance")
 
 
-def write_report(
-    outcomes: Sequence[Outcome], folder: Path, provenance: dict[str, str], figures: Sequence[str], subset: str = ""
-) -> None:
-    """The JSON and the page; each whole or not there.
+def write_report(outcomes: Sequence[Outcome], folder: Path, provenance: dict[str, str], subset: str = "") -> None:
+    """The JSON, and what the page says of it; each whole or not there.
 
     Args:
         outcomes: in order.
         folder: made where it is missing.
         provenance: where the result comes from.
-        figures: files in the folder that the page shows.
         subset: what was left out, in words; empty for the whole suite.
     """
     record = {
@@ -81,7 +79,13 @@ def write_report(
         "cases": [_record(outcome) for outcome in outcomes],
     }
     write_text(folder / JSON, json.dumps(record, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n")
-    write_text(folder / PAGE, "\n".join(_page(outcomes, provenance, figures, subset)) + "\n")
+    write_page(folder)
+
+
+def write_page(folder: Path) -> None:
+    """Renew the table of cases on the page of a folder, from its JSON."""
+    record = json.loads((folder / JSON).read_text("utf-8"))
+    write_part(folder / PAGE, "cases", "\n".join(_page(record, folder)), "Verification of the DEM")
 
 
 def _record(outcome: Outcome) -> dict[str, Any]:
@@ -115,35 +119,36 @@ def _numbers(values: np.ndarray, digits: int) -> list[float | str]:
     return [float(f"{v:.{digits}g}") if math.isfinite(v) else str(v) for v in np.asarray(values, float)]
 
 
-def _page(
-    outcomes: Sequence[Outcome], provenance: dict[str, str], figures: Sequence[str], subset: str
-) -> Iterator[str]:
-    yield "# Verification of the DEM"
+def _page(record: dict[str, Any], folder: Path) -> Iterator[str]:
+    """The verdict, a row a case, every quantity that is not within its tolerance, and figures."""
+    yield f"**{record['verdict']}.**" + (f" {record['subset']}" if record["subset"] else "")
     yield ""
-    yield f"**{verdict(outcomes)}.**" + (f" {subset}" if subset else "")
+    yield "| case | what is verified | quantities | points | largest error / tolerance | |"
+    yield "|---|---|---:|---:|---:|---|"
+    for case in record["cases"]:
+        checks, word = case["checks"], "met" if case["met"] else "FAILED"
+        points, share = sum(len(check["expected"]) for check in checks), max(map(_share, checks), default=math.nan)
+        numbers = f"{len(checks)} | {points} | {share:.2g}"
+        yield f"| {case['name']} | {case['title']} | {numbers} | {word} |"
     yield ""
-    yield (
-        "Each row is a quantity at the point where its error is largest; every point is in "
-        f"[`{JSON}`]({JSON}). Expected values come from closed forms or from an integration of the equations that "
-        "shares no code with the solver; the source of each says which."
-    )
-    yield ""
-    for name in figures:
-        yield f"![{FIGURES.get(name, name)}]({name})"
-        yield ""
-        yield f"*{FIGURES.get(name, name)}*"
-        yield ""
-    for outcome in outcomes:
-        yield f"## {outcome.case.name}: {outcome.case.title}"
-        yield ""
-        yield "| " + " | ".join(HEADS[1:]) + " |"
-        yield "|---|" + "---:|" * 3 + "---|---:|---|---|"
-        for row in rows(outcome):
-            yield "| " + " | ".join(cell.replace("|", "\\|") for cell in row[1:]) + " |"
-        yield ""
-    yield "## Where this comes from"
-    yield ""
-    yield "| | |"
-    yield "|---|---|"
-    for name, value in provenance.items():
-        yield f"| {name.replace('_', ' ')} | `{value}` |"
+    for case in record["cases"]:
+        if case["failure"] is not None:
+            yield f"- {case['name']}: {case['failure']}"
+        for check in case["checks"]:
+            if not check["met"]:
+                share = f"{_share(check):.3g} times its tolerance of {check['tolerance']}"
+                yield f"- {case['name']}, {check['quantity']}: {share}"
+    for name, caption in FIGURES.items():
+        if (folder / name).exists():
+            yield f"![{caption}]({name})"
+            yield ""
+    yield f"Every point, and the source of each expected value: [`{JSON}`]({JSON}). {stamp(record['provenance'])}"
+
+
+def _share(check: dict[str, Any]) -> float:
+    """The largest error of a quantity in units of its tolerance; infinite where one is not finite."""
+    errors = [float(value) for value in check["error"]]
+    if not all(map(math.isfinite, errors)):
+        return math.inf
+    largest, tolerance = max(errors, default=0.0), check["tolerance"]
+    return largest / tolerance if tolerance else (0.0 if largest == 0.0 else math.inf)
