@@ -267,8 +267,10 @@ def test_impossible_boundaries_are_refused_by_key_and_value(where, boundary):
 def test_a_diverged_state_gives_nan_and_no_crash():
     scene = drum()
     position, velocity = bed(scene)
-    velocity[3] = math.inf
-    assert steps(network(scene), scene, position, velocity, frames=1).velocity.isnan().all()
+    model = network(scene)
+    state = model.begin(scene, position, velocity)
+    state.velocity[3] = math.inf
+    assert model(state, scene, scene.start_time).velocity.isnan().all()
     position, velocity = bed(scene)
     velocity[3] = 1e9  # finite, far out: neighbours of nobody
     assert steps(network(scene), scene, position, velocity, frames=1).position.isfinite().all()

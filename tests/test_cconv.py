@@ -151,7 +151,7 @@ def test_particles_without_neighbours_give_zero():
 
 
 def test_an_unknown_backend_is_refused_by_name():
-    with pytest.raises(ValueError, match=r"model\.backend='cuda'"):
+    with pytest.raises(ValueError, match=r"model\.backend=cuda"):
         ContinuousConvolution(1, 1, BASES["lattice"], "cuda")
 
 

@@ -45,9 +45,9 @@ def head_on(speed: float, gap: float) -> ParticleState:
 
 def test_the_collision_at_ten_metres_a_second_is_flagged_though_no_frame_saw_its_depth(engine):
     changes = {
-        "filling.positions": "[[-0.1,0,0],[0.1,0,0]]",
-        "filling.velocities": "[[10,0,0],[-10,0,0]]",
-        "filling.spins": "[]",
+        "filling.positions": [[-0.1, 0, 0], [0.1, 0, 0]],
+        "filling.velocities": [[10, 0, 0], [-10, 0, 0]],
+        "filling.spins": [],
     }
     scene = shipped_scene("collision", changes)
     result = simulate(scene, settle(scene, 0), scene.end_time, dem=DemConfig(engine=engine))
@@ -192,7 +192,8 @@ def test_settling_has_the_same_flags(engine):
         settle(build_scene(soft_drum()), 0, dem=DemConfig(engine=engine))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        settle(build_scene(SceneConfig(filling=FillingConfig(count=5, settled_speed=0.05))), 0)
+        calm = SceneConfig(filling=FillingConfig(count=5), material=MaterialConfig(rolling_friction=0.1))
+        settle(build_scene(calm), 0)
 
 
 def test_a_data_set_keeps_the_flags_of_its_beds_and_says_them(tmp_path: Path, capsys: pytest.CaptureFixture):

@@ -51,7 +51,7 @@ def test_a_sphere_beyond_the_outlet_keeps_its_last_state_and_is_counted(dem):
 
 def test_who_leaves_far_from_the_outlet_came_through_a_wall_and_stops_the_run(dem):
     scene, state = falling(radius=0.5)
-    with pytest.raises(SimulationError, match=r"particle 2 escaped by t = 0\.21 s, past the outlet") as caught:
+    with pytest.raises(SimulationError, match=r"particle 2 escaped by t = 0\.21 s: past the outlet") as caught:
         simulate(scene, state, 0.3, dem=dem)
     assert caught.value.trajectory.position[-1, 2, 2] < 0
     assert caught.value.trajectory.frame_count == 22

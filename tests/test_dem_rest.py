@@ -14,7 +14,7 @@ from gran_bench.state import ParticleState
 
 LIMIT = 1e-3  # m/s, filling.settled_speed of the shipped scenes
 BOUNCING_BALL = {
-    "container.height": 0.3, "filling.count": 1, "filling.settles": "true", "material.restitution": 0.9,
+    "container.height": 0.3, "filling.count": 1, "filling.settles": True, "material.restitution": 0.9,
 }  # fmt: skip
 
 
@@ -31,7 +31,7 @@ def speed_afterwards(scene, bed):
         ("drum_small", {"filling.count": 120, "material.friction": 0.1}),
         ("drum_small", {"filling.count": 3, "material.rolling_friction": 0.05}),
         ("drum_small", {"filling.count": 1, "material.rolling_friction": 0.05}),
-        ("packing", {"container.height": 0.3, "filling.count": 90, "filling.settles": "true"}),
+        ("packing", {"container.height": 0.3, "filling.count": 90, "filling.settles": True}),
         ("hopper", {"filling.count": 150, "container.orifice": 0.06}),
     ],
 )

@@ -130,7 +130,7 @@ def doors(*rows: tuple[Door, str]) -> pytest.MarkDecorator:
     (lambda: replace(DemConfig(), skin=math.nan), "dem.skin=nan is impossible; choose a value > 0 m, or null"),
     (lambda: setattr(DemConfig(), "timestep", 1e-4), "dem.timestep=0.0001: no such key; the keys are engine"),
     (lambda: MaterialConfig(restitution=1.2), "scene.material.restitution=1.2 is impossible; choose a value in (0, 1]"),
-    (lambda: SceneConfig(name=""), "scene.name= is impossible; choose a word"),
+    (lambda: SceneConfig(name=""), "scene.name= is impossible; choose a name, which is never a path"),
     (lambda: SceneConfig(gravity=-9.81), "scene.gravity=-9.81 is no list; write scene.gravity=[-9.81]"),
     (lambda: SceneConfig(gravity=[0, 0, None]), "scene.gravity[2]=null has the wrong type; give a number"),
     (lambda: SceneConfig(container={"kind": "box"}), "scene.container={'kind': 'box'} has the wrong type; give a Cont"),
@@ -222,7 +222,7 @@ def test_numpy_numbers_tuples_arrays_and_paths_are_as_good_as_plain_values(tmp_p
     (lambda: SCENE.at_speed(None), "scene.rotation.speeds_rpm[0]=null has the wrong type; give a number"),
     (lambda: SCENE.at_speed("30"), "scene.rotation.speeds_rpm[0]=30 has the wrong type; give a number"),
     (lambda: shipped_scene("drum_smal"), "scene=drum_smal: no such choice; did you mean drum_small?"),
-    (lambda: shipped_scene(None), "name=null has the wrong type; give a word"),
+    (lambda: shipped_scene(None), "scene=null has the wrong type; give a word"),
     (lambda: shipped_scene("drum", {"material.frction": 0.5}), "no such key; did you mean scene.material.friction?"),
     (lambda: shipped_scene("drum", {"filling.count.x": 5}), "scene.filling.count.x=5: no such key"),
     (lambda: shipped_scene("drum", {"material.friction": "0.5"}), "scene.material.friction=0.5 has the wrong type"),
@@ -263,9 +263,9 @@ def trajectory(**changes) -> Trajectory:
     (lambda: state(position=0.0), "position has shape (); expected (0, 3)"),
     (lambda: state(velocity=np.zeros((3, 3))), "velocity has shape (3, 3); expected (2, 3)"),
     (lambda: state(velocity=np.zeros((2, 3), complex)), "velocity is no array of numbers"),
-    (lambda: state(angular_velocity=[[0, 0, math.nan], [0, 0, 0]]), "angular_velocity is not finite for particles 0"),
+    (lambda: state(angular_velocity=[[0, 0, math.nan], [0, 0, 0]]), "angular_velocity is not finite for particle 0"),
     (lambda: state(radius=0.025), "radius has shape (); expected (2,)"),
-    (lambda: state(radius=[0.025, -1]), "radius must be positive and finite; particles 1 are not"),
+    (lambda: state(radius=[0.025, -1]), "radius must be positive and finite; particle 1 is not"),
     (lambda: state(material=[0.5, 0]), "material of float64 is no array of indices; give whole numbers up to 255"),
     (lambda: state(material=[0, -1]), "material of int64 is no array of indices; give whole numbers up to 255"),
     (lambda: state(material=[0]), "material has shape (1,); expected (2,)"),
@@ -279,7 +279,7 @@ def trajectory(**changes) -> Trajectory:
     (lambda: trajectory(velocity="fast"), "trajectory velocity is no array of numbers"),
     (lambda: trajectory(time=[0, 0]), "trajectory time is not finite or does not increase; give the time of"),
     (lambda: trajectory(time=[0]), "trajectory time has shape (1,); expected (2,)"),
-    (lambda: trajectory(radius=[0]), "trajectory radius must be positive and finite; particles 0 are not"),
+    (lambda: trajectory(radius=[0]), "trajectory radius must be positive and finite; particle 0 is not"),
     (lambda: trajectory(velocity_kind="median"), "velocity_kind='median'; choose instantaneous or mean"),
     (lambda: trajectory(diagnostics={"overlap_mean": [0]}), "trajectory overlap_mean has shape (1,); expected (2,)"),
 )
@@ -424,8 +424,8 @@ def test_what_failed_is_judged_and_not_refused():
 
 def test_one_replica_has_no_noise_floor_and_says_so():
     floor = noise_floor(lambda a, b: Measured(1.0, "m"), [RUN], "m")
-    assert floor == Measured.undefined("m", "1 replica(s) have no noise floor; make two or more")
-    assert "have no noise floor" in str(judge(RUN, [TWIN], SCENE))
+    assert floor == Measured.undefined("m", "a single replica has no noise floor; make two or more")
+    assert "has no noise floor" in str(judge(RUN, [TWIN], SCENE))
 
 
 # ---- files ---------------------------------------------------------------------------------------------------
@@ -446,7 +446,7 @@ def model_file(path: Path, **changes) -> Path:
     (lambda folder: load_model(model_file(folder / "c.pt", scene=3)), "scene=3 is no section"),
     (lambda folder: load_model(shipped_model(), device="gpu9"), "device=gpu9 cannot be used"),
     (lambda folder: shipped_model("holdout"), "model holdout: none of that name ships with the package; choose"),
-    (lambda folder: shipped_model(3), "name=3 has the wrong type; give a word"),
+    (lambda folder: shipped_model(3), "model=3 has the wrong type; give a word"),
     (lambda folder: read_case(folder), "is a folder; give the file of a case"),
     (lambda folder: read_case(None), "path=null has the wrong type; give a word"),
     (lambda folder: read_case(folder / "none.h5", frames=3), "frames=3 has the wrong type; give a slice, or null"),

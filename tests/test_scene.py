@@ -242,9 +242,9 @@ def test_placed_spheres_have_the_radii_that_are_listed():
     ],
 )  # fmt: skip
 def test_radii_that_cannot_be_are_refused(changes, words):
-    with pytest.raises(SceneError, match=words):
+    with pytest.raises(ConfigError, match=words):
         shipped_scene("collision", changes)
-    with pytest.raises(SceneError, match=r"radii=.* is impossible; give values > 0 m"):
+    with pytest.raises(SceneError, match=r"scene.filling.radii\[0\]=-0.1 is impossible; choose a value > 0 m"):
         Filling(1, 0.05, positions=((0, 0, 0),), radii=(-0.1,))
 
 
@@ -265,9 +265,9 @@ def test_shares_that_do_not_divide_are_given_to_the_largest_remainders():
         ({"spread": 0.1}, "kind=uniform or lognormal"),
         ({"factors": (1.0,)}, "kind=listed"),
         ({"edges": (1.0, 2.0)}, "kind=histogram"),
-        ({"by": "volume"}, "by='volume' is unknown; choose number, mass"),
+        ({"by": "volume"}, "by=volume is impossible; choose number or mass"),
         ({"kind": "histogram"}, "give two or more values > 0 that rise"),
-        ({"kind": "histogram", "edges": (0.0, 1.0), "fractions": (1.0,)}, "values > 0 that rise"),
+        ({"kind": "histogram", "edges": (0.0, 1.0), "fractions": (1.0,)}, r"edges\[0\]=0 is impossible"),
         ({"kind": "histogram", "edges": (2.0, 1.0), "fractions": (1.0,)}, "values > 0 that rise"),
         ({"kind": "histogram", "edges": (1.0, 2.0), "fractions": (0.5, 0.5)}, "give 1 shares"),
     ],

@@ -27,7 +27,10 @@ from gran_bench.source_digest import (
 
 PACKAGE = Path(gran_bench.__file__).parent
 # They say which values are legal, where files lie, which data a run has and how a process ends, and change no number.
-NEUTRAL = ("atomic", "source_digest", "provenance", "stopping", "config", "surrogate/checkpoint", "__init__")
+NEUTRAL = (
+    *("cache_folders", "child", "atomic", "source_digest", "provenance", "stopping", "config"),
+    *("dem/kernel", "surrogate/checkpoint", "__init__"),
+)
 # In a run's key by the digest of its data.
 DATA = ("dataset/case_spec", "dataset/progress", "dataset/workers", "dem/simulate")
 

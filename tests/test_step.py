@@ -85,7 +85,7 @@ def test_a_state_that_is_not_finite_stays_visible():
 
 
 def test_an_unknown_update_is_refused_by_name():
-    with pytest.raises(ValueError, match=r"model\.update='leapfrog'.*mean or trapezoid"):
+    with pytest.raises(ValueError, match=r"model\.update=leapfrog.*mean or trapezoid"):
         Constant("leapfrog")
 
 

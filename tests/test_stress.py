@@ -273,6 +273,7 @@ def test_the_sweep_is_asked_for_its_exit_code_where_there_is_one(tmp_path, monke
     script = "import sys\nprint('runs differ')\nsys.exit(sys.argv[1:] != ['--jobs', '3', '--kills', '2'])\n"
     (tmp_path / "a_sweep.py").write_text(script, "utf-8")
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(kills, "SWEEP", "a_sweep")
     assert kills.killed_sweep(bench, jobs=3, kills=2) == Observation({"exit_code": 0.0})
     assert kills.killed_sweep(bench, jobs=3, kills=3) == Observation({"exit_code": 1.0}, ("runs differ",))

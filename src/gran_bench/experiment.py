@@ -16,8 +16,8 @@ import pandas as pd
 from gran_bench import tracking
 from gran_bench.atomic import write_text
 from gran_bench.config import EvaluateConfig, SceneConfig, TrainConfig
-from gran_bench.config_check import read_config
-from gran_bench.config_rules import ConfigError, recheck
+from gran_bench.config_check import read_config, validate
+from gran_bench.config_rules import ConfigError
 from gran_bench.dataset import Windows, ensure_cases
 from gran_bench.evaluation import evaluate
 from gran_bench.evaluation_plan import Plan
@@ -50,7 +50,7 @@ def run_experiment(config: TrainConfig) -> dict[str, Any]:
         ConfigError: a value that no run can have.
         KeyboardInterrupt: SIGTERM or Ctrl-C; a resumable state is on disk and the MLflow run is KILLED.
     """
-    recheck(config)
+    validate(config)
     scene = build_scene(config.scene)
     tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
     clock = Clock()
@@ -90,7 +90,7 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
         ConfigError: a value that cannot be, or a speed that the model was trained on.
         KeyboardInterrupt: as for `run_experiment`.
     """
-    recheck(config)
+    validate(config)
     path = Path(config.checkpoint)
     model, card = load_model(path, device_named(config.device))
     scene, digest = build_scene(read_config(SceneConfig, card.scene)), file_digest(path)

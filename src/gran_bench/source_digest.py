@@ -27,7 +27,7 @@ MODELS = {"contact": CONTACT, "ccnn": CONVOLUTION, "radial": CONVOLUTION}
 # States, walls, pairs, stored frames, and what all models share: what training and judging read. Of the DEM they know
 # its data and its walls alone.
 _READING = (
-    *("state.py", "scene", "neighbors", "dem/walls.py"),
+    *("state.py", "scene", "neighbors", "dem/outlet.py", "dem/seams.py", "dem/wall_list.py", "dem/walls.py"),
     *("dataset/case_file.py", "dataset/scene_document.py", "dataset/windows.py"),
     *("surrogate", "-surrogate/checkpoint.py", "-surrogate/compiling.py"),
     *(f"-{room}" for room in (*CONTACT, *CONVOLUTION)),

@@ -15,8 +15,9 @@ from gran_bench import tracking
 from gran_bench.atomic import locked
 from gran_bench.composition import PlannedJob
 from gran_bench.config import TrackingConfig, TrainConfig
+from gran_bench.config_check import validate
 from gran_bench.config_identity import telling_keys
-from gran_bench.config_rules import ConfigError, recheck
+from gran_bench.config_rules import ConfigError
 from gran_bench.dataset import DatasetError
 from gran_bench.provenance import command, commit
 from gran_bench.run_identity import RunIdentity, hash_of, identify, judged_by, judging_plan, wants_more
@@ -45,7 +46,7 @@ def open_sweep(planned: Sequence[PlannedJob], name: str) -> Iterator[Sweep]:
         SweepFileError: a file of an earlier sweep is damaged.
     """
     for job in planned:
-        recheck(job.config)
+        validate(job.config)
     _refuse_twins(planned)
     config: TrackingConfig = planned[0].config.tracking
     root = Path(config.root).resolve()

@@ -28,7 +28,8 @@ from gran_bench.comparison.results import (
 from gran_bench.comparison.sentences import softened, verdicts, winner
 from gran_bench.comparison.turns import Record, take_turns
 from gran_bench.config import BenchmarkConfig
-from gran_bench.config_rules import ConfigError, recheck
+from gran_bench.config_check import validate
+from gran_bench.config_rules import ConfigError
 from gran_bench.dataset import ensure_cases, read_case, rotation_label
 from gran_bench.plots.study_cost import CostLine, cost_against
 from gran_bench.plots.time_error import Contender, time_against_error
@@ -55,7 +56,7 @@ def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
             DEM that failed.
         ResultsError: nothing measured yet, or with other replicas, and ``measure=false``.
     """
-    recheck(config)
+    validate(config)
     contest = Contest(config, model_files(config.models))
     scene, profile = contest.scene, config.profile
     folder = Path(config.root) / profile.name / scene.name

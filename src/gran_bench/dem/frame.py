@@ -249,7 +249,8 @@ class Run:
                 f"the run diverged at t = {when:.6g} s: particle {i} moves at {np.linalg.norm(frame[1][i]):.3g} m/s, "
                 f"more than a quarter of the smallest radius in one step of {self._time_step:g} s; choose a smaller "
                 "dem.time_step",
-                self._failed(when, *frame),
+                # Of the step that was begun: a frame may have been taken where it began.
+                self._failed(when + self._time_step, *frame),
             ) from divergence
 
 

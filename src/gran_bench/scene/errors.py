@@ -23,14 +23,14 @@ def scene_errors() -> Iterator[None]:
         raise SceneError(str(error)) from None
 
 
-def hold(part: Any, place: str, schema: type[Section] | None = None, **rules: Rule) -> None:
+def hold(part: Any, place: str, schema: type[Section] | None = None, **rules: Rule | None) -> None:
     """Hold the fields of a part of a scene against their types and rules; arrays and lists become tuples.
 
     Args:
         part: a frozen dataclass.
         place: of the part in the names of its fields, with a dot at its end.
         schema: the config section that describes such a part; its keys have the rules of the fields of their names.
-        rules: of fields that no config key describes. A number without a rule is finite.
+        rules: of fields that no config key describes, or whose rule is another. A number without a rule is finite.
 
     Raises:
         SceneError: names the field, the value and what is legal.
@@ -38,7 +38,7 @@ def hold(part: Any, place: str, schema: type[Section] | None = None, **rules: Ru
     keys = {} if schema is None else schema.__dataclass_fields__
     with scene_errors():
         for name, hint in hints_of(type(part)).items():
-            rule = keys[name].metadata.get("rule") if name in keys else rules.get(name)
+            rule = rules.get(name, keys[name].metadata.get("rule") if name in keys else None)
             object.__setattr__(part, name, checked_value(hint, rule, getattr(part, name), place + name))
 
 

@@ -64,7 +64,8 @@ class Scene:
     outlet: Outlet | None = None
 
     def __post_init__(self) -> None:
-        hold(self, SceneConfig.place, SceneConfig, drum_radius=positive("m"), length=positive("m"))
+        # A config's name becomes a folder; a scene made in Python is called as its author likes.
+        hold(self, SceneConfig.place, SceneConfig, name=None, drum_radius=positive("m"), length=positive("m"))
         with scene_errors():
             check_end(self)
         if len(self.filling.fractions) > len(self.materials):
