@@ -10,6 +10,7 @@ import h5py
 import pytest
 import torch
 
+from gran_bench.child import StopRequest
 from gran_bench.config import (
     ContactModelConfig,
     ContainerConfig,
@@ -29,7 +30,6 @@ from gran_bench.dataset import DatasetError, ensure_cases, read_case, split_case
 from gran_bench.evaluation import Plan
 from gran_bench.experiment import make_model, train_stage, training_windows
 from gran_bench.scene import build_scene
-from gran_bench.stopping import StopRequest
 from gran_bench.tracking import open_run
 
 Weights = dict[str, torch.Tensor]

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import hydra
 from hydra._internal.utils import get_args_parser
 
+from gran_bench.child import quiet_without_reader
 from gran_bench.composition import (
     CONFIG_MODULE,
     VERSION_BASE,
@@ -34,7 +35,6 @@ from gran_bench.job import FAILED, REFUSED, Job, complain
 from gran_bench.launcher import JobError, load_ahead, register_launcher
 from gran_bench.override_errors import explain
 from gran_bench.provenance import program
-from gran_bench.stopping import quiet_without_reader
 
 if TYPE_CHECKING:
     from gran_bench.sweep_jobs import Sweep

@@ -15,6 +15,7 @@ import pandas as pd
 
 from gran_bench import tracking
 from gran_bench.atomic import write_text
+from gran_bench.child import StopRequest, stop_on_signals
 from gran_bench.config import EvaluateConfig, SceneConfig, TrainConfig
 from gran_bench.config_check import read_config, validate
 from gran_bench.config_rules import ConfigError
@@ -29,7 +30,6 @@ from gran_bench.run_record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRe
 from gran_bench.run_summary import cut_short
 from gran_bench.scene import build_scene
 from gran_bench.source_digest import model_code
-from gran_bench.stopping import StopRequest, stop_on_signals
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model
 from gran_bench.surrogate.compiling import compile_kernels, kernels_missing
 from gran_bench.surrogate.step import Surrogate

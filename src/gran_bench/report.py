@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 
+from gran_bench.child import quiet_without_reader
 from gran_bench.front_page.command import report_command
-from gran_bench.stopping import quiet_without_reader
 
 if __name__ == "__main__":
     with quiet_without_reader():

@@ -13,6 +13,7 @@ from typing import Any
 
 from gran_bench import tracking
 from gran_bench.atomic import locked
+from gran_bench.child import stop_on_signals
 from gran_bench.composition import PlannedJob
 from gran_bench.config import TrackingConfig, TrainConfig
 from gran_bench.config_check import validate
@@ -23,7 +24,6 @@ from gran_bench.provenance import command, commit
 from gran_bench.run_identity import RunIdentity, hash_of, identify, judged_by, judging_plan, wants_more
 from gran_bench.run_record import finished_summary, tell
 from gran_bench.source_digest import MODELS, judging_code, taken_hashes, training_code
-from gran_bench.stopping import stop_on_signals
 from gran_bench.sweep.run_file import RUNS, SWEEPS, copied_run, read_run, recorded_runs
 from gran_bench.sweep.sweep_file import SweepFile, SweepJob
 from gran_bench.sweep.sweep_report import SweepReport, log_report, report_sweep

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gran_bench.atomic import locked
+from gran_bench.child import stop_on_signals
 from gran_bench.comparison.contest import Contest
 from gran_bench.comparison.errors import Reference, Scored, errors_file, judged_rounds, score_run
 from gran_bench.comparison.method import Method
@@ -36,7 +37,6 @@ from gran_bench.plots.time_error import Contender, time_against_error
 from gran_bench.provenance import hardware, library_versions, provenance
 from gran_bench.shipped import DEFAULT_MODEL, SHIPPED, shipped_model
 from gran_bench.source_digest import comparing_code
-from gran_bench.stopping import stop_on_signals
 
 
 def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from gran_bench.atomic import locked
+from gran_bench.child import stop_on_signals
 from gran_bench.config import StressConfig
 from gran_bench.config_rules import ConfigError
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
@@ -22,7 +23,6 @@ from gran_bench.stability.page import PAGE, closing_line, table, write_results
 from gran_bench.stability.perform import model_file
 from gran_bench.stability.registry import EXPERIMENTS
 from gran_bench.stability.run import Result, carry_out, errands, forget
-from gran_bench.stopping import stop_on_signals
 
 LOCK = ".lock"  # in the folder of the page
 PART = "part"  # folder of the page of less than the whole list

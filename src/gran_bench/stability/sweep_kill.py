@@ -21,12 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from gran_bench.child import group, kill_group
+from gran_bench.child import group, kill_group, stop_on_signals
 from gran_bench.composition import override
 from gran_bench.run_record import MODEL
 from gran_bench.run_summary import SUMMARY
 from gran_bench.stability.finished_files import Written, done_again, finished_files, records_of
-from gran_bench.stopping import stop_on_signals
 from gran_bench.surrogate.checkpoint import load_card
 from gran_bench.sweep.run_file import SWEEPS
 from gran_bench.tracking.address import DATABASE, SERVER
