@@ -20,7 +20,7 @@ from gran_bench.config import ContactModelConfig, SceneConfig
 from gran_bench.dem.simulate import settle, simulate
 from gran_bench.scene import Scene, build_scene
 from gran_bench.state import ParticleState
-from gran_bench.surrogate.contact import ContactNetwork
+from gran_bench.surrogate.contact.network import ContactNetwork
 
 Rows = dict[str, Callable[[], object]]
 MODELS = {

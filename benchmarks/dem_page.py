@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from gran_bench.atomic import write_part
+from gran_bench.files import write_part
 from gran_bench.provenance import provenance, stamp, write_table
 
 PAGE = "README.md"

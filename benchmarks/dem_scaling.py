@@ -20,10 +20,10 @@ import numpy as np
 from dem_page import keep
 
 from gran_bench.config import ContainerConfig, FillingConfig, SceneConfig
-from gran_bench.dem import engine_numba
+from gran_bench.dem.fast import engine as engine_numba
+from gran_bench.dem.fast.tuning import Tuner
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.simulate import simulate
-from gran_bench.dem.tuning import Tuner
 from gran_bench.dem.walls import wall_poses
 from gran_bench.plots.style import drawing
 from gran_bench.scene import Scene, build_scene

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from dem_page import keep
 
-from gran_bench.dem import engine_numba
+from gran_bench.dem.fast import engine as engine_numba
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.outlet import part_of, taking_part
 from gran_bench.dem.simulate import choose_time_step, settle, simulate

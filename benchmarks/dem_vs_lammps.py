@@ -116,7 +116,7 @@ class Lammps:
     """LAMMPS in a process of its own, or in one for each rank."""
 
     def __init__(self, python: str, folder: Path, skin: float, ranks: int) -> None:
-        from gran_bench.child import (  # here: LAMMPS' interpreter, which runs this file too, lacks it
+        from gran_bench.processes import (  # here: LAMMPS' interpreter, which runs this file too, lacks it
             kill_group,
             start_program,
         )
@@ -161,8 +161,8 @@ class OurRun:
     """A bed that goes on in frames of 10 ms, as in `simulate`."""
 
     def __init__(self, scene, state, engine: Callable, threads: int, tuned: bool) -> None:
+        from gran_bench.dem.fast.tuning import Tuner
         from gran_bench.dem.integrate import Physics
-        from gran_bench.dem.tuning import Tuner
         from gran_bench.dem.walls import wall_poses
 
         self.state, self.engine = state, engine
@@ -192,10 +192,11 @@ def main(lammps_python: str, rounds: int, steps: int, output: Path | None) -> No
     """Settles and turns the bed, then times all solvers in turns."""
     from dem_page import keep
 
-    from gran_bench.child import MissingProgramError, kill_group, require_program
     from gran_bench.config import SceneConfig
-    from gran_bench.dem import engine_numba, engine_numpy
+    from gran_bench.dem import engine_numpy
+    from gran_bench.dem.fast import engine as engine_numba
     from gran_bench.dem.simulate import settle, simulate
+    from gran_bench.processes import MissingProgramError, kill_group, require_program
     from gran_bench.scene import build_scene
 
     try:

@@ -48,15 +48,15 @@ from drum_flow_page import (
     part,
 )
 
-from gran_bench.atomic import locked, write_part
-from gran_bench.child import start_program
 from gran_bench.config import DemConfig
 from gran_bench.dataset import CaseSpec, ensure_cases, read_case, read_settled
 from gran_bench.dataset.case_file import read_attributes
+from gran_bench.files import locked, write_part
 from gran_bench.metrics.angle_of_repose import center_of_mass_angles
 from gran_bench.metrics.measured import within
 from gran_bench.metrics.summary import STEADY_FROM
 from gran_bench.plots import draw_drum_flow
+from gran_bench.processes import start_program
 from gran_bench.provenance import write_table
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene

@@ -15,9 +15,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from gran_bench.atomic import write_part
-from gran_bench.comparison.page import PAGE
-from gran_bench.comparison.results import RESULTS, read_results
+from gran_bench.benchmark.page import PAGE
+from gran_bench.benchmark.results import RESULTS, read_results
+from gran_bench.files import write_part
 from gran_bench.provenance import stamp
 
 NAME = "two runs"

@@ -10,9 +10,9 @@ import torch
 from gran_bench.config import ContactModelConfig, ContainerConfig, FillingConfig, SceneConfig
 from gran_bench.dem.walls import wall_contact
 from gran_bench.scene import Cone, Cylinder, Disc, Plane, Scene, Spin, Translation, Vibration, build_scene
-from gran_bench.surrogate.contact import ContactNetwork
-from gran_bench.surrogate.contact_geometry import find_contacts
-from gran_bench.surrogate.contact_memory import ContactMemory
+from gran_bench.surrogate.contact.geometry import find_contacts
+from gran_bench.surrogate.contact.memory import ContactMemory
+from gran_bench.surrogate.contact.network import ContactNetwork
 from gran_bench.surrogate.step import FrameState
 from gran_bench.surrogate.walls import frame_walls
 

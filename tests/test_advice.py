@@ -12,7 +12,7 @@ from typing import get_type_hints
 import pytest
 
 import gran_bench.conf
-from gran_bench.composition import Source, checked_config, compose, described_jobs
+from gran_bench.compose import Source, checked_config, compose, described_jobs
 from gran_bench.config import (
     BenchmarkConfig,
     EvaluateConfig,
@@ -22,9 +22,9 @@ from gran_bench.config import (
     TrainConfig,
     UiConfig,
 )
-from gran_bench.config_check import section_names
-from gran_bench.config_rules import ConfigError
-from gran_bench.override_errors import explain
+from gran_bench.config.override_errors import explain
+from gran_bench.config.reading import section_names
+from gran_bench.config.rules import ConfigError
 from gran_bench.surrogate.checkpoint import CHECKPOINT, MODEL, CheckpointError, load_card, write_tensors
 from gran_bench.tracking import ui_command
 

@@ -11,16 +11,16 @@ import torch
 
 import gran_bench.conf
 from gran_bench.config import TrainConfig
-from gran_bench.config_check import validate
-from gran_bench.config_choices import loss_terms
+from gran_bench.config.choices import loss_terms
+from gran_bench.config.reading import validate
 from gran_bench.dataset import DatasetError, Windows, ensure_cases, split_cases
 from gran_bench.dataset.case_file import read_case
 from gran_bench.entry import checked_config, compose
-from gran_bench.experiment import make_model
 from gran_bench.losses import LossError
+from gran_bench.run.experiment import make_model
 from gran_bench.scene import build_scene
-from gran_bench.surrogate.ccnn import ContinuousConvolutionNetwork
-from gran_bench.surrogate.kernels.radial import RadialBasis
+from gran_bench.surrogate.convolution.ccnn import ContinuousConvolutionNetwork
+from gran_bench.surrogate.convolution.kernels.radial import RadialBasis
 from gran_bench.trainer import Trainer
 
 CONF = Path(gran_bench.conf.__path__[0])

@@ -11,18 +11,18 @@ import torch
 from beds import RADIUS, drum, flowing, inclined_bed, resting
 
 from gran_bench.baselines import interpolated_statistics, neighbouring_speeds, rigid_rotation
-from gran_bench.composition import checked_config, compose
+from gran_bench.compose import checked_config, compose
 from gran_bench.config import DatasetConfig, DemConfig, GenerateConfig, TrainConfig
-from gran_bench.config_rules import ConfigError
+from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import DatasetError, split_cases
 from gran_bench.dem.simulate import simulate
-from gran_bench.evaluation_plan import Plan
+from gran_bench.evaluation.plan import Plan
 from gran_bench.metrics import judge, summarise
 from gran_bench.metrics.angle_of_repose import why_no_angle
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import ParticleState, Trajectory
-from gran_bench.surrogate.boundary import see_contacts, see_spheres
+from gran_bench.surrogate.convolution.boundary import see_contacts, see_spheres
 
 MIRROR, AXIAL = np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, -1.0])
 

@@ -12,7 +12,7 @@ from gran_bench.config import SceneConfig
 from gran_bench.dem.walls import surface_velocity, wall_contact, wall_poses
 from gran_bench.neighbors import tree_neighbors
 from gran_bench.scene import Disc, Plane, Rotation, Translation, build_scene
-from gran_bench.surrogate.boundary import see_contacts, see_spheres, wall_spheres
+from gran_bench.surrogate.convolution.boundary import see_contacts, see_spheres, wall_spheres
 from gran_bench.surrogate.walls import closest_point, frame_walls, wall_velocity
 
 REACH, SPACING = 0.1125, 0.025

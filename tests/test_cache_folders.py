@@ -16,9 +16,10 @@ PACKAGE = Path(__file__).parents[1] / "src" / "gran_bench"
 WORK = """
 import sys
 if "numba first" in sys.argv: import numba
-import gran_bench.dem.simulate, gran_bench.surrogate.contact, gran_bench.surrogate.ccnn, gran_bench.plots
+import gran_bench.dem.simulate, gran_bench.plots
+import gran_bench.surrogate.contact.network, gran_bench.surrogate.convolution.ccnn
 import matplotlib
-from gran_bench.dem.stretch import march
+from gran_bench.dem.fast.stretch import march
 print(march.stats.cache_path)
 print(matplotlib.get_cachedir())
 """

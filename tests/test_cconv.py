@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from gran_bench.neighbors import tree_neighbors
-from gran_bench.surrogate.cconv import ContinuousConvolution, convolve
-from gran_bench.surrogate.kernels import fused
-from gran_bench.surrogate.kernels.fused import convolve_fused
-from gran_bench.surrogate.kernels.lattice import LatticeBasis, ball_to_cube
-from gran_bench.surrogate.kernels.radial import RadialBasis
-from gran_bench.surrogate.neighborhood import weigh_pairs
+from gran_bench.surrogate.convolution.cconv import ContinuousConvolution, convolve
+from gran_bench.surrogate.convolution.kernels import fused
+from gran_bench.surrogate.convolution.kernels.fused import convolve_fused
+from gran_bench.surrogate.convolution.kernels.lattice import LatticeBasis, ball_to_cube
+from gran_bench.surrogate.convolution.kernels.radial import RadialBasis
+from gran_bench.surrogate.convolution.neighborhood import weigh_pairs
 
 REFERENCE = Path(__file__).parent / "reference"
 DIAMETER, RADIUS = 0.05, 0.1125

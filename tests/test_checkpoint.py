@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from gran_bench.stability.full_disk import full_at
+from gran_bench.stress.full_disk import full_at
 from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, load_card, read_tensors, save_model
 
 CARD = ModelCard({"name": "contact"}, {}, {}, {})

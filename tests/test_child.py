@@ -11,14 +11,14 @@ from pathlib import Path
 import psutil
 import pytest
 
-from gran_bench.child import MissingProgramError, start_module, start_program
+from gran_bench.processes import MissingProgramError, start_module, start_program
 
 ROOT = Path(__file__).parents[1]
 PARENT = """
 import subprocess, sys, time
-from gran_bench.child import start_module, start_program
+from gran_bench.processes import start_module, start_program
 sleep = [sys.executable, "-c", "import time; time.sleep(300)"]
-children = [start_program(sleep), start_module("gran_bench.comparison.worker", stdin=subprocess.PIPE)]
+children = [start_program(sleep), start_module("gran_bench.benchmark.worker", stdin=subprocess.PIPE)]
 print(*(child.pid for child in children), flush=True)
 {ending}
 """

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gran_bench.comparison.claims import (
+from gran_bench.benchmark.claims import (
     Entry,
     best_in_time,
     break_even,
@@ -20,7 +20,7 @@ from gran_bench.comparison.claims import (
     paid_back,
     speed_up,
 )
-from gran_bench.comparison.spread import spread
+from gran_bench.benchmark.spread import spread
 
 
 def entry(name: str, seconds: float, floors: float | None, kind: str = "dem", **spent: float) -> Entry:

@@ -8,9 +8,9 @@ import math
 
 import pytest
 
-from gran_bench.comparison import command
-from gran_bench.comparison.page import part_text, table_of
-from gran_bench.comparison.results import (
+from gran_bench.benchmark import command
+from gran_bench.benchmark.page import part_text, table_of
+from gran_bench.benchmark.results import (
     FORMAT,
     RESULTS,
     ResultsError,
@@ -21,7 +21,7 @@ from gran_bench.comparison.results import (
     share_waited,
     untimed,
 )
-from gran_bench.comparison.sentences import verdicts, winner
+from gran_bench.benchmark.sentences import verdicts, winner
 
 
 def row(name: str, kind: str, seconds: float, floors: float | None, failure: str = "", **more) -> dict:

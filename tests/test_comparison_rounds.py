@@ -10,11 +10,11 @@ import tempfile
 import numpy as np
 import pytest
 
-from gran_bench.comparison import command, turns
-from gran_bench.comparison.crew import ask
-from gran_bench.comparison.errors import noise_bound
-from gran_bench.comparison.method import Method
-from gran_bench.comparison.pooling import pooled_judgement
+from gran_bench.benchmark import command, turns
+from gran_bench.benchmark.crew import ask
+from gran_bench.benchmark.errors import noise_bound
+from gran_bench.benchmark.method import Method
+from gran_bench.benchmark.pooling import pooled_judgement
 
 
 @pytest.fixture

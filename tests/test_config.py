@@ -12,8 +12,7 @@ import yaml
 
 import gran_bench.conf
 from gran_bench import config as schemas
-from gran_bench import config_choices, config_consistency
-from gran_bench.composition import checked_config, compose
+from gran_bench.compose import checked_config, compose
 from gran_bench.config import (
     MODEL_SCHEMAS,
     BenchmarkConfig,
@@ -26,15 +25,17 @@ from gran_bench.config import (
     TrainConfig,
     UiConfig,
 )
-from gran_bench.config_check import dotted_keys, nearest_key, read_config, validate
-from gran_bench.config_identity import UNDECIDING, deciding_keys
-from gran_bench.config_rules import ConfigError, Name, OneOf, Range, Section
+from gran_bench.config import choices as config_choices
+from gran_bench.config import consistency as config_consistency
+from gran_bench.config.identity import UNDECIDING, deciding_keys
+from gran_bench.config.reading import dotted_keys, nearest_key, read_config, validate
+from gran_bench.config.rules import ConfigError, Name, OneOf, Range, Section
 from gran_bench.dem.initial_checks import check_initial_state
 from gran_bench.metrics.position_error import HORIZONS
 from gran_bench.scene import build_scene
 from gran_bench.state import StateError
-from gran_bench.surrogate import boundary
-from gran_bench.surrogate.kernels import contact_fused
+from gran_bench.surrogate.contact.kernels import fused as contact_fused
+from gran_bench.surrogate.convolution import boundary
 
 CONF = Path(gran_bench.conf.__path__[0])
 GROUPS = [path for path in sorted(CONF.iterdir()) if path.is_dir() and path.name not in ("hydra", "__pycache__")]

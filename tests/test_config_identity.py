@@ -6,9 +6,9 @@ import json
 
 import pytest
 
-from gran_bench.composition import Source, checked_config, compose, described_jobs
+from gran_bench.compose import Source, checked_config, compose, described_jobs
 from gran_bench.config import TrainConfig
-from gran_bench.config_identity import telling_keys
+from gran_bench.config.identity import telling_keys
 
 
 @pytest.mark.parametrize(

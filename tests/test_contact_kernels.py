@@ -9,9 +9,9 @@ from contact_beds import VARIANTS, at_walls, cluster, drum, furnished, network, 
 
 from gran_bench.config import ContactModelConfig, ContainerConfig, FillingConfig, SceneConfig
 from gran_bench.scene import build_scene
-from gran_bench.surrogate import compiling
-from gran_bench.surrogate.contact import ContactNetwork
-from gran_bench.surrogate.kernels.contact_frame import frame_adjoint, frame_forward
+from gran_bench.surrogate.contact import compiling
+from gran_bench.surrogate.contact.kernels.frame import frame_adjoint, frame_forward
+from gran_bench.surrogate.contact.network import ContactNetwork
 
 
 class TestFusedKernel:
@@ -84,7 +84,7 @@ def test_kernels_compiled_ahead_are_the_ones_that_a_run_calls(monkeypatch):
     assert compiling.kernels_missing("contact")
     assert not compiling.kernels_missing("radial")
     compiling.compile_kernels("contact")
-    assert calls == ["gran_bench.surrogate.compiling"]
+    assert calls == ["gran_bench.surrogate.contact.compiling"]
     assert compiling.kernels_missing("contact")  # it failed, so the run compiles for itself
 
 

@@ -8,9 +8,9 @@ from contact_beds import VARIANTS, at_walls, cluster, drum, furnished, network, 
 from gran_bench.config import ContactModelConfig
 from gran_bench.neighbors import tree_pairs
 from gran_bench.scene import Plane
-from gran_bench.surrogate.contact import ContactNetwork
-from gran_bench.surrogate.contact_geometry import MILLIMETRE, find_contacts, wall_surfaces
-from gran_bench.surrogate.contact_solver import PAIR
+from gran_bench.surrogate.contact.geometry import MILLIMETRE, find_contacts, wall_surfaces
+from gran_bench.surrogate.contact.network import ContactNetwork
+from gran_bench.surrogate.contact.solver import PAIR
 from gran_bench.surrogate.step import FrameState
 from gran_bench.surrogate.walls import frame_walls
 

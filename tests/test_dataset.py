@@ -30,8 +30,8 @@ from gran_bench.dataset import (
 )
 from gran_bench.dataset.progress import SimulatedTimeBar
 from gran_bench.dem.simulate import SimulationResult, settle, simulate
+from gran_bench.provenance.source_digest import bare_code
 from gran_bench.scene import Rotation, SceneError, build_scene
-from gran_bench.source_digest import bare_code
 
 CONFIG = SceneConfig(
     name="drum_tiny",

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gran_bench.config import ContainerConfig, DatasetConfig, DemConfig, FillingConfig, SceneConfig
-from gran_bench.config_rules import ConfigError
+from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import (
     Case,
     DatasetError,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gran_bench.dem import contact_blocks as blocks
-from gran_bench.dem.bodies import as_given, bodies_in_order
+from gran_bench.dem.fast import contact_blocks as blocks
+from gran_bench.dem.fast.bodies import as_given, bodies_in_order
 from gran_bench.dem.integrate import into_period
 
 

@@ -12,17 +12,18 @@ import numba
 import numpy as np
 import pytest
 
-from gran_bench.dem import compiling, engine_numba
-from gran_bench.dem.stretch import march
+from gran_bench.dem.fast import compiling
+from gran_bench.dem.fast import engine as engine_numba
+from gran_bench.dem.fast.stretch import march
 
 FIRST_USE = """
 import json
 from dataclasses import replace
 import numpy as np
 from gran_bench.config import ContainerConfig, DemConfig, FillingConfig, SceneConfig
-from gran_bench.dem import engine_numba
-from gran_bench.dem.compiling import LISTS, PIECES
-from gran_bench.dem.wall_list import list_near
+from gran_bench.dem.fast import engine as engine_numba
+from gran_bench.dem.fast.compiling import LISTS, PIECES
+from gran_bench.dem.fast.wall_list import list_near
 from gran_bench.neighbors.cells import sort_into_cells
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.walls import wall_poses
@@ -127,7 +128,7 @@ def test_what_is_compiled_is_found_on_disk(tmp_path):
 
 def test_the_process_beside_ends_with_its_caller(tmp_path):
     process = subprocess.Popen(
-        [sys.executable, "-m", "gran_bench.dem.compile_beside"],
+        [sys.executable, "-m", "gran_bench.dem.fast.compile_beside"],
         stdin=subprocess.PIPE,
         env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
     )

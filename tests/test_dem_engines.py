@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from gran_bench.config import ContainerConfig, DemConfig, FillingConfig, MaterialConfig, RotationConfig, SceneConfig
-from gran_bench.dem import engine_numba, engine_numpy
+from gran_bench.dem import engine_numpy
+from gran_bench.dem.fast import engine as engine_numba
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.simulate import settle, simulate
 from gran_bench.dem.walls import wall_poses

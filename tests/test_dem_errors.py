@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from gran_bench.config import ContainerConfig, DemConfig, FillingConfig, SceneConfig
-from gran_bench.config_rules import ConfigError
-from gran_bench.dem import engine_numba, engine_numpy
+from gran_bench.config.rules import ConfigError
+from gran_bench.dem import engine_numpy
+from gran_bench.dem.fast import engine as engine_numba
 from gran_bench.dem.integrate import Divergence, Physics
 from gran_bench.dem.simulate import SimulationError, settle, simulate
 from gran_bench.dem.time_step import TimeStepError

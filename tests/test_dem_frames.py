@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gran_bench.config import ContainerConfig, DemConfig, FillingConfig, MaterialConfig, RotationConfig, SceneConfig
-from gran_bench.dem import engine_numba
+from gran_bench.dem.fast import engine as engine_numba
 from gran_bench.dem.simulate import settle, simulate
 from gran_bench.scene import Disc, Filling, Material, Outlet, Plane, Room, Scene, Sizes, Vibration, build_scene
 from gran_bench.state import ContactHistory, ParticleState

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from gran_bench.config import ContainerConfig, FillingConfig, SceneConfig
-from gran_bench.dem.contact_list import LEAST_MARGIN, sorted_pairs, with_margins
+from gran_bench.dem.fast.contact_list import LEAST_MARGIN, sorted_pairs, with_margins
+from gran_bench.dem.fast.wall_list import list_wall_contacts
 from gran_bench.dem.integrate import LEAST_SKIN_DIAMETERS, SKIN_DIAMETERS, Physics
-from gran_bench.dem.wall_list import list_wall_contacts
 from gran_bench.dem.walls import COLUMNS, wall_contact, wall_poses
 from gran_bench.scene import Vibration, build_scene
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from gran_bench.dem import rows
-from gran_bench.dem.rows import BLOCK
+from gran_bench.dem.fast import rows
+from gran_bench.dem.fast.rows import BLOCK
 
 FIRST_BODY, SECOND_BODY = np.array([1, 2, 2, 9], np.uint32), np.array([0, 3, 4, 5], np.uint32)
 FIRST, PLACE = 4, 8  # columns 4 … 7, lanes 8 … 11

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from gran_bench.config import ContainerConfig, DemConfig, FillingConfig, RotationConfig, SceneConfig
-from gran_bench.dem import barrier, engine_numba, engine_numpy
+from gran_bench.dem import engine_numpy
+from gran_bench.dem.fast import barrier
+from gran_bench.dem.fast import engine as engine_numba
 from gran_bench.dem.integrate import Divergence, Physics
 from gran_bench.dem.simulate import simulate
 from gran_bench.dem.walls import wall_poses

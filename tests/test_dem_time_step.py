@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from gran_bench.config import SceneConfig
-from gran_bench.config_rules import ConfigError
+from gran_bench.config.rules import ConfigError
 from gran_bench.dem.contact import sphere_mass
 from gran_bench.dem.simulate import choose_time_step
 from gran_bench.dem.time_step import (

@@ -7,9 +7,9 @@ import math
 import pytest
 
 from gran_bench.config import SceneConfig
-from gran_bench.dem import tuning
+from gran_bench.dem.fast import tuning
+from gran_bench.dem.fast.tuning import STRETCHES_BETWEEN, Tuner
 from gran_bench.dem.integrate import Physics
-from gran_bench.dem.tuning import STRETCHES_BETWEEN, Tuner
 from gran_bench.scene import build_scene
 
 

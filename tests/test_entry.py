@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 import gran_bench.conf
-from gran_bench.composition import Source, changed_in, compose, described_jobs, override, run_folder, swept_keys
+from gran_bench.compose import Source, changed_in, compose, described_jobs, override, run_folder, swept_keys
 from gran_bench.config import TrainConfig
-from gran_bench.config_rules import ConfigError
+from gran_bench.config.rules import ConfigError
 from gran_bench.entry import run
-from gran_bench.job import FAILED, REFUSED, complain
 from gran_bench.scene import SceneError
 from gran_bench.state import StateError
-from gran_bench.sweep_run import open_sweep
+from gran_bench.sweep.job import FAILED, REFUSED, complain
+from gran_bench.sweep.opening import open_sweep
 
 CONF = Path(gran_bench.conf.__path__[0])
 RESULTS = Path(__file__).parents[1] / "results" / "sweeps"

@@ -10,7 +10,6 @@ import h5py
 import pytest
 import torch
 
-from gran_bench.child import StopRequest
 from gran_bench.config import (
     ContactModelConfig,
     ContainerConfig,
@@ -28,7 +27,8 @@ from gran_bench.config import (
 )
 from gran_bench.dataset import DatasetError, ensure_cases, read_case, split_cases
 from gran_bench.evaluation import Plan
-from gran_bench.experiment import make_model, train_stage, training_windows
+from gran_bench.processes import StopRequest
+from gran_bench.run.experiment import make_model, train_stage, training_windows
 from gran_bench.scene import build_scene
 from gran_bench.tracking import open_run
 

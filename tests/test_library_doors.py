@@ -14,7 +14,7 @@ from beds import drum, flowing
 from torch import nn
 
 from gran_bench.baselines import ballistic, interpolated_statistics, rigid_rotation
-from gran_bench.composition import checked_config, compose
+from gran_bench.compose import checked_config, compose
 from gran_bench.config import (
     BoundaryConfig,
     ContactModelConfig,
@@ -27,7 +27,7 @@ from gran_bench.config import (
     TrackingConfig,
     TrainConfig,
 )
-from gran_bench.config_rules import ConfigError
+from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import read_case, read_settled
 from gran_bench.dataset.case_spec import CaseSpec, split_cases
 from gran_bench.dem.simulate import settle, simulate

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gran_bench.config import LossConfig, SceneConfig
-from gran_bench.config_choices import loss_terms
+from gran_bench.config.choices import loss_terms
 from gran_bench.losses import TERMS, FrameAhead, LossError, Target, WindowLoss, contact_overlaps, frame_weights
 from gran_bench.losses.particles import HUBER_WIDTH
 from gran_bench.scene import Cone, Disc, Outlet, Plane, Scene, Translation, build_scene

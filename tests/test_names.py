@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from gran_bench.composition import run_folder
+from gran_bench.compose import run_folder
 from gran_bench.config import BenchmarkConfig, SceneConfig, TrackingConfig, TrainConfig
-from gran_bench.config_check import read_config
-from gran_bench.config_rules import LONGEST_NAME, ConfigError, shown
+from gran_bench.config.reading import read_config
+from gran_bench.config.rules import LONGEST_NAME, ConfigError, shown
 from gran_bench.shipped import shipped_model, shipped_scene
 
 PATHS = ["../../evil", "x/y", "..", ".", ".hidden", "/tmp/evil", "x\\y", "~", "a b", "$HOME", "*", "x\ny", "n" * 151]

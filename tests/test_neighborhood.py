@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from gran_bench.neighbors import cell_neighbors, tree_neighbors
-from gran_bench.surrogate.kernels.lattice import LatticeBasis
-from gran_bench.surrogate.kernels.radial import RadialBasis
-from gran_bench.surrogate.neighborhood import particle_neighborhood, weigh_pairs
+from gran_bench.surrogate.convolution.kernels.lattice import LatticeBasis
+from gran_bench.surrogate.convolution.kernels.radial import RadialBasis
+from gran_bench.surrogate.convolution.neighborhood import particle_neighborhood, weigh_pairs
 
 RADIUS = 0.1125
 BASES = {"lattice": LatticeBasis(RADIUS, 4), "radial": RadialBasis.around_contact(0.05, RADIUS)}

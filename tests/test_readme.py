@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gran_bench.composition import Source, checked_config, described_jobs
+from gran_bench.compose import Source, checked_config, described_jobs
 from gran_bench.config import BenchmarkConfig, EvaluateConfig, GenerateConfig, StressConfig, TrainConfig
 
 ROOT = Path(__file__).parents[1]

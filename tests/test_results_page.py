@@ -15,11 +15,11 @@ from test_comparison_page import found  # noqa: F401  a fixture
 from test_run_summary import SCENE, broken, flowing, summary_of
 from test_sweep import lost, run
 
-from gran_bench.atomic import read_part, write_part
-from gran_bench.front_page.command import PAGE, renew_pages, report_command
-from gran_bench.front_page.tables import drum_table, failures_table, scenes_table
-from gran_bench.result_page import ResultPageError, write_page
-from gran_bench.stability.page import early_ends
+from gran_bench.files import read_part, write_part
+from gran_bench.report.command import PAGE, renew_pages, report_command
+from gran_bench.report.result_page import ResultPageError, write_page
+from gran_bench.report.tables import drum_table, failures_table, scenes_table
+from gran_bench.stress.page import early_ends
 from gran_bench.sweep.overview import reaches
 
 ROOT = Path(__file__).parents[1]

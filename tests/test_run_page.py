@@ -12,8 +12,8 @@ from test_run_summary import SCENE, broken, summary_of
 
 from gran_bench.config import LossConfig, RolloutConfig, TrackingConfig
 from gran_bench.plots.style import drawing, drawn_for
-from gran_bench.run_page import description, loss_in_words, params_of, rollout_in_words, undefined_figures
-from gran_bench.run_summary import flat_metrics, headline, missed_requirements
+from gran_bench.run.page import description, loss_in_words, params_of, rollout_in_words, undefined_figures
+from gran_bench.run.summary import flat_metrics, headline, missed_requirements
 from gran_bench.tracking import HEADLINE, HEADLINE_FIGURES, Store, shown_name
 from gran_bench.tracking.store import legal_name
 from gran_bench.tracking.views import COLUMN_METRICS, VIEW_TAG, experiment_tags, view_state

@@ -13,8 +13,8 @@ from beds import drum, flowing
 
 from gran_bench.metrics import Judgement, judge
 from gran_bench.metrics.outside import counted
-from gran_bench.run_page import description
-from gran_bench.run_summary import flat_metrics, headline, read_summary, summary_table, write_summary
+from gran_bench.run.page import description
+from gran_bench.run.summary import flat_metrics, headline, read_summary, summary_table, write_summary
 from gran_bench.state import Trajectory
 
 SCENE = drum(end_time=1.8)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from gran_bench.config import DatasetConfig, DemConfig, GenerateConfig, MaterialConfig, SceneConfig
-from gran_bench.config_check import read_config
-from gran_bench.config_rules import ConfigError
+from gran_bench.config.reading import read_config
+from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import (
     CaseSpec,
     DatasetError,

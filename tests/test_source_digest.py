@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 import gran_bench
-from gran_bench import source_digest
 from gran_bench.config import MODEL_SCHEMAS
-from gran_bench.source_digest import (
+from gran_bench.provenance import source_digest
+from gran_bench.provenance.source_digest import (
     COMPARING,
     JUDGING,
     MODELS,
@@ -28,8 +28,8 @@ from gran_bench.source_digest import (
 PACKAGE = Path(gran_bench.__file__).parent
 # They say which values are legal, where files lie, which data a run has and how a process ends, and change no number.
 NEUTRAL = (
-    *("cache_folders", "child", "atomic", "source_digest", "provenance", "stopping", "config"),
-    *("dem/kernel", "surrogate/checkpoint", "__init__"),
+    *("cache_folders", "files", "provenance", "processes", "config"),
+    *("dem/fast/kernel", "surrogate/checkpoint", "__init__"),
 )
 # In a run's key by the digest of its data.
 DATA = ("dataset/case_spec", "dataset/progress", "dataset/workers", "dem/simulate")
@@ -63,15 +63,15 @@ TRAININGS = {f"train {model}" for model in MODELS}
 @pytest.mark.parametrize(
     ("file", "changed"),
     [
-        ("trainer.py", TRAININGS),
+        ("trainer/trainer.py", TRAININGS),
         ("losses/window.py", TRAININGS),
-        ("surrogate/contact_solver.py", {"train contact", "model contact", "compare"}),
-        ("surrogate/cconv.py", {"train ccnn", "train radial", "model ccnn", "model radial", "compare"}),
+        ("surrogate/contact/solver.py", {"train contact", "model contact", "compare"}),
+        ("surrogate/convolution/cconv.py", {"train ccnn", "train radial", "model ccnn", "model radial", "compare"}),
         ("metrics/angle_of_repose.py", {"judge", "compare"}),
         ("neighbors/cells.py", {*TRAININGS, "judge", "compare"}),
         ("dem/contact.py", {"compare"}),  # trainings and judgements know the DEM by its data
-        ("comparison/turns.py", {"compare"}),
-        *((file, set()) for file in ("comparison/page.py", "plots/style.py", "config.py", "sweep/table.py")),
+        ("benchmark/turns.py", {"compare"}),
+        *((file, set()) for file in ("benchmark/page.py", "plots/style.py", "config/schema.py", "sweep/table.py")),
     ],
 )
 def test_an_edit_makes_anew_what_passes_through_it_and_nothing_else(edit, file, changed):

@@ -16,24 +16,24 @@ from pathlib import Path
 import pytest
 
 import gran_bench
-from gran_bench.atomic import locked
 from gran_bench.config import BoundaryConfig, CconvModelConfig, SceneConfig, StressConfig
-from gran_bench.config_rules import ConfigError
+from gran_bench.config.rules import ConfigError
+from gran_bench.files import locked
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
 from gran_bench.provenance import read_table
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_model
-from gran_bench.stability import case_list, command, kills, run, steps
-from gran_bench.stability.case_list import read_cases, shipped_cases
-from gran_bench.stability.command import StressFailed, chosen, run_stress
-from gran_bench.stability.crew import Worker, outcome_of
-from gran_bench.stability.expectation import Bound, Expectation, Failure, NotThereYet, Observation, verdict
-from gran_bench.stability.experiment import Bench, Experiment
-from gran_bench.stability.page import closing_line, row
-from gran_bench.stability.perform import Task
-from gran_bench.stability.registry import EXPERIMENTS
-from gran_bench.stability.run import Result, carry_out, errands, forget
-from gran_bench.stability.tiny import tiny_specs
+from gran_bench.stress import case_list, command, kills, run, steps
+from gran_bench.stress.case_list import read_cases, shipped_cases
+from gran_bench.stress.command import StressFailed, chosen, run_stress
+from gran_bench.stress.crew import Worker, outcome_of
+from gran_bench.stress.expectation import Bound, Expectation, Failure, NotThereYet, Observation, verdict
+from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.stress.page import closing_line, row
+from gran_bench.stress.perform import Task
+from gran_bench.stress.registry import EXPERIMENTS
+from gran_bench.stress.run import Result, carry_out, errands, forget
+from gran_bench.stress.tiny import tiny_specs
 from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, save_model
 
@@ -232,9 +232,9 @@ def test_the_step_of_the_data_is_held_against_the_floor_that_is_measured_beside_
     assert case.expectation.bounds == (Bound("beyond_floor", "°", at_most=0.5),)
 
 
-@pytest.mark.parametrize("file", ["sweep_run.py", "conf/trainer/quick.yaml", "stability/lists/dem.yaml"])
+@pytest.mark.parametrize("file", ["sweep/opening.py", "conf/trainer/quick.yaml", "stress/lists/dem.yaml"])
 def test_what_was_kept_counts_no_more_once_any_code_config_or_list_has_changed(tmp_path, monkeypatch, file):
-    for name in ("__init__.py", "sweep_run.py", "conf/trainer/quick.yaml", "stability/lists/dem.yaml"):
+    for name in ("__init__.py", "sweep/opening.py", "conf/trainer/quick.yaml", "stress/lists/dem.yaml"):
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("a = 1\n", "utf-8")
@@ -332,9 +332,9 @@ def test_a_kind_names_its_parameters_and_quantities():
 
 
 def test_the_list_is_where_the_package_is():
-    import gran_bench.stability
+    import gran_bench.stress
 
-    folder = Path(gran_bench.stability.__file__).parent / "lists"
+    folder = Path(gran_bench.stress.__file__).parent / "lists"
     assert sorted(path.stem for path in folder.glob("*.yaml")) == ["data", "dem", "surrogate"]
 
 

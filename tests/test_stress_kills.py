@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 
 import gran_bench
-from gran_bench.child import group
-from gran_bench.stability import kills, sweep_kill
-from gran_bench.stability.experiment import Bench
-from gran_bench.stability.finished_files import done_again, finished_files, records_of
-from gran_bench.sweep.run_file import RunFile
+from gran_bench.processes import group
+from gran_bench.run.run_file import RunFile
+from gran_bench.stress import kills, sweep_kill
+from gran_bench.stress.experiment import Bench
+from gran_bench.stress.finished_files import done_again, finished_files, records_of
 
 PATIENCE = 20.0  # s
 
@@ -114,7 +114,7 @@ def test_a_sweep_that_does_finished_runs_again_fails_and_says_which(tmp_path, mo
 PARENT = """
     import sys
     from pathlib import Path
-    from gran_bench.child import group
+    from gran_bench.processes import group
     inner = "import time; time.sleep(60)"
     outer = f"import os, subprocess, sys; p = subprocess.Popen([sys.executable, '-c', '{inner}']);" \\
         " print(os.getpid(), p.pid, flush=True); p.wait()"

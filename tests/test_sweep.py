@@ -9,9 +9,7 @@ from pathlib import Path
 import pytest
 from test_run_summary import SCENE, broken, flowing, summary_of
 
-from gran_bench.run_summary import headline
-from gran_bench.sweep.overview import write_overview
-from gran_bench.sweep.run_file import (
+from gran_bench.run.run_file import (
     MADE,
     RunFile,
     SweepFileError,
@@ -20,6 +18,8 @@ from gran_bench.sweep.run_file import (
     read_runs,
     recorded_runs,
 )
+from gran_bench.run.summary import headline
+from gran_bench.sweep.overview import write_overview
 from gran_bench.sweep.standing import cut_short, read_standing, standing, unequal_updates
 from gran_bench.sweep.sweep_file import SweepFile, SweepJob
 from gran_bench.sweep.sweep_report import report_sweep

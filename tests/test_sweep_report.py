@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from test_sweep import lost, run, sweep_in
 
-from gran_bench.front_page.command import report_command
+from gran_bench.report.command import report_command
+from gran_bench.run.run_file import RunFile
 from gran_bench.sweep.overview import chance_ratio, reaches, write_overview
-from gran_bench.sweep.run_file import RunFile
 from gran_bench.sweep.sweep_file import read_sweep
 from gran_bench.sweep.sweep_report import report_sweep
 from gran_bench.sweep.table import best_choices

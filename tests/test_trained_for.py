@@ -7,7 +7,7 @@ import pytest
 
 from gran_bench.config import BoundaryConfig, ContactModelConfig
 from gran_bench.rollout import rollout
-from gran_bench.run_summary import rollout_warnings
+from gran_bench.run.summary import rollout_warnings
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_model, shipped_scene
 from gran_bench.state import ParticleState

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gran_bench.dem import engine_numba, engine_numpy
+from gran_bench.dem import engine_numpy
 from gran_bench.dem.contact import sphere_mass
+from gran_bench.dem.fast import engine as engine_numba
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.walls import SURFACE, wall_poses
 from gran_bench.scene import (

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from gran_bench.config_rules import check_arguments
+from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.measured import Series
 from gran_bench.metrics.summary import TrajectorySummary
 from gran_bench.scene import Scene

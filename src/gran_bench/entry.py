@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import hydra
 from hydra._internal.utils import get_args_parser
 
-from gran_bench.child import quiet_without_reader
-from gran_bench.composition import (
+from gran_bench.compose import (
     CONFIG_MODULE,
     VERSION_BASE,
     Described,
@@ -30,14 +29,15 @@ from gran_bench.composition import (
     run_folder,
     swept_keys,
 )
-from gran_bench.config_rules import ConfigError
-from gran_bench.job import FAILED, REFUSED, Job, complain
-from gran_bench.launcher import JobError, load_ahead, register_launcher
-from gran_bench.override_errors import explain
+from gran_bench.config.override_errors import explain
+from gran_bench.config.rules import ConfigError
+from gran_bench.processes import quiet_without_reader
 from gran_bench.provenance import program
+from gran_bench.sweep.job import FAILED, REFUSED, Job, complain
+from gran_bench.sweep.launcher import JobError, load_ahead, register_launcher
 
 if TYPE_CHECKING:
-    from gran_bench.sweep_jobs import Sweep
+    from gran_bench.sweep.jobs import Sweep
 
 __all__ = ["FAILED", "REFUSED", "checked_config", "complain", "compose", "run", "run_folder"]
 

@@ -10,7 +10,7 @@ from gran_bench.shipped import SHIPPED, shipped_model
 def task(config: EvaluateConfig) -> object:
     """Roll out and judge the model that ``config`` names."""
     # Imported here, so that --help and a refused config need not wait for PyTorch and MLflow.
-    from gran_bench.experiment import run_evaluation
+    from gran_bench.run.experiment import run_evaluation
 
     if config.checkpoint == SHIPPED:
         config.checkpoint = str(shipped_model())

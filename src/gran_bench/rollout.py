@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from gran_bench.config_rules import at_least, check_arguments, checked_value
+from gran_bench.config.rules import at_least, check_arguments, checked_value
 from gran_bench.dem.walls import check_walls
 from gran_bench.scene import Scene
 from gran_bench.state import ParticleState, Trajectory

@@ -9,11 +9,11 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 import gran_bench
-from gran_bench.composition import compose
+from gran_bench.compose import compose
 from gran_bench.config import GenerateConfig
-from gran_bench.config_check import read_config, unknown_key
-from gran_bench.config_rules import ConfigError, Name, check_arguments, checked_value
-from gran_bench.override_errors import explain
+from gran_bench.config.override_errors import explain
+from gran_bench.config.reading import read_config, unknown_key
+from gran_bench.config.rules import ConfigError, Name, check_arguments, checked_value
 from gran_bench.scene import Scene, build_scene
 
 SHIPPED = "shipped"  # the word for the default model where a model file is asked for

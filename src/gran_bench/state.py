@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gran_bench.config_rules import ConfigError, checked_value
+from gran_bench.config.rules import ConfigError, checked_value
 
 FloatArray = NDArray[np.floating]
 

@@ -6,25 +6,25 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
-from gran_bench.composition import PlannedJob
+from gran_bench.compose import PlannedJob
 from gran_bench.config import TrainConfig
 from gran_bench.entry import run
 
 # All that decides a result, so that a job of a sweep runs what the sweep began with, whatever is edited meanwhile.
-LOADS = [f"gran_bench.{name}" for name in ("experiment", "sweep_run", "surrogate.ccnn", "surrogate.contact")]
+LOADS = [f"gran_bench.{name}" for name in ("run.experiment", "sweep.opening", "surrogate.convolution.ccnn", "surrogate.contact.network")]
 
 
 def task(config: TrainConfig) -> object:
     """Run the experiment that ``config`` describes."""
     # Imported here, so that --help and a refused config need not wait for PyTorch and MLflow.
-    from gran_bench.experiment import run_experiment
+    from gran_bench.run.experiment import run_experiment
 
     return run_experiment(config)
 
 
 def sweep(jobs: Sequence[PlannedJob], name: str) -> AbstractContextManager[Any]:
     """What happens around the jobs of a multirun."""
-    from gran_bench.sweep_run import open_sweep
+    from gran_bench.sweep.opening import open_sweep
 
     return open_sweep(jobs, name)
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from gran_bench.child import quiet_without_reader
 from gran_bench.plots.verification import draw_verification
+from gran_bench.processes import quiet_without_reader
 from gran_bench.verification.command import run
 
 

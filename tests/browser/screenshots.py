@@ -13,7 +13,7 @@ from mlflow import MlflowClient
 from pages import Browser, user_interface
 from PIL import Image
 
-from gran_bench.atomic import whole_file
+from gran_bench.files import whole_file
 from gran_bench.tracking.store import DATABASE
 
 FOLDER = Path(__file__).parents[2] / "docs" / "screenshots"

@@ -12,9 +12,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from gran_bench.comparison.command import run_benchmark
-from gran_bench.comparison.page import PAGE
-from gran_bench.comparison.results import RESULTS
+from gran_bench.benchmark.command import run_benchmark
+from gran_bench.benchmark.page import PAGE
+from gran_bench.benchmark.results import RESULTS
 from gran_bench.config import BenchmarkConfig
 from gran_bench.entry import checked_config, compose
 

@@ -14,16 +14,16 @@ from pathlib import Path
 import pytest
 from omegaconf import DictConfig
 
-from gran_bench import experiment
-from gran_bench.child import group
-from gran_bench.composition import PlannedJob, Source, changed_in, checked_config, described_jobs
+from gran_bench.compose import PlannedJob, Source, changed_in, checked_config, described_jobs
 from gran_bench.config import TrainConfig
-from gran_bench.job import Job
-from gran_bench.override_errors import explain
-from gran_bench.stability.sweep_kill import ENVIRONMENT, PATIENCE, sweep_command, sweep_under_kills
-from gran_bench.sweep.run_file import read_runs
-from gran_bench.sweep_jobs import Sweep
-from gran_bench.sweep_run import open_sweep
+from gran_bench.config.override_errors import explain
+from gran_bench.processes import group
+from gran_bench.run import experiment
+from gran_bench.run.run_file import read_runs
+from gran_bench.stress.sweep_kill import ENVIRONMENT, PATIENCE, sweep_command, sweep_under_kills
+from gran_bench.sweep.job import Job
+from gran_bench.sweep.jobs import Sweep
+from gran_bench.sweep.opening import open_sweep
 from gran_bench.tracking import TrackingError
 
 

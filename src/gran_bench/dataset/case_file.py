@@ -31,10 +31,10 @@ import h5py
 import numpy as np
 import yaml
 
-from gran_bench.atomic import write_atomically
-from gran_bench.config_rules import check_arguments, checked_value
+from gran_bench.config.rules import check_arguments, checked_value
 from gran_bench.dataset.case_spec import FORMAT_VERSION, DatasetError
 from gran_bench.dataset.scene_document import from_document
+from gran_bench.files import write_atomically
 from gran_bench.scene import Scene, SceneError
 from gran_bench.state import ContactHistory, ParticleState, StateError, Trajectory
 

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from gran_bench.config import SEED, DatasetConfig, DemConfig
-from gran_bench.config_rules import check_arguments, checked_value
+from gran_bench.config.rules import check_arguments, checked_value
 from gran_bench.dataset.scene_document import to_document
 from gran_bench.dem.simulate import choose_time_step
+from gran_bench.provenance.source_digest import SOLVER, source_digest
 from gran_bench.scene import Scene
-from gran_bench.source_digest import SOLVER, source_digest
 
 FORMAT_VERSION = 2  # of the files; a change makes every case anew
 NUDGE = 1.0e-9  # m, of a replica's settled state

@@ -14,12 +14,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 import gran_bench
-from gran_bench.atomic import locked, remove_leftovers
 from gran_bench.dataset.case_file import read_attributes, read_settled, write_case, write_settled
 from gran_bench.dataset.case_spec import CaseSpec, DatasetError, dem_source_hash
 from gran_bench.dataset.progress import SimulatedTimeBar
 from gran_bench.dataset.workers import run_in_workers
 from gran_bench.dem.simulate import settle, simulate
+from gran_bench.files import locked, remove_leftovers
 from gran_bench.state import ParticleState
 
 T = TypeVar("T")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gran_bench.config import SEED, RolloutConfig, TrainerConfig
-from gran_bench.config_rules import checked, checked_value
+from gran_bench.config.rules import checked, checked_value
 from gran_bench.dataset.case_file import Case, read_attributes
 from gran_bench.dataset.case_spec import DatasetError
 from gran_bench.scene import Scene

@@ -15,11 +15,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from gran_bench.child import ONE_THREAD, start_module
 from gran_bench.config import DemConfig
 from gran_bench.dataset.case_spec import CaseSpec
 from gran_bench.dataset.progress import SimulatedTimeBar
 from gran_bench.dataset.scene_document import from_document, to_document
+from gran_bench.processes import ONE_THREAD, start_module
 
 if TYPE_CHECKING:
     from gran_bench.dataset.generation import Job

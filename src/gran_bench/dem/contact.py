@@ -30,7 +30,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from gran_bench.config import MaterialConfig
-from gran_bench.config_rules import checked
+from gran_bench.config.rules import checked
 from gran_bench.dem.prediction import PREDICTION_FADE
 from gran_bench.scene import Material
 from gran_bench.state import FloatArray

@@ -54,7 +54,7 @@ def advance(state: ParticleState, physics: Physics, time_step: float, walls: Flo
 
 
 class Stretch:
-    """What :class:`engine_numba.Stretch` is, with the same arguments and methods."""
+    """What :class:`gran_bench.dem.fast.engine.Stretch` is, with the same arguments and methods."""
 
     def __init__(
         self, state: ParticleState, physics: Physics, time_step: float, walls: FloatArray, held: Held | None = None

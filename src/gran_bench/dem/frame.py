@@ -20,10 +20,10 @@ from types import ModuleType
 
 import numpy as np
 
+from gran_bench.dem.fast.tuning import Tuner
 from gran_bench.dem.integrate import Divergence, Peaks
 from gran_bench.dem.outlet import leaked, part_of, rejoined, taking_part
 from gran_bench.dem.record import SimulationError
-from gran_bench.dem.tuning import Tuner
 from gran_bench.dem.walls import largest_excess, wall_poses
 from gran_bench.scene import Scene
 from gran_bench.state import Continuation, FloatArray, Held, ParticleState, Trajectory, name_some

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gran_bench.config import DemConfig
-from gran_bench.config_rules import checked
+from gran_bench.config.rules import checked
 from gran_bench.dem.contact import ContactLaw
 from gran_bench.dem.walls import check_walls
 from gran_bench.neighbors import check_period

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gran_bench.dem.kernel import shared
-from gran_bench.dem.wall_list import shape_of, toward_wall
+from gran_bench.dem.fast.kernel import shared
+from gran_bench.dem.fast.wall_list import shape_of, toward_wall
 from gran_bench.dem.walls import REVOLUTION, SURFACE, wall_contact
 from gran_bench.scene.seams import SAME_POINT
 from gran_bench.state import ContactHistory, FloatArray

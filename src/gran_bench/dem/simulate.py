@@ -12,16 +12,17 @@ import numpy as np
 from tqdm import tqdm
 
 from gran_bench.config import DemConfig
-from gran_bench.config_consistency import check_dem
-from gran_bench.config_rules import check_arguments
-from gran_bench.dem import engine_numba, engine_numpy
+from gran_bench.config.consistency import check_dem
+from gran_bench.config.rules import check_arguments
+from gran_bench.dem import engine_numpy
+from gran_bench.dem.fast import engine as engine_numba
+from gran_bench.dem.fast.tuning import Tuner
 from gran_bench.dem.frame import Run, steps_between_looks
 from gran_bench.dem.initial_checks import STIFFEN, check_initial_speed, check_initial_state, closing_speed
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.record import FrameRecord, SimulationError, impact_warnings
 from gran_bench.dem.rest import Rest
 from gran_bench.dem.time_step import TimeStepError, check_closing_speed, choose_time_step, dividing_step, impact_speed
-from gran_bench.dem.tuning import Tuner
 from gran_bench.scene import Scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from gran_bench.config import DemConfig
-from gran_bench.config_rules import checked
+from gran_bench.config.rules import checked
 from gran_bench.dem.contact import hertz_impact, sphere_mass
 from gran_bench.dem.integrate import pair_law, wall_law
 from gran_bench.dem.rolling import CONTACT_INERTIA, rolling_drag, rolling_stiffness

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gran_bench.config_rules import check_arguments
+from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.measured import Series
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory

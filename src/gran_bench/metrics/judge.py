@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from gran_bench.config_rules import check_arguments
+from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.acceptance import acceptance
 from gran_bench.metrics.comparisons import COMPARISONS, FIGURES, Figure
 from gran_bench.metrics.judgement import ErrorRow, FigureRow, Judgement

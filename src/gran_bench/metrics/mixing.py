@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gran_bench.config_rules import check_arguments
+from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.angle_of_repose import cross_section_axes
 from gran_bench.metrics.measured import Series
 from gran_bench.scene import Scene

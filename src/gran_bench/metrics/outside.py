@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gran_bench.config_rules import check_arguments
+from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.overlap import wall_overlap
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory

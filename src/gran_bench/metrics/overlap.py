@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gran_bench.config_rules import check_arguments
+from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.measured import Series
 from gran_bench.neighbors import nearest_image, tree_pairs
 from gran_bench.scene import Plane, Scene, Wall

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gran_bench.config import JudgeConfig
-from gran_bench.config_rules import check_arguments, checked
+from gran_bench.config.rules import check_arguments, checked
 from gran_bench.metrics.measured import Measured, Series, shared_states
 from gran_bench.state import FloatArray, Trajectory
 

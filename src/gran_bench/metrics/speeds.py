@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from gran_bench.config_rules import check_arguments
+from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.angle_of_repose import HALF_WINDOW, SurfaceLine, cross_section_axes, hold_drum
 from gran_bench.metrics.measured import Series, shared_states
 from gran_bench.scene import Scene

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gran_bench.config_rules import check_arguments
+from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.angle_of_repose import angle_series
 from gran_bench.metrics.energy import rotational_energy, sphere_masses, translational_energy
 from gran_bench.metrics.measured import Series, within

@@ -23,10 +23,10 @@ def cached(*rooms: Path, **options) -> Callable[[Callable], Callable]:
     the old key. The function's name is part of the name of the cache.
 
     Args:
-        rooms: folders of that code.
+        rooms: folders of that code, with all below them.
         options: of ``numba.njit``.
     """
-    files = [path for room in rooms for path in sorted(room.glob("*.py"))]
+    files = [path for room in rooms for path in sorted(room.rglob("*.py"))]
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
     def jitted(function: Callable) -> Callable:

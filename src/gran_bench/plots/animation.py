@@ -11,7 +11,7 @@ from matplotlib import font_manager
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from gran_bench.atomic import whole_file
+from gran_bench.files import whole_file
 from gran_bench.metrics.speeds import velocities
 from gran_bench.plots.flow_pattern import fastest, view_half_width
 from gran_bench.plots.spheres import draw_spheres, view_along_axis

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gran_bench.evaluation import Evaluation
-from gran_bench.evaluation_plan import rollout_name
+from gran_bench.evaluation.plan import rollout_name
 from gran_bench.plots.angle import angle_of_repose
 from gran_bench.plots.animation import flow_animation
 from gran_bench.plots.depth import speed_by_depth

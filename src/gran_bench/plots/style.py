@@ -11,7 +11,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gran_bench.atomic import whole_file
+from gran_bench.files import whole_file
 
 # Okabe & Ito's colours, told apart with every kind of colour vision.
 DEM = "#000000"

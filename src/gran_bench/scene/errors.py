@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from gran_bench.config_rules import ConfigError, Rule, Section, checked_value, hints_of
+from gran_bench.config.rules import ConfigError, Rule, Section, checked_value, hints_of
 
 
 class SceneError(ValueError):

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gran_bench.config import FRACTION, FillingConfig
-from gran_bench.config_consistency import check_filling
-from gran_bench.config_rules import Range, positive
+from gran_bench.config.consistency import check_filling
+from gran_bench.config.rules import Range, positive
 from gran_bench.scene.errors import SceneError, hold, scene_errors
 from gran_bench.scene.motion import Vector
 from gran_bench.scene.sizes import Sizes, apportioned, check_fractions

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from gran_bench.config import MaterialConfig, MixedConfig
-from gran_bench.config_rules import at_least
+from gran_bench.config.rules import at_least
 from gran_bench.scene.errors import SceneError, hold
 
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gran_bench.config import RotationConfig
-from gran_bench.config_consistency import check_schedule
-from gran_bench.config_rules import Range, at_least
+from gran_bench.config.consistency import check_schedule
+from gran_bench.config.rules import Range, at_least
 from gran_bench.scene.errors import hold, hold_unit, scene_errors
 from gran_bench.state import FloatArray
 

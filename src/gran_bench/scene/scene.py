@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from gran_bench.config import SEED, SceneConfig
-from gran_bench.config_consistency import check_end, check_frames
-from gran_bench.config_rules import checked_value, positive
+from gran_bench.config.consistency import check_end, check_frames
+from gran_bench.config.rules import checked_value, positive
 from gran_bench.scene.errors import SceneError, hold, scene_errors
 from gran_bench.scene.filling import Filling, Room, drum_sites, open_sites, room_sites
 from gran_bench.scene.material import Material, PairCoefficients, mixed_coefficients

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from gran_bench.config_rules import Range, at_least, checked_value, positive
+from gran_bench.config.rules import Range, at_least, checked_value, positive
 from gran_bench.scene.errors import SceneError, hold, hold_unit, scene_errors
 from gran_bench.scene.motion import Motion, Vector
 

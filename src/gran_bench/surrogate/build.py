@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig, TrainConfig
-from gran_bench.config_rules import checked
+from gran_bench.config.rules import checked
 from gran_bench.scene import Scene
 from gran_bench.surrogate.step import Surrogate
 from gran_bench.surrogate.trained_for import TrainedFor
@@ -32,11 +32,11 @@ def build_model(
     checked(TrainConfig, "model", model)
     # Imported on demand: a model that is not used costs no import.
     if isinstance(model, CconvModelConfig):
-        from gran_bench.surrogate.ccnn import ContinuousConvolutionNetwork
+        from gran_bench.surrogate.convolution.ccnn import ContinuousConvolutionNetwork
 
         built = ContinuousConvolutionNetwork(model, boundary, scene)
     else:
-        from gran_bench.surrogate.contact import ContactNetwork
+        from gran_bench.surrogate.contact.network import ContactNetwork
 
         built = ContactNetwork(model, scene)
     built.trained_for = TrainedFor(scene, tuple(speeds_rpm))

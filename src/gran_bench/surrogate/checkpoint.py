@@ -11,10 +11,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from gran_bench.atomic import write_atomically
 from gran_bench.config import MODEL_SCHEMAS, BoundaryConfig, SceneConfig
-from gran_bench.config_check import read_config
-from gran_bench.config_rules import checked_value
+from gran_bench.config.reading import read_config
+from gran_bench.config.rules import checked_value
+from gran_bench.files import write_atomically
 from gran_bench.scene import build_scene
 from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.step import Surrogate

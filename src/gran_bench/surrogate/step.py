@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from gran_bench.config import CconvModelConfig
-from gran_bench.config_rules import checked
+from gran_bench.config.rules import checked
 from gran_bench.dem.outlet import taking_part
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
@@ -26,7 +26,7 @@ class FrameState:
         velocity: ``(N, 3)`` m/s, of the model's ``velocity_kind``.
         angular_velocity: ``(N, 3)`` rad/s, or None for a model that has no spin.
         memory: whatever else a model keeps of the past, such as a
-            :class:`~gran_bench.surrogate.contact_memory.ContactMemory`; its ``renumbered`` follows spheres that leave.
+            :class:`~gran_bench.surrogate.contact.memory.ContactMemory`; its ``renumbered`` follows spheres that leave.
             Or None.
         pair_acceleration: ``(N, 3)`` m/s², what particles gave each other in the frame that ends here, or None at a
             start and for a model that does not tell it from what walls gave.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gran_bench import tracking
-from gran_bench.sweep.run_file import SweepFileError
+from gran_bench.run.run_file import SweepFileError
 from gran_bench.sweep.sweep_report import report_sweep, report_to_parent
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from gran_bench.atomic import write_part
-from gran_bench.sweep.run_file import FINISHED, SWEEPS, RunFile
+from gran_bench.files import write_part
+from gran_bench.run.run_file import FINISHED, SWEEPS, RunFile
 from gran_bench.sweep.standing import read_standing
 from gran_bench.sweep.sweep_file import sweep_folders
 from gran_bench.sweep.sweep_report import body, figure_paths

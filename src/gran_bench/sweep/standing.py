@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gran_bench.sweep.run_file import MADE, RunFile, read_runs
+from gran_bench.run.run_file import MADE, RunFile, read_runs
 from gran_bench.sweep.sweep_file import SweepFile, SweepJob, read_sweep
 from gran_bench.sweep.table import newest
 

@@ -6,8 +6,8 @@ import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from gran_bench.atomic import write_text
-from gran_bench.sweep.run_file import RUNS, SWEEPS, SweepFileError
+from gran_bench.files import write_text
+from gran_bench.run.run_file import RUNS, SWEEPS, SweepFileError
 
 SWEEP = "sweep.json"
 LOGS = "logs"  # folder below a sweep's

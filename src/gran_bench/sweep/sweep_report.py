@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gran_bench import tracking
-from gran_bench.atomic import write_text
 from gran_bench.config import TrackingConfig
+from gran_bench.files import write_text
 from gran_bench.plots import drawn_for, sweep_axis
 from gran_bench.provenance import stamp
-from gran_bench.sweep.run_file import FAILED, FINISHED, RunFile, SweepFileError
+from gran_bench.run.run_file import FAILED, FINISHED, RunFile, SweepFileError
 from gran_bench.sweep.standing import Standing, cut_short, read_standing, unequal_updates
 from gran_bench.sweep.sweep_file import SweepFile, SweepJob, read_sweep
 from gran_bench.sweep.table import SEED, axes_of, best_choices, runs_frame, shown_table

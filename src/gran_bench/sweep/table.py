@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from gran_bench.sweep.run_file import FINISHED, RunFile
+from gran_bench.run.run_file import FINISHED, RunFile
 
 SEED = "seed"
 NOT_CHOSEN = "default"  # of a key that one run changed and another left as it was

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gran_bench.atomic import write_text
+from gran_bench.files import write_text
 from gran_bench.tracking.store import MetricPoint, Store, TrackingError, legal_name
 
 ENDINGS = ("FINISHED", "FAILED", "KILLED")

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import quote
 
-from gran_bench.atomic import locked, whole_file
 from gran_bench.config import TrackingConfig
+from gran_bench.files import locked, whole_file
 from gran_bench.tracking.address import (
     ARTIFACTS,
     DATABASE,

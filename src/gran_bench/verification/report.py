@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gran_bench.atomic import write_part, write_text
+from gran_bench.files import write_part, write_text
 from gran_bench.provenance import stamp
 from gran_bench.verification.case import Check, Outcome
 

@@ -1,0 +1,1 @@
+"""What Numba compiles: the fast engine and its lists."""

@@ -1,0 +1,394 @@
+"""Forces of many contacts at once: gathered in blocks, computed in SIMD, scattered (jitted).
+
+A block of contacts is laid out as columns of one flat buffer, one lane a contact. Quantities that a body keeps as a row
+of four come as four columns at once (rows.py). The laws are those of contact.py and rolling.py; tests hold the two
+against each other to rounding.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gran_bench.dem.fast.contact_list import overlapping
+from gran_bench.dem.fast.kernel import kernel, shared
+from gran_bench.dem.fast.rows import (
+    BLOCK,
+    four_from,
+    four_of,
+    four_on,
+    four_remembered,
+    gather_difference,
+    gather_rows,
+    gather_sum,
+    scatter_both,
+    scatter_opposite,
+    scatter_rows,
+)
+from gran_bench.dem.prediction import PREDICTION_FADE
+from gran_bench.dem.rolling import CONTACT_INERTIA
+from gran_bench.state import FloatArray
+
+# Columns in groups of four, as rows.py moves them.
+OFFSET, VELOCITY, AHEAD, SPIN_SUM, SPIN_DIFFERENCE, SLOT, FORCE, TORQUE, TORQUE_2, MOMENT, RESISTANCE = range(0, 44, 4)
+# First elements of single columns. Fixed offsets into one flat array show the compiler that columns don't overlap.
+NX, NY, NZ, DELTA = (k * BLOCK for k in range(OFFSET, OFFSET + 4))  # normal (first the offset), overlap
+VX, VY, VZ, GAIN = (k * BLOCK for k in range(VELOCITY, VELOCITY + 4))  # of the first relative to the second
+AX, AY, AZ = (k * BLOCK for k in range(AHEAD, AHEAD + 3))  # what that velocity still gains until the step's end
+WX, WY, WZ, ARM_1 = (k * BLOCK for k in range(SPIN_SUM, SPIN_SUM + 4))  # ω₁ + ω₂, then Σ arm × ω; first lever arm
+PX, PY, PZ, ARM_2 = (k * BLOCK for k in range(SPIN_DIFFERENCE, SPIN_DIFFERENCE + 4))  # ω₁ − ω₂; second lever arm
+HX, HY, HZ, BEFORE = (k * BLOCK for k in range(SLOT, SLOT + 4))  # history, and the overlap that it belongs to
+FX, FY, FZ = (k * BLOCK for k in range(FORCE, FORCE + 3))  # force on the first; the fourth column stays zero
+TX, TY, TZ = (k * BLOCK for k in range(TORQUE, TORQUE + 3))  # n × f_t, then torque on the first
+UX, UY, UZ = (k * BLOCK for k in range(TORQUE_2, TORQUE_2 + 3))  # torque on the second
+MX, MY, MZ = (k * BLOCK for k in range(MOMENT, MOMENT + 3))  # elastic rolling moment on the first: history
+QX, QY, QZ = (k * BLOCK for k in range(RESISTANCE, RESISTANCE + 3))  # rolling moment on the first, with its damping
+# Constants of each contact: filled once where all contacts share them, for each contact where they differ.
+REACH, SKEW, RS, MS, INVERSE_MS = (k * BLOCK for k in range(44, 49))  # r₁ + r₂, r₁² − r₂², R*, m*, 1/m*
+INERTIA = 49 * BLOCK  # I_r of rolling.py
+MODULUS, SHEAR, DAMPING, FRICTION, ROLLING = (k * BLOCK for k in range(50, 55))  # 4/3 E*, 8 G*, α, μ, μ_r
+# What the tangential law takes from the normal one.
+APPROACH, CONTACT_RADIUS, DRAG, LOAD = (k * BLOCK for k in range(55, 59))
+RESCALE = 59 * BLOCK  # squared factor of the history that is turned
+# Of each lane, the most that it has held since the buffer was made: overlap, its share of the mean diameter, approach.
+PEAK_OVERLAP, PEAK_SHARE, PEAK_APPROACH = (k * BLOCK for k in range(60, 63))
+BUFFER_SIZE = 63 * BLOCK
+
+
+def block_buffer(buffer: FloatArray, radius: float, inverse_mass: float, law: FloatArray) -> FloatArray:
+    """A buffer with the constants of the contacts of equal spheres of one material.
+
+    Args:
+        buffer: ``(BUFFER_SIZE,)`` of the dtype that the contact laws are computed in.
+        radius, inverse_mass: r, m, and 1/m of the spheres.
+        law: (4/3 E*, 8 G*, α, μ, μ_r).
+    """
+    inertia = CONTACT_INERTIA * radius * radius / (2.0 * inverse_mass)
+    sizes = (
+        2.0 * radius, 0.0, radius * radius / (2.0 * radius), 1.0 / (2.0 * inverse_mass), 2.0 * inverse_mass, inertia,
+    )  # fmt: skip
+    buffer.reshape(-1, BLOCK)[REACH // BLOCK : ROLLING // BLOCK + 1] = np.array((*sizes, *law))[:, None]
+    return buffer
+
+
+@kernel
+def fill_law(buffer, lane, law):
+    """(4/3 E*, 8 G*, α, μ, μ_r) into one lane."""
+    buffer[MODULUS + lane], buffer[SHEAR + lane], buffer[DAMPING + lane] = law[0], law[1], law[2]
+    buffer[FRICTION + lane], buffer[ROLLING + lane] = law[3], law[4]
+
+
+@kernel
+def pair_forces(
+    sphere, velocity, spin, ahead, material, force, torque, near_i, near_j, memory, begin, end, touched, remembered,
+    active, contacts, old_slot, slot, old_moment, moment, buffer, laws, period, tangential, rolling, unequal, several,
+    full_radius, dt,
+):  # fmt: skip
+    """Adds the forces and torques of the touching pairs among places ``begin … end − 1`` of an inner list.
+
+    Bodies N and N + 1, and place 0 of the list, are spare: they fill the lanes that a block does not need. Row 0 of the
+    old histories is zero, for pairs that remember nothing.
+
+    Args:
+        sphere: ``(N + 2, 4)`` x, y, z, r, m.
+        velocity, spin: ``(N + 2, 4)`` v, 1/m and ω, 1/I.
+        ahead: ``(N + 2, 4)`` what v still gains until the step's end, m/s.
+        material: ``(N + 2,)`` index.
+        force, torque: ``(N + 2, 4)``, added to.
+        near_i, near_j: inner list.
+        memory: row of history of each of its pairs when it last touched, 0 for never.
+        begin, end: range of places.
+        touched: place of the pair of each old row.
+        remembered: end of the old rows.
+        active: place of each touching pair, written from ``contacts`` on.
+        contacts: first row of the new histories that is written, ≥ 1.
+        old_slot, slot: ``(≥ M + 4, 4)`` elastic tangential force and overlap, of the last evaluation and of this one.
+        old_moment, moment: rolling moments alike; one row where there is no rolling.
+        buffer: scratch.
+        laws: ``(S, S, 5)`` (4/3 E*, 8 G*, α, μ, μ_r).
+        period: of y, m; 0 for none.
+        tangential, rolling, unequal, several: what is needed: friction, rolling model, sizes or masses that differ, and
+            materials that do.
+        full_radius: whether slip is measured with full radii.
+        dt: s over which histories are loaded.
+
+    Returns:
+        ``contacts`` and the number of touching pairs.
+    """
+    found = overlapping(sphere, near_i, near_j, begin, end, period, active, contacts)
+    for row in range(found, found + 3):
+        active[row] = 0
+    for first in range(contacts, found, BLOCK):
+        filled = min(BLOCK, found - first)
+        size = (filled + 3) // 4 * 4
+        for k in range(0, size, 4):
+            q = four_from(active, first + k)
+            i, j, rows = four_of(near_i, q), four_of(near_j, q), four_remembered(memory, q, touched, remembered)
+            gather_difference(buffer, OFFSET, k, sphere, j, i)
+            gather_difference(buffer, VELOCITY, k, velocity, i, j)
+            gather_difference(buffer, AHEAD, k, ahead, i, j)
+            if tangential:
+                gather_sum(buffer, SPIN_SUM, k, spin, i, j)
+                gather_rows(buffer, SLOT, k, old_slot, rows)
+            if rolling or unequal:
+                gather_difference(buffer, SPIN_DIFFERENCE, k, spin, i, j)
+            if rolling:
+                gather_rows(buffer, MOMENT, k, old_moment, rows)
+        if unequal:
+            for k in range(size):
+                a, b = near_i[active[first + k]], near_j[active[first + k]]
+                r1, r2, inverse_mass = sphere[a, 3], sphere[b, 3], velocity[a, 3] + velocity[b, 3]
+                buffer[REACH + k], buffer[SKEW + k] = r1 + r2, (r1 - r2) * (r1 + r2)
+                buffer[RS + k] = r1 * r2 / (r1 + r2)
+                buffer[MS + k], buffer[INVERSE_MS + k] = 1.0 / inverse_mass, inverse_mass
+                buffer[INERTIA + k] = CONTACT_INERTIA / (velocity[a, 3] / (r1 * r1) + velocity[b, 3] / (r2 * r2))
+        if several:
+            for k in range(size):
+                a, b = near_i[active[first + k]], near_j[active[first + k]]
+                fill_law(buffer, k, laws[material[a], material[b]])
+        if period > 0.0:
+            for k in range(size):
+                buffer[NY + k] -= period * np.rint(buffer[NY + k] / period)
+        pair_geometry(buffer, size)
+        if tangential:
+            slip_spins(buffer, size, unequal, full_radius)
+        contact_laws(buffer, size, tangential, rolling, dt)
+        watch(buffer, size, REACH, buffer.dtype.type(1.0))
+        if unequal:
+            second_torques(buffer, size)
+        contact_torques(buffer, size)
+        for k in range(0, size, 4):
+            q = four_from(active, first + k)
+            i, j = four_of(near_i, q), four_of(near_j, q)
+            scatter_opposite(force, i, j, buffer, FORCE, k)
+            if tangential:
+                second = TORQUE_2 if unequal else TORQUE
+                scatter_both(torque, i, j, buffer, TORQUE, second, k)
+            if rolling:
+                scatter_opposite(torque, i, j, buffer, RESISTANCE, k)
+                scatter_rows(moment, four_on(first + k), buffer, MOMENT, k)
+            scatter_rows(slot, four_on(first + k), buffer, SLOT, k)
+        for row in range(first, first + filled):
+            memory[active[row]] = row
+    return found
+
+
+@kernel
+def pair_geometry(buffer, size):
+    """Offsets of a block → normals, overlaps, gains along the normal, half distances as lever arms."""
+    zero, half, one = buffer.dtype.type(0.0), buffer.dtype.type(0.5), buffer.dtype.type(1.0)
+    for k in range(size):
+        dx, dy, dz = buffer[NX + k], buffer[NY + k], buffer[NZ + k]
+        distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+        inverse = one / distance
+        nx, ny, nz = dx * inverse, dy * inverse, dz * inverse
+        buffer[NX + k], buffer[NY + k], buffer[NZ + k] = nx, ny, nz
+        buffer[GAIN + k] = buffer[AX + k] * nx + buffer[AY + k] * ny + buffer[AZ + k] * nz
+        # Rounding may part what the filter found to touch.
+        buffer[DELTA + k] = max(zero, buffer[REACH + k] - distance)
+        buffer[ARM_1 + k] = half * distance
+
+
+@kernel
+def slip_spins(buffer, size, unequal, full_radius):
+    """Σ ω of a block → Σ arm × ω, with which spins add to the slip; and the lever arms of unequal spheres.
+
+    Contacts end on the plane of the circle where the spheres intersect: arm₁ = ½ d + s and arm₂ = ½ d − s with
+    s = (r₁² − r₂²) / 2 d, so that Σ arm × ω = ½ d (ω₁ + ω₂) + s (ω₁ − ω₂). With full radii, slip takes r₁ and r₂ in
+    the place of the arms: ½ (r₁ + r₂) (ω₁ + ω₂) + ½ (r₁ − r₂) (ω₁ − ω₂).
+    """
+    quarter, half = buffer.dtype.type(0.25), buffer.dtype.type(0.5)
+    for k in range(size):
+        mean = half * buffer[REACH + k] if full_radius else buffer[ARM_1 + k]
+        buffer[WX + k] *= mean
+        buffer[WY + k] *= mean
+        buffer[WZ + k] *= mean
+    if unequal:
+        for k in range(size):
+            arm = buffer[ARM_1 + k]
+            shift = quarter * buffer[SKEW + k] / arm
+            excess = half * buffer[SKEW + k] / buffer[REACH + k] if full_radius else shift
+            buffer[WX + k] += excess * buffer[PX + k]
+            buffer[WY + k] += excess * buffer[PY + k]
+            buffer[WZ + k] += excess * buffer[PZ + k]
+            buffer[ARM_1 + k] = arm + shift
+            buffer[ARM_2 + k] = arm - shift
+
+
+@kernel
+def normal_law(buffer, size, dt):
+    """Normal force on the first of each contact of a block (see contact.py)."""
+    zero, one, fade = buffer.dtype.type(0.0), buffer.dtype.type(1.0), buffer.dtype.type(PREDICTION_FADE * dt)
+    for k in range(size):
+        nx, ny, nz, overlap = buffer[NX + k], buffer[NY + k], buffer[NZ + k], buffer[DELTA + k]
+        approach = buffer[VX + k] * nx + buffer[VY + k] * ny + buffer[VZ + k] * nz
+        contact_radius = math.sqrt(buffer[RS + k] * overlap)
+        stiffness = buffer[MODULUS + k] * contact_radius  # K √δ
+        drag = buffer[DAMPING + k] * math.sqrt(buffer[MS + k] * stiffness)  # α √(m* K) δ^(1/4)
+        gain = buffer[GAIN + k] * max(zero, one - fade * drag * buffer[INVERSE_MS + k])
+        load = max(zero, stiffness * overlap + drag * (approach + gain))
+        buffer[FX + k], buffer[FY + k], buffer[FZ + k] = -load * nx, -load * ny, -load * nz
+        buffer[APPROACH + k], buffer[CONTACT_RADIUS + k] = approach, contact_radius
+        buffer[DRAG + k], buffer[LOAD + k] = drag, load
+
+
+@kernel
+def tangential_law(buffer, size, dt):
+    """Adds the tangential force on the first; n × f_t, and the new history; after normal_law (see contact.py).
+
+    Three short loops: in one, each contact would wait for a chain of roots and divisions too long to overlap with the
+    next ones.
+    """
+    slip_and_turn(buffer, size)
+    load_history(buffer, size, dt)
+    limit_friction(buffer, size)
+
+
+@kernel
+def slip_and_turn(buffer, size):
+    """Slip velocity into the columns of the spins; the history turned with the contact plane, not yet of its length.
+
+    What leaves the plane is removed, and the length will be kept but for √(δ / δ before) where the contact shrinks;
+    ``RESCALE`` is the square of what that takes. A new contact, whose overlap before is zero, remembers nothing.
+    """
+    zero = buffer.dtype.type(0.0)
+    for k in range(size):
+        nx, ny, nz, approach = buffer[NX + k], buffer[NY + k], buffer[NZ + k], buffer[APPROACH + k]
+        wx, wy, wz = buffer[WX + k], buffer[WY + k], buffer[WZ + k]
+        buffer[WX + k] = buffer[VX + k] - approach * nx + (wy * nz - wz * ny)
+        buffer[WY + k] = buffer[VY + k] - approach * ny + (wz * nx - wx * nz)
+        buffer[WZ + k] = buffer[VZ + k] - approach * nz + (wx * ny - wy * nx)
+        before = buffer[BEFORE + k]
+        smaller = min(before, buffer[DELTA + k])
+        hx, hy, hz = buffer[HX + k], buffer[HY + k], buffer[HZ + k]
+        length = hx * hx + hy * hy + hz * hz
+        out = hx * nx + hy * ny + hz * nz
+        hx, hy, hz = hx - out * nx, hy - out * ny, hz - out * nz
+        inside = (hx * hx + hy * hy + hz * hz) * before
+        buffer[HX + k], buffer[HY + k], buffer[HZ + k] = hx, hy, hz
+        buffer[RESCALE + k] = length * smaller / inside if inside > zero else zero
+
+
+@kernel
+def load_history(buffer, size, dt):
+    """The history loaded by slip over the step; with its damping into the columns of n × f_t."""
+    half_step = buffer.dtype.type(0.5 * dt)
+    for k in range(size):
+        sx, sy, sz = buffer[WX + k], buffer[WY + k], buffer[WZ + k]
+        keep = math.sqrt(buffer[RESCALE + k])
+        smaller = min(buffer[BEFORE + k], buffer[DELTA + k])
+        mean_radius = buffer[CONTACT_RADIUS + k] + math.sqrt(buffer[RS + k] * smaller)  # twice the mean
+        load, drag = half_step * buffer[SHEAR + k] * mean_radius, buffer[DRAG + k]
+        hx, hy, hz = (
+            keep * buffer[HX + k] - load * sx,
+            keep * buffer[HY + k] - load * sy,
+            keep * buffer[HZ + k] - load * sz,
+        )
+        buffer[HX + k], buffer[HY + k], buffer[HZ + k] = hx, hy, hz
+        buffer[TX + k], buffer[TY + k], buffer[TZ + k] = hx - drag * sx, hy - drag * sy, hz - drag * sz
+
+
+@kernel
+def limit_friction(buffer, size):
+    """Force and history of a contact that slips are cut to μ times the load."""
+    one = buffer.dtype.type(1.0)
+    for k in range(size):
+        nx, ny, nz = buffer[NX + k], buffer[NY + k], buffer[NZ + k]
+        tx, ty, tz = buffer[TX + k], buffer[TY + k], buffer[TZ + k]
+        squared, limit = tx * tx + ty * ty + tz * tz, buffer[FRICTION + k] * buffer[LOAD + k]
+        slip = limit / math.sqrt(squared) if squared > limit * limit else one
+        tx, ty, tz = slip * tx, slip * ty, slip * tz
+        buffer[HX + k] *= slip
+        buffer[HY + k] *= slip
+        buffer[HZ + k] *= slip
+        buffer[FX + k] += tx
+        buffer[FY + k] += ty
+        buffer[FZ + k] += tz
+        buffer[TX + k] = ny * tz - nz * ty
+        buffer[TY + k] = nz * tx - nx * tz
+        buffer[TZ + k] = nx * ty - ny * tx
+
+
+@kernel
+def rolling_law(buffer, size, dt):
+    """Rolling moment on the first of each contact of a block (see rolling.py), and its history; after normal_law."""
+    zero, one, two, step = buffer.dtype.type(0.0), buffer.dtype.type(1.0), buffer.dtype.type(2.0), buffer.dtype.type(dt)
+    for k in range(size):
+        nx, ny, nz = buffer[NX + k], buffer[NY + k], buffer[NZ + k]
+        overlap, before = buffer[DELTA + k], buffer[BEFORE + k]
+        arm = buffer[ROLLING + k] * buffer[RS + k]
+        contact_radius = buffer[CONTACT_RADIUS + k]
+        limit = arm * buffer[MODULUS + k] * contact_radius * overlap
+        # 2.25 k_n (μ_r R*)² with k_n = 2 E* √(R* δ), and the modulus is 4/3 E*.
+        stiffness = buffer.dtype.type(3.375) * buffer[MODULUS + k] * contact_radius * arm * arm
+        keep = math.sqrt(min(before, overlap) / before) if before > zero else zero
+        wx, wy, wz = buffer[PX + k], buffer[PY + k], buffer[PZ + k]
+        along = wx * nx + wy * ny + wz * nz
+        wx, wy, wz = wx - along * nx, wy - along * ny, wz - along * nz
+        mx, my, mz = buffer[MX + k], buffer[MY + k], buffer[MZ + k]
+        out = mx * nx + my * ny + mz * nz
+        load, drag = stiffness * step, two * math.sqrt(buffer[INERTIA + k] * stiffness)
+        mx = keep * (mx - out * nx) - load * wx
+        my = keep * (my - out * ny) - load * wy
+        mz = keep * (mz - out * nz) - load * wz
+        qx, qy, qz = mx - drag * wx, my - drag * wy, mz - drag * wz
+        squared = qx * qx + qy * qy + qz * qz
+        scale = limit / math.sqrt(squared) if squared > limit * limit else one
+        buffer[MX + k], buffer[MY + k], buffer[MZ + k] = scale * mx, scale * my, scale * mz
+        buffer[QX + k], buffer[QY + k], buffer[QZ + k] = scale * qx, scale * qy, scale * qz
+
+
+@kernel
+def contact_torques(buffer, size):
+    """n × f_t of a block → torque on the first."""
+    for k in range(size):
+        arm = buffer[ARM_1 + k]
+        buffer[TX + k] *= arm
+        buffer[TY + k] *= arm
+        buffer[TZ + k] *= arm
+
+
+@kernel
+def second_torques(buffer, size):
+    """n × f_t of a block → torque on the second, whose lever arm is another; before contact_torques."""
+    for k in range(size):
+        arm = buffer[ARM_2 + k]
+        buffer[UX + k], buffer[UY + k], buffer[UZ + k] = (
+            arm * buffer[TX + k],
+            arm * buffer[TY + k],
+            arm * buffer[TZ + k],
+        )
+
+
+@shared
+def contact_laws(buffer, size, tangential, rolling, dt):
+    """What the contacts of a block do: force on the first, n × f_t, rolling moment, and what they remember."""
+    normal_law(buffer, size, dt)
+    if rolling:
+        rolling_law(buffer, size, dt)
+    if tangential:
+        tangential_law(buffer, size, dt)
+    for k in range(size):
+        buffer[BEFORE + k] = buffer[DELTA + k]
+
+
+@kernel
+def watch(buffer, size, length, times):
+    """Keeps the largest overlaps and approaches of a block; after contact_laws.
+
+    Args:
+        length, times: first element of the column of a length, and how many of it are the mean diameter.
+    """
+    for k in range(size):
+        buffer[PEAK_OVERLAP + k] = max(buffer[PEAK_OVERLAP + k], buffer[DELTA + k])
+        buffer[PEAK_SHARE + k] = max(buffer[PEAK_SHARE + k], buffer[DELTA + k] / (times * buffer[length + k]))
+        buffer[PEAK_APPROACH + k] = max(buffer[PEAK_APPROACH + k], buffer[APPROACH + k])
+
+
+def take_peaks(buffer: FloatArray) -> FloatArray:
+    """Largest overlap, m, its share of the mean diameter, and approach, m/s, ``(3,)``; from now on they count anew."""
+    lanes = buffer[PEAK_OVERLAP:].reshape(-1, BLOCK)
+    peaks = lanes.max(axis=1).astype(np.float64)
+    lanes[:] = 0.0
+    return peaks

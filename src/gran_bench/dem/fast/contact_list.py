@@ -1,0 +1,200 @@
+"""Which pairs are looked at, and what they remember (jitted).
+
+Pairs are listed twice. The outer list reaches a margin beyond touch and is rarely searched for. The inner list is
+pruned from it often and at little cost; only its pairs are looked at in a step.
+
+Each particle has a margin m of its own, the larger the faster it is: two lists are complete while no displacement
+exceeds it, and those that hardly move need no room. The outer list holds the pairs with a gap below m₁ + m₂, the inner
+one those below a share σ of that. So an inner list is complete while all displacements since its pruning stay below
+σ m, and may be pruned while those since the search stay below (1 − σ) m.
+
+Both lists are in the order of (first, second), whatever the skin and whenever they were made. So forces are summed in
+one order, and neither skin nor time of a search changes a bit of the result.
+
+A contact remembers its last evaluation alone. What the touching contacts of an evaluation remember lies densely, in
+rows 1, 2, … in their order. Each place of a list has the row of its pair's last touch, and the list of those that
+touched says whether it was in the last evaluation: where row r is not place q's, q remembers nothing. So histories
+stay in the cache, and nothing is done for pairs that parted.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gran_bench.dem.fast.kernel import entry, kernel, shared
+from gran_bench.dem.fast.rows import squared_gap
+from gran_bench.neighbors import IndexArray
+from gran_bench.state import FloatArray
+
+PairArray = NDArray[np.uint32]
+
+# σ, what the inner list reaches beyond touch as a share of the margins.
+INNER_SHARE = 0.2
+# Margin of what rests, as a share of the fastest's: a hit may set it in motion.
+LEAST_MARGIN = 0.2
+
+
+def with_margins(sphere: FloatArray, velocity: FloatArray, skin: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Displacements that lists have room for: half the skin for the fastest particle, less for slower ones.
+
+    Args:
+        sphere, velocity: ``(N + 2, 4)`` x, y, z, r, m, and v, m/s.
+        skin: m.
+
+    Returns:
+        ``(N,)`` margins m, m; ``(N,)`` 1/m², which displacements are held against; ``(N, 4)`` x, y, z and radius with
+        margin, m.
+    """
+    margin, inverse_square, reaching = np.empty(len(sphere) - 2), np.empty(len(sphere) - 2), sphere[:-2].copy()
+    fill_margins(velocity, skin, margin, inverse_square, reaching)
+    return margin, inverse_square, reaching
+
+
+@entry
+def fill_margins(velocity, skin, margin, inverse_square, reaching):
+    """Fills the margins, their inverse squares and the radii of ``reaching``, which come as those of the spheres."""
+    fastest = 0.0
+    for i in range(len(margin)):
+        margin[i] = math.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2)
+        fastest = max(fastest, margin[i])
+    for i in range(len(margin)):
+        share = margin[i] / fastest if fastest > 0.0 else 1.0
+        margin[i] = 0.5 * skin * (LEAST_MARGIN + (1.0 - LEAST_MARGIN) * share)
+        inverse_square[i] = 1.0 / (margin[i] * margin[i])
+        reaching[i, 3] += margin[i]
+
+
+def sorted_pairs(
+    first: PairArray,
+    second: PairArray,
+    begin: int,
+    end: int,
+    count: int,
+    known_first: IndexArray,
+    known_second: IndexArray,
+) -> tuple[PairArray, PairArray, PairArray, PairArray]:
+    """Pairs in the order of (first, second), and which row of history is whose.
+
+    Args:
+        first, second: ``(M,)`` pairs, first < second.
+        begin, end: range of the firsts.
+        count: of all particles.
+        known_first, known_second: ``(C,)`` pairs that touch; their rows are 1 … C.
+
+    Returns:
+        ``(M,)`` first and second, ``(end − begin + 2,)`` place of each first's first pair and of the end of the last's,
+        ``(M,)`` row of history.
+    """
+    by_second, pair_i, pair_j = np.empty((3, len(first)), np.uint32)
+    memory, start = np.zeros(len(first), np.uint32), np.zeros(end - begin + 2, np.uint32)
+    of_second = np.zeros(count - begin + 1, np.uint32)
+    sort_pairs(
+        first, second, begin, known_first, known_second, of_second, by_second, start, pair_i, pair_j, memory
+    )  # fmt: skip
+    return pair_i, pair_j, start, memory
+
+
+@entry
+def sort_pairs(
+    first, second, begin, known_first, known_second, of_second, by_second, start, pair_i, pair_j, memory
+):  # fmt: skip
+    """A counting sort by second, then one by first, which keeps the order among equals.
+
+    Fills ``start``, ``pair_i``, ``pair_j`` and ``memory`` of :func:`sorted_pairs`. ``start``, ``memory`` and
+    ``of_second``, the place of the next pair of each second, come as zeros.
+    """
+    pairs, firsts = len(first), len(start) - 2
+    for p in range(pairs):
+        of_second[second[p] - begin + 1] += 1
+        start[first[p] - begin + 2] += 1  # shifted by one, so that filling it leaves it where it should be
+    for row in range(1, len(of_second)):
+        of_second[row] += of_second[row - 1]
+    for row in range(2, len(start)):
+        start[row] += start[row - 1]
+    for p in range(pairs):
+        row = second[p] - begin
+        by_second[of_second[row]] = p
+        of_second[row] += 1
+    for q in range(pairs):
+        p = by_second[q]
+        row = first[p] - begin + 1
+        pair_i[start[row]], pair_j[start[row]] = first[p], second[p]
+        start[row] += 1
+    for c in range(len(known_first)):
+        row = known_first[c] - begin
+        if 0 <= row < firsts:
+            for p in range(start[row], start[row + 1]):
+                if pair_j[p] == known_second[c]:
+                    memory[p] = c + 1
+
+
+@kernel
+def prune(sphere, pair_i, pair_j, memory, begin, end, period, near, near_i, near_j, near_memory, found):
+    """Copies those of the pairs ``begin … end − 1`` that overlap into the inner list.
+
+    Args:
+        sphere: ``(N, 4)`` x, y, z and radius, their share of the margins included, m.
+        pair_i, pair_j, memory: outer list.
+        begin, end: range of its places.
+        period: of y, m; 0 for none.
+        near: place in the outer list of each pair of the inner one; one more than are looked at must fit.
+        near_i, near_j, near_memory: inner list.
+        found: first place in it that is written.
+
+    Returns:
+        One more than the last place that is written.
+    """
+    last = overlapping(sphere, pair_i, pair_j, begin, end, period, near, found)
+    for q in range(found, last):
+        p = near[q]
+        near_i[q], near_j[q], near_memory[q] = pair_i[p], pair_j[p], memory[p]
+    return last
+
+
+@kernel
+def overlapping(sphere, first, second, begin, end, period, near, found):
+    """Fills ``near`` from place ``found`` on with the pairs of spheres that overlap, in their order.
+
+    Args:
+        sphere: ``(N, 4)`` x, y, z, r, m.
+        first, second: of each pair.
+        begin, end: range of pairs that are looked at.
+        period: of y, m; 0 for none.
+        near: their places; one more than are looked at must fit.
+        found: first place that is written.
+
+    Returns:
+        One more than the last place that is written.
+    """
+    # Written always, kept only if near: no branch to mispredict.
+    if period > 0.0:
+        for p in range(begin, end):
+            near[found] = p
+            found += wrapped_gap(sphere, first[p], second[p], period) < 0.0
+    else:
+        for p in range(begin, end):
+            near[found] = p
+            found += squared_gap(sphere, first[p], second[p]) < 0.0
+    return found
+
+
+@kernel
+def wrapped_gap(sphere, i, j, period):
+    """``squared_gap`` with y taken to the nearest image, m²."""
+    dx, dy, dz = sphere[j, 0] - sphere[i, 0], sphere[j, 1] - sphere[i, 1], sphere[j, 2] - sphere[i, 2]
+    dy -= period * np.rint(dy / period)
+    reach = sphere[i, 3] + sphere[j, 3]
+    return dx * dx + dy * dy + dz * dz - reach * reach
+
+
+@shared
+def largest_displacement(sphere, reference, inverse_square, begin, end):
+    """max ‖x − x_ref‖ / m over the particles ``begin … end − 1``; ``reference`` has their rows, 1/m² is given."""
+    largest = 0.0
+    for i in range(begin, end):
+        dx, dy, dz = sphere[i, 0] - reference[i, 0], sphere[i, 1] - reference[i, 1], sphere[i, 2] - reference[i, 2]
+        largest = max(largest, (dx * dx + dy * dy + dz * dz) * inverse_square[i])
+    return math.sqrt(largest)

@@ -1,0 +1,240 @@
+"""The loop of a stretch, as one thread runs it over its chunks (jitted).
+
+pruned list, where something moved far → forces → meet → kick and drift → meet
+
+It pauses between forces and kick, so a pause changes nothing: who wants the state of a pause takes copies, and closes
+their step with half a kick.
+
+Chunk c adds the loads of its pairs to rows of its own, ``force[c]`` and ``torque[c]``, for its particles and for those
+of later chunks that its pairs reach. Before a kick the owner of a particle takes over what earlier chunks left there.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gran_bench.dem.fast.barrier import meet
+from gran_bench.dem.fast.contact_blocks import pair_forces
+from gran_bench.dem.fast.contact_list import INNER_SHARE, largest_displacement, prune
+from gran_bench.dem.fast.kernel import entry, kernel, shared
+from gran_bench.dem.fast.rows import kick_row, move_row, twist_row
+from gran_bench.dem.fast.wall_contacts import wall_forces
+
+# What threads tell each other: places of a thread's row. The last is its own: how far the fastest went, in margins,
+# since its inner list was made; infinite where its lists are new.
+PACE, CULPRIT, SINCE_PRUNING, SINCE_SEARCH, TRAVELLED = range(5)
+# Places of a thread's progress: the step that the positions are at, that at which to pause, that of the first pose,
+# whether the forces are still to come, whether the velocities are those of a whole step, and one more than the number
+# of pairs and of walls that the last evaluation found touching.
+STEP, PAUSE, FIRST_POSE, DUE, WHOLE, PAIRS, WALLS = range(7)
+# Rows of a thread's inner list: place of each pair in the outer one, its particles, its row of history.
+NEAR, NEAR_I, NEAR_J, NEAR_MEMORY = range(4)
+# What the loop comes back with, beside a row that diverged.
+PAUSED, SEARCH = -1, -2
+
+
+@entry
+def march(
+    thread, threads, gate, bounds, reach, told, progress, sphere, velocity, spin, ahead, material, force, torque,
+    pair_i, pair_j, start, memory, slot, moment, wall_i, wall_w, wall_memory, wall_start, wall_slot, wall_moment,
+    margin, inverse_square, searched_at, pruned_at, inner_list, touching, wall_touching, geometry, near_start,
+    buffer, wall_buffer, pair_laws, wall_laws, walls, gravity, period, dt, fastest_allowed, tangential, rolling,
+    unequal, full_radius,
+):  # fmt: skip
+    """One thread's share of the steps, until the next lists are needed or it is to pause.
+
+    Evaluation k is of the positions after step k. Number 0 is of the state itself and loads no history.
+
+    Args:
+        thread, threads: which of how many.
+        gate: of barrier.py.
+        bounds, reach: ``(C + 1,)`` first particle of each chunk; ``(C,)`` end of what its pairs touch.
+        told: ``(threads, ≥ 5)`` what threads tell each other.
+        progress: ``(7,)`` see above.
+        sphere, velocity, spin, ahead, material: rows of the bodies and two spare ones; they hold the state at the end.
+        force, torque: ``(C, N + 2, 4)`` zeros where forces are due; else a chunk's rows hold those of its particles.
+        pair_i, …, inverse_square: of :func:`search.search`. Histories come twice: an evaluation reads the one of the
+            last and writes the other.
+        searched_at, pruned_at: ``(N, 4)`` rows of the positions that the lists were made for, and room for others.
+        inner_list: ``(4, ≥ M + 2)`` for M pairs; room, but for place 0, which is the spare pair.
+        touching: ``(2, ≥ M + 5)`` room for the places of touching pairs in even and odd evaluations.
+        wall_touching, geometry: ``(2, ≥ M + 5)``, ``(≥ M + 5, 4)`` room alike for M wall contacts; the places of those
+            that remember something are there.
+        near_start: ``(chunks + 1,)`` ones.
+        buffer, wall_buffer: of :func:`contact_blocks.block_buffer`.
+        pair_laws, wall_laws: ``(S, S, 5)``, ``(S, W, 5)``.
+        walls: ``(≥ steps + 1, W, 22)`` poses of the first step and of those to the pause.
+        gravity, period, dt: SI.
+        fastest_allowed: m²/s², beyond which a particle diverges.
+        tangential, rolling: what the scene needs.
+        unequal: whether sizes or masses differ.
+        full_radius: whether slip is measured with full radii.
+
+    Returns:
+        The row that diverged, ``PAUSED`` or ``SEARCH``.
+    """
+    several = len(pair_laws) > 1
+    chunk, stop = thread * (len(bounds) - 1) // threads, (thread + 1) * (len(bounds) - 1) // threads
+    begin, end = bounds[chunk], bounds[stop]
+    near_i, near_j, near_memory = inner_list[NEAR_I], inner_list[NEAR_J], inner_list[NEAR_MEMORY]
+    step, travelled = progress[STEP], told[thread, TRAVELLED]
+    remembered, walls_remembered, pairs = progress[PAIRS], progress[WALLS], progress[PAIRS]
+    if travelled == np.inf:
+        # What the lists brought may lie in any row.
+        remembered, walls_remembered, pairs = np.int64(slot.shape[1]), np.int64(wall_slot.shape[1]), np.int64(1)
+    while True:
+        if progress[DUE]:
+            old, new = (step - 1) % 2, step % 2
+            if travelled > INNER_SHARE:
+                # Only before an evaluation: what the outer list knows of histories lasts for one inner list.
+                _prune_chunks(
+                    sphere, margin, pruned_at, bounds, reach, chunk, stop, start, pair_i, pair_j, memory, inner_list,
+                    near_start, touching[old], pairs, period,
+                )  # fmt: skip
+                travelled = 0.0
+            span = 0.0 if step == 0 else dt
+            pairs, wall_contacts = np.int64(1), np.int64(1)
+            for c in range(chunk, stop):
+                pairs = pair_forces(
+                    sphere, velocity, spin, ahead, material, force[c], torque[c], near_i, near_j, near_memory,
+                    near_start[c - chunk], near_start[c - chunk + 1], touching[old], remembered, touching[new], pairs,
+                    slot[old], slot[new], moment[old], moment[new],
+                    buffer, pair_laws, period, tangential, rolling, unequal, several, full_radius, span,
+                )  # fmt: skip
+                wall_contacts = wall_forces(
+                    sphere, velocity, spin, ahead, material, force[c], torque[c], wall_i, wall_w, wall_memory,
+                    wall_start[(c - chunk) * len(walls[0]) :], wall_touching[old], walls_remembered,
+                    wall_touching[new], wall_contacts, geometry,
+                    wall_slot[old], wall_slot[new], wall_moment[old], wall_moment[new],
+                    wall_buffer, wall_laws, walls[step - progress[FIRST_POSE]], tangential, rolling, full_radius, span,
+                )  # fmt: skip
+            remembered, walls_remembered = pairs, wall_contacts
+            progress[PAIRS], progress[WALLS], progress[DUE] = pairs, wall_contacts, 0
+            meet(gate, threads)
+            take_over(force, torque, bounds, reach, chunk, stop, tangential)
+        if step == progress[PAUSE]:
+            told[thread, TRAVELLED] = travelled
+            return np.int64(PAUSED)
+        told[thread, PACE], told[thread, CULPRIT] = kick(
+            velocity, spin, ahead, force, torque, inverse_square, bounds, chunk, stop, gravity,
+            0.0 if progress[WHOLE] else 0.5 * dt, 0.5 * dt, tangential, fastest_allowed,
+        )  # fmt: skip
+        progress[WHOLE] = 0
+        drifts = told[thread, CULPRIT] < 0.0
+        if drifts:
+            _drift(sphere, velocity, begin, end, dt)
+        meet(gate, threads)
+        pace, culprit = 0.0, np.int64(PAUSED)
+        for other in range(threads):
+            pace = max(pace, told[other, PACE])
+            if culprit < 0:
+                culprit = np.int64(told[other, CULPRIT])
+        if culprit >= 0:
+            if drifts:
+                _drift(sphere, velocity, begin, end, -dt)
+            return culprit
+        step += 1
+        progress[STEP], progress[DUE] = step, 1
+        # The path of whoever is fastest for its margin bounds all displacements at no cost; only when it leaves the
+        # reach of the inner list are the true displacements looked at.
+        travelled += dt * math.sqrt(pace)
+        if travelled > INNER_SHARE:
+            told[thread, SINCE_PRUNING] = travelled
+            if travelled < np.inf:
+                told[thread, SINCE_PRUNING] = largest_displacement(sphere, pruned_at, inverse_square, begin, end)
+            told[thread, SINCE_SEARCH] = largest_displacement(sphere, searched_at, inverse_square, begin, end)
+            meet(gate, threads)
+            travelled, since_search = 0.0, 0.0
+            for other in range(threads):
+                travelled = max(travelled, told[other, SINCE_PRUNING])
+                since_search = max(since_search, told[other, SINCE_SEARCH])
+            if travelled > INNER_SHARE and since_search > 1.0 - INNER_SHARE:
+                return np.int64(SEARCH)
+
+
+@kernel
+def _prune_chunks(
+    sphere, margin, pruned_at, bounds, reach, chunk, stop, start, pair_i, pair_j, memory, inner_list, near_start,
+    touched, rows, period,
+):  # fmt: skip
+    """Makes the inner list of chunks ``chunk … stop − 1`` anew; ``touched`` then has the new places of its pairs.
+
+    Args:
+        touched: place in the old inner list of the pair of each row of history.
+        rows: end of the rows that are in it; those that came with the outer list are known to it.
+        The others: as in :func:`march`.
+    """
+    begin = bounds[chunk]
+    near, near_i, near_j = inner_list[NEAR], inner_list[NEAR_I], inner_list[NEAR_J]
+    near_memory = inner_list[NEAR_MEMORY]
+    # The outer list knows the rows of history only while the inner one is made.
+    for row in range(1, rows):
+        memory[near[touched[row]]] = row
+    for i in range(begin, len(margin)):
+        for k in range(3):
+            pruned_at[i, k] = sphere[i, k]
+        pruned_at[i, 3] = sphere[i, 3] + INNER_SHARE * margin[i]
+    for c in range(chunk, stop):
+        low, high = np.int64(start[bounds[c] - begin]), np.int64(start[bounds[c + 1] - begin])
+        first = near_start[c - chunk]
+        last = prune(pruned_at, pair_i, pair_j, memory, low, high, period, near, near_i, near_j, near_memory, first)
+        near_start[c - chunk + 1] = last
+        reach[c] = _end_of_reach(near_j, first, last, bounds[c + 1])
+    for q in range(1, near_start[stop - chunk]):
+        touched[near_memory[q]] = q
+    memory[:] = 0  # also of pairs that touched and are out of reach: they forget
+
+
+@kernel
+def _end_of_reach(near_j, begin, end, furthest):
+    """One more than the last particle that pairs ``begin … end − 1`` touch, and at least ``furthest``."""
+    for q in range(begin, end):
+        furthest = max(furthest, np.int64(near_j[q]) + 1)
+    return furthest
+
+
+@shared
+def take_over(force, torque, bounds, reach, chunk, stop, tangential):
+    """Moves what earlier chunks left for the particles of ``chunk … stop − 1`` to the loads of their own chunk."""
+    for c in range(chunk, stop):
+        for earlier in range(c):
+            for i in range(bounds[c], min(reach[earlier], bounds[c + 1])):
+                move_row(force[earlier], force[c], i)
+                if tangential:
+                    move_row(torque[earlier], torque[c], i)
+
+
+@shared
+def kick(
+    velocity, spin, ahead, force, torque, inverse_square, bounds, chunk, stop, gravity, closing, opening, tangential,
+    fastest_allowed,
+):  # fmt: skip
+    """Velocities forward by what is left of a step and, in a kick of its own, by what opens the next.
+
+    ``ahead`` becomes what the same acceleration adds in the rest of the step that it opens, which is as long.
+
+    Returns the largest squared speed in margins, 1/s², and the first row that is too fast or not finite.
+    """
+    pace, culprit = 0.0, -1.0
+    gx, gy, gz = gravity[0], gravity[1], gravity[2]
+    for c in range(chunk, stop):
+        for i in range(bounds[c], bounds[c + 1]):
+            kick_row(velocity, force[c], i, gx, gy, gz, closing, ahead, opening)
+            squared = velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2
+            pace = max(pace, squared * inverse_square[i])
+            if not squared <= fastest_allowed and culprit < 0.0:
+                culprit = float(i)
+        if tangential:
+            for i in range(bounds[c], bounds[c + 1]):
+                twist_row(spin, torque[c], i, closing, opening)
+    return pace, culprit
+
+
+@kernel
+def _drift(sphere, velocity, begin, end, dt):
+    for i in range(begin, end):
+        sphere[i, 0] += dt * velocity[i, 0]
+        sphere[i, 1] += dt * velocity[i, 1]
+        sphere[i, 2] += dt * velocity[i, 2]

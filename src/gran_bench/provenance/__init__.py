@@ -1,0 +1,27 @@
+"""Where a result comes from: command, commit, day, hardware, source."""
+
+from gran_bench.provenance.origin import (
+    command,
+    commit,
+    hardware,
+    library_versions,
+    program,
+    provenance,
+    read_table,
+    remember_command,
+    stamp,
+    write_table,
+)
+
+__all__ = [
+    "command",
+    "commit",
+    "hardware",
+    "library_versions",
+    "program",
+    "provenance",
+    "read_table",
+    "remember_command",
+    "stamp",
+    "write_table",
+]

@@ -1,0 +1,121 @@
+"""Which source decides a result, in written lists of rooms, and a hash of it that comments and layout don't change.
+
+A room is a file (``scene.py``), a folder (``dem``, with all below it) or a pattern (``metrics/*.py``) of the
+package; one with a ``-`` before it is taken out of those before it. What is in no list changes no weight and no figure:
+config (its values are in a run's key), tables, figures, tracking, sweeps. `tests/test_source_digest.py` holds the lists
+against the imports of their files.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import gran_bench
+
+# What moves the DEM's particles: a change makes every case anew.
+SOLVER = ("dem", "neighbors", "scene")
+CONTACT, CONVOLUTION = ("surrogate/contact",), ("surrogate/convolution",)
+# The modules of each model, by its name.
+MODELS = {"contact": CONTACT, "ccnn": CONVOLUTION, "radial": CONVOLUTION}
+# States, walls, pairs, stored frames, and what all models share: what training and judging read. Of the DEM they know
+# its data and its walls alone.
+_READING = (
+    *("state.py", "scene", "neighbors", "dem/outlet.py", "dem/seams.py", "dem/fast/wall_list.py", "dem/walls.py"),
+    *("dataset/case_file.py", "dataset/scene_document.py", "dataset/windows.py"),
+    *("surrogate", "-surrogate/checkpoint.py", "-surrogate/contact", "-surrogate/convolution"),
+)
+# What decides the weights of a training, beside the model's modules.
+TRAINING = (*_READING, "losses", "trainer")
+# What a judge says of given weights, beside the model's modules. The DEM's runs are in its key by their names.
+JUDGING = (*_READING, "dataset/generation.py", "rollout.py", "metrics", "baselines.py", "evaluation")
+# What a benchmark measures of a method.
+COMPARING = (
+    *(*JUDGING, *SOLVER, "surrogate"),
+    *(f"benchmark/{name}.py" for name in ("crew", "errors", "jobs", "method", "pooling", "turns", "worker")),
+)
+
+# Hashes that this process has taken; they stay what they were when its modules were loaded, whatever is edited later.
+_taken: dict[str, str] = {}
+
+
+def training_code(model: str) -> str:
+    """Hash (12 digits) of the source that decides the weights of a model.
+
+    Args:
+        model: its name, as in ``model.name``.
+    """
+    return _hash(f"training {model}", (*TRAINING, *MODELS[model]))
+
+
+def judging_code() -> str:
+    """Hash (12 digits) of the source that decides what a judge says of given rollouts."""
+    return _hash("judging", JUDGING)
+
+
+def model_code(model: str) -> str:
+    """Hash (12 digits) of a model's own modules: what given weights do."""
+    return _hash(f"model {model}", MODELS[model])
+
+
+def comparing_code() -> str:
+    """Hash (12 digits) of the source that decides what a benchmark measures of a method."""
+    return _hash("comparing", COMPARING)
+
+
+def taken_hashes() -> dict[str, str]:
+    """The hashes that this process has taken, for one that was forked from modules of the same moment."""
+    return dict(_taken)
+
+
+def go_by(hashes: Mapping[str, str]) -> None:
+    """Go by hashes that another process took: it loaded the same modules, which may have been edited since."""
+    _taken.update(hashes)
+
+
+def _hash(name: str, rooms: tuple[str, ...]) -> str:
+    if name not in _taken:
+        _taken[name] = source_digest(rooms)[:12]
+    return _taken[name]
+
+
+def source_digest(rooms: Iterable[str]) -> str:
+    """SHA-256 (64 hex digits) of the bare code of rooms, as `files_of` reads them.
+
+    Args:
+        rooms: files, folders and patterns of the package.
+
+    Raises:
+        FileNotFoundError: there is no such room.
+    """
+    package, digest = Path(gran_bench.__file__).parent, hashlib.sha256()
+    for path in files_of(rooms):
+        digest.update(f"{path.relative_to(package).as_posix()}\n{bare_code(path.read_text('utf-8'))}\n".encode())
+    return digest.hexdigest()
+
+
+def files_of(rooms: Iterable[str]) -> list[Path]:
+    """The source files of rooms, each once, in order.
+
+    Raises:
+        FileNotFoundError: there is no such room.
+    """
+    package, found = Path(gran_bench.__file__).parent, set()
+    for room in rooms:
+        name = room.removeprefix("-")
+        files = list((package / name).rglob("*.py")) or list(package.glob(name))
+        if not files:
+            raise FileNotFoundError(f"{package} has no {name}")
+        found = found.difference(files) if room.startswith("-") else found.union(files)
+    return sorted(found)
+
+
+def bare_code(source: str) -> str:
+    """Python source without comments, docstrings and layout."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
+            node.body[0] = ast.Pass()
+    return ast.unparse(tree)

@@ -1,0 +1,147 @@
+"""A finished run as a page that is committed.
+
+``python -m gran_bench.report.result_page results/runs/NAME results/NAME``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from gran_bench.files import whole_file, write_part
+from gran_bench.metrics.judgement import shown_multiple
+from gran_bench.provenance import stamp
+from gran_bench.run.summary import SUMMARY, missed_requirements, read_summary
+from gran_bench.surrogate.checkpoint import file_digest
+
+MODEL, PAGE = "model.pt", "README.md"
+LARGEST_MODEL = 1_000_000  # bytes; a larger one is not kept with the page
+ERRORS = {"surface_angle": "angle of repose", "com_angle": "centre-of-mass angle", "speed_w1": "speeds"}
+FIGURES = {
+    "flow_pattern.png": "Flow pattern at 2.5 s, DEM beside surrogate, coloured by speed (the article's figure 2).",
+    "angle_of_repose.png": "Angle of repose against time over the band of the DEM's replicas (figure 3a).",
+    "speed_distribution.png": "Distribution of speeds at 2.5 s (figure 3b).",
+    "flow.gif": "Both flows, moving.",
+}
+
+
+class ResultPageError(ValueError):
+    """A folder that is not a finished run."""
+
+
+def write_page(run: Path, target: Path, title: str) -> Path:
+    """Copy a finished run's summary, figures and small model to a folder, and renew the table of its README.
+
+    Args:
+        run: folder of a finished run.
+        target: folder of the page; what people wrote there stays.
+        title: of a new page.
+
+    Returns:
+        The README.
+
+    Raises:
+        ResultPageError: the run is not finished.
+    """
+    if read_summary(run) is None:
+        raise ResultPageError(f"{run} has no {SUMMARY}: the run is not finished; run its command again")
+    small = [run / MODEL] if (run / MODEL).exists() and (run / MODEL).stat().st_size <= LARGEST_MODEL else []
+    for source in [run / SUMMARY, *small, *sorted((run / "figures").glob("*.[pg][ni][gf]"))]:
+        _copy(source, target / source.relative_to(run))
+    return renew_page(target, title)
+
+
+def renew_page(folder: Path, title: str = "") -> Path:
+    """Renew what the README of a folder says of its summary.
+
+    Args:
+        folder: with a ``summary.json``.
+        title: of a new page; the experiment's name where it is not given.
+    """
+    summary = read_summary(folder)
+    text = "\n".join(_lines(summary, folder))
+    write_part(folder / PAGE, "judgement", text, title or summary["experiment"])
+    return folder / PAGE
+
+
+def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
+    training, packings = summary["training"], summary["judged"]
+    yield (
+        f"`{summary['model']['name']}`, {training['parameters']:,} parameters, {training['steps']} updates in "
+        f"{training['seconds'] / 60:.0f} min; judged at {summary['judged_rpm']:g} rpm, {summary['judged_as']}."
+    )
+    yield ""
+    yield f"| | {' | '.join(f'{name} packing' for name in packings)} |"
+    yield "|---|" + "---:|" * len(packings)
+    for kind, cell in (("requirements", _requirement), ("errors", _error)):
+        for key, row in next(iter(packings.values()))[kind].items():
+            if kind == "requirements" or key in ERRORS:
+                label = row["label"] if kind == "requirements" else f"{row['label']} (noise floors)"
+                yield f"| {label} | {' | '.join(cell(judged[kind][key]) for judged in packings.values())} |"
+    counts = (judged["failures"] for judged in packings.values())
+    yield f"| states not finite; spheres outside by more than r | {' | '.join(map(_failures, counts))} |"
+    yield ""
+    yield f"| baseline, shared packing | {' | '.join(ERRORS.values())} |"
+    yield "|---|" + "---:|" * len(ERRORS)
+    for name, errors in summary["baselines"].items():
+        yield f"| {name} | {' | '.join(_error(errors[key]) for key in ERRORS)} |"
+    yield ""
+    if missed := missed_requirements(summary):
+        further = [line for line in missed if not line.endswith("packing)")]  # the others are in the table
+        yield f"**{len(missed)} requirements are not met**{': ' * bool(further)}{'; '.join(further)}."
+        yield ""
+    for name, caption in FIGURES.items():
+        if (folder / "figures" / name).exists():
+            yield f"![{caption}](figures/{name})"
+            yield ""
+    kept = (folder / MODEL).exists()
+    model = f" Model: [`{MODEL}`]({MODEL}), SHA-256 `{file_digest(folder / MODEL)}`." if kept else ""
+    yield f"All figures: [`{SUMMARY}`]({SUMMARY}), [`figures/`](figures).{model}"
+    yield ""
+    yield f"- Training: {stamp(training)}, data `{training['data_digest']}`"
+    yield f"- Judgement: {stamp(summary['provenance'])}, data `{summary['data_digest']}`"
+
+
+def _requirement(row: dict[str, Any]) -> str:
+    return f"{_value(row)}, {row['verdict']}"
+
+
+def _error(row: dict[str, Any]) -> str:
+    times = "" if row["multiple_of_floor"] is None else f" ({shown_multiple(row['multiple_of_floor'])})"
+    return _value(row) + times
+
+
+def _value(row: dict[str, Any]) -> str:
+    return "undefined" if row["value"] is None else f"{row['value']:.3g} {row['unit']}".replace(" deg", "°")
+
+
+def _failures(count: dict[str, Any] | None) -> str:
+    return "" if count is None else f"{count['non_finite_states']}; {count['outside_spheres']}"
+
+
+def _copy(source: Path, target: Path) -> None:
+    with whole_file(target) as temporary:
+        shutil.copyfile(source, temporary)
+
+
+def main() -> None:
+    """Read the command line and write the page."""
+    parser = argparse.ArgumentParser(prog="python -m gran_bench.report.result_page", description=write_page.__doc__)
+    parser.add_argument("run", type=Path, help="folder of a finished run")
+    parser.add_argument("target", type=Path, help="folder of the page")
+    parser.add_argument("--title", help="of the page; the experiment's name where it is not given")
+    arguments = parser.parse_args()
+    try:
+        summary = read_summary(arguments.run) or {}
+        title = arguments.title or str(summary.get("experiment", ""))
+        print(write_page(arguments.run, arguments.target, title))
+    except (ResultPageError, OSError, json.JSONDecodeError) as error:
+        parser.exit(2, f"error: {error}\n")
+
+
+if __name__ == "__main__":
+    main()

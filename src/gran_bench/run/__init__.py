@@ -1,0 +1,1 @@
+"""One experiment: who it is, its stages, what it leaves."""

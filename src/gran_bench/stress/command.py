@@ -1,0 +1,129 @@
+"""The command around the list: which part of it, the run, the table, the page, and an error where one is not met."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Sequence
+from difflib import get_close_matches
+from pathlib import Path
+
+from gran_bench.config import StressConfig
+from gran_bench.config.rules import ConfigError
+from gran_bench.files import locked
+from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
+from gran_bench.processes import stop_on_signals
+from gran_bench.provenance import provenance
+from gran_bench.shipped import SHIPPED
+from gran_bench.stress.case_list import StressCase, cases_of_file, shipped_cases
+from gran_bench.stress.expectation import FAILED, Observation
+from gran_bench.stress.page import PAGE, closing_line, table, write_results
+from gran_bench.stress.perform import model_file
+from gran_bench.stress.registry import EXPERIMENTS
+from gran_bench.stress.run import Result, carry_out, errands, forget
+
+LOCK = ".lock"  # in the folder of the page
+PART = "part"  # folder of the page of less than the whole list
+
+
+class StressFailed(RuntimeError):
+    """At least one expectation was not met; the message names the cases."""
+
+
+def run_stress(config: StressConfig) -> list[Result]:
+    """Carry out the list that a config describes; print its table and write its page.
+
+    Args:
+        config: checked.
+
+    Returns:
+        The results.
+
+    Raises:
+        ConfigError: a list, or a case's name, that cannot be.
+        StressFailed: an expectation that is not met, after everything is told and written.
+        KeyboardInterrupt: SIGTERM or Ctrl-C; what is finished is kept.
+    """
+    cases, whole = chosen(config)
+    folder = Path(config.output) if whole else Path(config.output) / PART
+    checkpoints = [model_file(checkpoint) for checkpoint in (config.checkpoint, *config.also)]
+    todo = errands(cases, checkpoints, folder)
+    # Two at once would empty each other's work folders.
+    with stop_on_signals(), locked(folder / LOCK, lambda: _tell_of_another(folder)):
+        began = time.perf_counter()
+        results = carry_out(todo, folder, config.workers, config.patience, lambda result: None)
+        print(table(results))
+        seconds = time.perf_counter() - began
+        # Times are of a machine that may have had other work.
+        origin = provenance() | {"load, mean of 1, 5 and 15 min": ", ".join(f"{load:.1f}" for load in os.getloadavg())}
+        draw_figures(results, folder)
+        write_results(results, folder, origin)
+        forget(folder)
+    print(f"\nthe page is {folder / PAGE}\n{closing_line(results, seconds)}")
+    failed = [result.name for result in results if result.verdict.word == FAILED]
+    if failed:
+        raise StressFailed(f"{len(failed)} of {len(results)} expectations are not met: {', '.join(failed)}")
+    return results
+
+
+def _tell_of_another(folder: Path) -> None:
+    message = f"another stress test runs in {folder}; waiting for it to end (output=FOLDER would be one of its own)"
+    print(message, file=sys.stderr, flush=True)
+
+
+def chosen(config: StressConfig) -> tuple[list[StressCase], bool]:
+    """The cases that a config asks for, and whether they are the whole list for the shipped model.
+
+    Raises:
+        ConfigError: an unknown case, or nothing left.
+    """
+    everything = (
+        shipped_cases(EXPERIMENTS) if config.case_list is None else cases_of_file(Path(config.case_list), EXPERIMENTS)
+    )
+    names = [case.name for case in everything]
+    for name in config.cases:
+        if name not in names:
+            near = get_close_matches(name, names, 1)
+            raise ConfigError(
+                f"cases={config.cases}: {name!r} is not in the list; "
+                + (f"did you mean {near[0]!r}?" if near else f"it has {', '.join(names)}")
+            )
+    cases = [
+        case
+        for case in everything
+        if (case.short or config.selection == "full") and (case.name in config.cases or not config.cases)
+    ]
+    if not cases:
+        raise ConfigError(f"selection={config.selection} leaves no case of cases={config.cases}; choose selection=full")
+    ships = config.case_list is None and config.checkpoint == SHIPPED and not config.also
+    return cases, ships and len(cases) == len(everything)
+
+
+def draw_figures(results: Sequence[Result], folder: Path) -> list[str]:
+    """The figures that the results have curves for; their file names."""
+    folder.mkdir(parents=True, exist_ok=True)
+    drawn, runs = [], defaultdict(list)
+    for result in results:
+        if not isinstance(result.outcome, Observation):
+            continue
+        curves = result.outcome.curves
+        if result.case.kind == "step_ladder":
+            drawn.append(draw_dem_step(curves, folder / "dem_step.png").name)
+        elif result.case.kind == "energy_drift":
+            drawn.append(draw_energy_drift(curves, folder / "energy_drift.png").name)
+        elif label := _label_in_drum(result):
+            runs[label].append((curves["speed_rpm"][0], curves["time_to_failure"][0], bool(curves["survived"][0])))
+    if runs:
+        drawn.insert(0, draw_time_to_failure(runs, folder / "time_to_failure.png").name)
+    return drawn
+
+
+def _label_in_drum(result: Result) -> str:
+    """The model whose rollout in the paper's drum, unchanged but for its speed, a result is; empty for any other."""
+    values, kind = result.case.parameters, result.case.kind
+    plain = values.get("scene", "drum") == "drum" and not {"changes", "then"} & set(values)
+    if kind == "model_rollout" and plain:
+        return result.model
+    return f"{values['model']}, untrained" if kind == "untrained_rollout" and values.get("scene") == "drum" else ""

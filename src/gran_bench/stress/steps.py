@@ -1,0 +1,160 @@
+"""The DEM's time step: what it costs, what it errs, where it blows up, and what it does to the energy."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gran_bench.config import DemConfig
+from gran_bench.dataset.generation import nudged
+from gran_bench.dem.simulate import SimulationError, SimulationResult, dividing_step, simulate
+from gran_bench.dem.time_step import contact_times
+from gran_bench.metrics.angle_of_repose import center_of_mass_angles
+from gran_bench.scene import Scene
+from gran_bench.shipped import shipped_scene
+from gran_bench.state import FloatArray, ParticleState
+from gran_bench.stress.beds import settled_bed
+from gran_bench.stress.expectation import Observation
+from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.verification.cluster import gas
+from gran_bench.verification.convergence import DRIFT_BOUND, GAS_SIDE, GAS_SPEED, GAS_WIDTH, elastic_energy
+from gran_bench.verification.laboratory import SOFT, on_sphere, run
+
+NUDGE = 1e-9  # m
+
+
+def step_ladder(
+    bench: Bench, steps: list[float], production: float, speed_rpm: float = 30.0, seconds: float = 2.0
+) -> Observation:
+    """Steps from small to far too large on the paper's drum: error of the centre of mass's angle, and cost.
+
+    The smallest step is the reference. The floor is the same error of the reference against itself, nudged by 1e-9 m;
+    what the production step errs more than that is beyond the floor.
+    A step that ends with an error has an infinite error and stays in the curve.
+
+    Args:
+        steps: s, from the smallest up.
+        production: s, that of the data; one of the steps.
+        speed_rpm: of the drum.
+        seconds: of rotation.
+    """
+    if production not in steps:
+        raise ValueError(f"with.production={production:g} is none of with.steps={steps}; choose one of them")
+    scene = shipped_scene("drum").at_speed(speed_rpm)
+    bed, end = settled_bed(scene, bench.shared), scene.start_time + seconds
+
+    def angles(step: float, state: ParticleState) -> tuple[FloatArray, float, tuple[str, ...]]:
+        # One thread, so that its cost stands beside that of the others.
+        dem = DemConfig(time_step=step, threads=1, allow_unsafe_step=True)
+        result = simulate(scene, state, end, dem=dem)
+        found = np.degrees(center_of_mass_angles(result.trajectory.position, result.trajectory.radius, scene))
+        return found, 1e3 * result.wall_seconds / (result.trajectory.frame_count - 1), result.warnings
+
+    reference, _, _ = angles(steps[0], bed)
+    double, _, _ = angles(steps[0], nudged(bed, NUDGE, 1))
+    floor = float(np.abs(double - reference).mean())
+    errors, costs, flags = [], [], []
+    for step in steps:
+        try:
+            found, cost, warnings = angles(step, bed)
+        except SimulationError as error:
+            errors.append(np.inf)
+            costs.append(np.nan)
+            flags.append(f"{step:g} s: {error}")
+            continue
+        errors.append(float(np.abs(found - reference).mean()))
+        costs.append(cost)
+        flags += [f"{step:g} s: {warning}" for warning in warnings]
+    of = dict(zip(steps, errors, strict=True))
+    duration = contact_times(scene)[0]
+    told = {float(flag.partition(" s:")[0]) for flag in flags}
+    # What is off by more than a degree beyond the floor must have been warned of.
+    silent = sum(error > floor + 1.0 and step not in told for step, error in of.items())
+    return Observation(
+        {
+            "error": of[production], "floor": floor, "beyond_floor": of[production] - floor,
+            "largest_error": max(e for e in errors if np.isfinite(e)),
+        },
+        tuple(flags),
+        {
+            "step": list(steps), "error": errors, "cost": costs, "floor": [floor],
+            "contact_time": [duration], "production": [production],
+        },
+        silent,
+    )  # fmt: skip
+
+
+def blow_up(bench: Bench, scene: str = "drum_small", speed_rpm: float = 30.0, seconds: float = 0.5) -> Observation:
+    """The smallest step, of the ladder of those that divide a frame, at which a turning bed diverges or escapes.
+
+    Every step of the ladder is tried, from small to large, until two in a row end with an error.
+
+    Args:
+        scene: shipped one.
+        speed_rpm: of the drum.
+        seconds: of rotation.
+    """
+    place = shipped_scene(scene).at_speed(speed_rpm)
+    bed, duration = settled_bed(place, bench.shared), contact_times(place)[0]
+    survived, failed, flags = [], [], []
+    for count in (50, 35, 25, 20, 16, 14, 12, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1):
+        step = place.frame_interval / count
+        try:
+            _unsafe(place, bed, step, seconds)
+            survived.append(step)
+        except SimulationError as error:
+            failed.append(step)
+            flags.append(f"{step:.3g} s ({step / duration:.2g} t_c): {error}")
+            if len(failed) == 2:
+                break
+    first = min(failed, default=np.inf)
+    return Observation(
+        {
+            "first_failure": first / duration,
+            "largest_safe": max((step for step in survived if step < first), default=0.0) / duration,
+        },
+        tuple(flags[:1]),
+    )
+
+
+def _unsafe(scene: Scene, bed: ParticleState, step: float, seconds: float) -> SimulationResult:
+    dem = DemConfig(time_step=step, allow_unsafe_step=True)
+    return simulate(scene, bed, scene.start_time + seconds, dem=dem)
+
+
+def energy_drift(bench: Bench, steps_per_contact: list[float], seconds: float = 10.0) -> Observation:
+    """Largest change of the energy of an elastic gas, against the step, until it diverges.
+
+    Args:
+        steps_per_contact: t_c over the step, from many to few; t_c of an impact at three times the mean of both.
+        seconds: simulated.
+    """
+    scene, state = gas(GAS_SIDE, 0, GAS_SPEED, GAS_WIDTH, SOFT)
+    duration = on_sphere(scene.material).duration(6.0 * GAS_SPEED)
+    changes, worst, flags = [], 0.0, []
+    for per_contact in steps_per_contact:
+        step = dividing_step(0.01, duration / per_contact)
+        stride = round(0.01 / step)
+        try:
+            trajectory = run(scene, state, step, round(seconds / 0.01) * stride, stride).trajectory
+        except SimulationError as error:
+            changes.append(np.inf)
+            flags.append(f"t_c/{per_contact:g}: {error}")
+            continue
+        energy = elastic_energy(scene, trajectory)
+        changes.append(float(np.abs(energy / energy[0] - 1.0).max()))
+        if per_contact >= 10:  # where a contact is resolved; the solver refuses less than five
+            worst = max(worst, changes[-1] / (DRIFT_BOUND * (step / duration) ** 2))
+    return Observation(
+        {"drift": worst, "smallest_step_drift": changes[0]},
+        tuple(flags),
+        {"steps_per_contact": list(steps_per_contact), "change": changes, "bound": [DRIFT_BOUND]},
+    )
+
+
+STEPS = {
+    "step_ladder": Experiment(
+        step_ladder, {"error": "°", "floor": "°", "beyond_floor": "°", "largest_error": "°"}, alone=True
+    ),
+    "blow_up": Experiment(blow_up, {"first_failure": "t_c", "largest_safe": "t_c"}),
+    "energy_drift": Experiment(energy_drift, {"drift": "of 3(Δt/t_c)²", "smallest_step_drift": "of the energy"}),
+}

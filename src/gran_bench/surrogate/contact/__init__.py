@@ -1,0 +1,1 @@
+"""The contact network: a learned solver of contacts."""

@@ -1,0 +1,1 @@
+"""Compiled iterations of the contact network, forward and adjoint."""

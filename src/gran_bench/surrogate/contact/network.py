@@ -1,0 +1,156 @@
+"""The contact network: a learned solver of contacts that moves spheres by one frame."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from gran_bench.config import ContactModelConfig
+from gran_bench.config.choices import PAIR_FADE, check_radius
+from gran_bench.config.consistency import check_model
+from gran_bench.scene import Scene
+from gran_bench.state import FloatArray
+from gran_bench.surrogate.contact.geometry import MILLIMETRE, find_contacts
+from gran_bench.surrogate.contact.kernels.fused import fused_solve
+from gran_bench.surrogate.contact.memory import ContactMemory, follow_memory, springs_of, update_memory
+from gran_bench.surrogate.contact.solver import PAIR, RAMP_NODES, nearest_fade, solve_contacts
+from gran_bench.surrogate.step import FrameState, Surrogate, wrap
+from gran_bench.surrogate.walls import frame_walls
+
+WALL_FADE = 0.5  # of the wall's reach
+
+
+class ContactNetwork(Surrogate):
+    """A learned solver of contacts, K iterations a frame.
+
+    A ballistic guess of the displacement, D = v Δt + g Δt², gives the contacts. In each iteration a perceptron sees a
+    contact's gap, approach, slip, the impulse gathered there and the channels h of its particles, all in mm a frame,
+    and answers with a normal displacement a, a tangential one τ = slip (b/s + 0.3 c) and messages to the channels:
+
+        D_i += ½ (τ − a n),  D_j −= ½ (τ − a n),  q_{i,j} += 1.25 σ n × τ,  with q = r ω Δt.
+
+    The answer fades to zero at the edge of the reach. Then each particle may take back a learned share of gravity's
+    step, times the fade of its nearest contact at the guess: nothing without a contact. Contacts conserve linear
+    momentum exactly. At the end x + D, D/Δt, q/(r Δt).
+
+    With ``memory``, each contact carries the tangential displacement ξ that its surfaces have gathered
+    (:mod:`gran_bench.surrogate.contact.memory`); the perceptrons see it and may push along it: τ += e ξ.
+
+    With ``velocity = instantaneous`` the state's velocity is the one at the frame's end, the guess is
+    D = v Δt + ½ g Δt², and two more outputs tell velocity and displacement apart: V = v Δt + g Δt² plus all that
+    contacts add to D plus f a_v, f b_v, where the extra parts act on V alone.
+
+    Args:
+        config: of the model; ``backend = fused`` is for float32 on the CPU, elsewhere plain torch takes its place.
+        scene: any scene with spheres of the size that the model is for.
+
+    Raises:
+        ValueError: a reach that no contact fits in, an unknown ``velocity`` or ``backend``, or sizes that the fused
+            kernel is not compiled for.
+    """
+
+    uses_spin = True
+
+    def __init__(self, config: ContactModelConfig, scene: Scene) -> None:
+        super().__init__()
+        self.config = config
+        self.diameter = scene.filling.diameter / MILLIMETRE
+        self.velocity_kind = config.velocity
+        self.has_memory = config.memory
+        check_model(config)
+        check_radius(config, scene.filling.diameter, scene.period)
+
+        iterations, hidden, channels = config.iterations, config.hidden, config.channels
+        inputs = len(RAMP_NODES) - 1 + 5 + channels + 2 * config.memory
+        outputs = 3 + channels + config.memory + 2 * self._is_instantaneous
+        self.hidden_weight = nn.Parameter(_uniform((iterations, 2, hidden, inputs), inputs))
+        self.hidden_bias = nn.Parameter(_uniform((iterations, 2, hidden), inputs))
+        output_weight = _uniform((iterations, 2, outputs, hidden), hidden)
+        output_weight *= 0.1
+        output_weight[:, :, 3 : 3 + channels] *= 3.0  # messages start louder than displacements
+        self.output_weight = nn.Parameter(output_weight)
+        self.output_bias = nn.Parameter(torch.zeros(iterations, 2, outputs))
+        self.stiffness = nn.Parameter(torch.full((iterations, 2), 0.5))  # κ, share of an overlap that is pushed out
+        self.spin_share = nn.Parameter(torch.full((iterations, 2), 0.5))  # σ
+        mix_weight = _uniform((iterations, channels + 1, channels), channels)
+        mix_weight *= 0.3
+        mix_weight[:, channels] /= 3.0
+        self.mix_weight = nn.Parameter(mix_weight)
+        self.mix_bias = nn.Parameter(torch.zeros(iterations, channels + 1))
+
+    @property
+    def _is_instantaneous(self) -> bool:
+        return self.config.velocity == "instantaneous"
+
+    def fade(self, kind: int) -> tuple[float, float]:
+        """Gap at which an answer has faded to nothing, and the width over which it fades, mm."""
+        if kind == PAIR:
+            return self.config.radius / MILLIMETRE - self.diameter, PAIR_FADE * self.diameter
+        return self.config.wall_reach / MILLIMETRE, WALL_FADE * self.config.wall_reach / MILLIMETRE
+
+    def begin(
+        self,
+        scene: Scene,
+        position: Tensor,
+        velocity: Tensor,
+        angular_velocity: Tensor | None = None,
+        previous_position: Tensor | None = None,
+        memory: ContactMemory | None = None,
+    ) -> FrameState:
+        """The state to start from; ``memory`` is that of the start frame, none at the settled state."""
+        state = super().begin(scene, position, velocity, angular_velocity, previous_position)
+        if self.has_memory:
+            state.memory = ContactMemory.empty() if memory is None else memory
+        return state
+
+    def memories(
+        self, scene: Scene, times: FloatArray, positions: FloatArray, angular_velocities: FloatArray
+    ) -> list[ContactMemory] | None:
+        """The springs at each of F stored frames; exact where the first one is the settled state."""
+        return list(follow_memory(scene, times, positions, angular_velocities)) if self.has_memory else None
+
+    def advance(self, state: FrameState, scene: Scene, time: float) -> FrameState:
+        interval, period = scene.frame_interval, scene.period / MILLIMETRE
+        to_frame, to_spin = interval / MILLIMETRE, 0.5 * self.diameter * interval
+        gravity = state.velocity.new_tensor(scene.gravity) * interval
+        position, fall = state.position / MILLIMETRE, gravity * to_frame
+        # The ballistic frame in SI; all that follows is what contacts change of it, and nothing where there are none.
+        fallen = state.velocity + gravity
+        carried = fallen - 0.5 * gravity if self._is_instantaneous else fallen
+        guess, spin = carried * to_frame, state.angular_velocity * to_spin
+
+        room = frame_walls(scene, time)
+        walls = room.in_unit(MILLIMETRE)
+        with torch.no_grad():
+            end = wrap((position + guess) * MILLIMETRE, scene.period).cpu().numpy()
+            contacts = find_contacts(scene, room, end, self.config.radius, self.config.wall_reach)
+        springs = springs_of(state.memory, contacts, len(position)).to(position) if self.has_memory else None
+        nearness = nearest_fade(self, period, walls, contacts, position + guess)
+
+        if self.config.backend == "fused" and position.device.type == "cpu" and position.dtype == torch.float32:
+            solve = fused_solve
+        else:
+            solve = solve_contacts
+        displacement, new_spin, extra, extra_spin = solve(
+            self, period, walls, contacts, position, guess, spin, fall, nearness, springs
+        )
+        moved, turned = displacement - guess, new_spin - spin
+        if self._is_instantaneous:
+            velocity, turned = fallen + (moved + extra) / to_frame, turned + extra_spin
+        else:
+            velocity = fallen + moved / to_frame
+        after = FrameState(
+            wrap(state.position + (interval * carried + MILLIMETRE * moved), scene.period),
+            velocity,
+            state.angular_velocity + turned / to_spin,
+        )
+        if self.has_memory:
+            after.memory = update_memory(scene, walls, state, after, contacts, springs)
+        return after
+
+
+def _uniform(shape: tuple[int, ...], fan_in: int) -> Tensor:
+    """Weights uniform in ±1/√fan_in, the usual start of a linear layer."""
+    return torch.empty(shape).uniform_(-1.0, 1.0) / math.sqrt(fan_in)

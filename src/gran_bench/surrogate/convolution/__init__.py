@@ -1,0 +1,1 @@
+"""Continuous convolutions: the article's network and its radial relative."""

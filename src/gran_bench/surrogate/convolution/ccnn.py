@@ -1,0 +1,197 @@
+"""The continuous-convolution network: contact accelerations from a particle and a wall branch."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import torch
+from torch import Tensor, nn
+
+from gran_bench.config import BoundaryConfig, CconvModelConfig
+from gran_bench.config.choices import check_radius
+from gran_bench.config.consistency import check_model
+from gran_bench.config.rules import ConfigError
+from gran_bench.scene import Scene
+from gran_bench.surrogate.convolution.boundary import KINDS, WallPairs, see_contacts, see_spheres
+from gran_bench.surrogate.convolution.cconv import ContinuousConvolution
+from gran_bench.surrogate.convolution.kernels.lattice import LatticeBasis
+from gran_bench.surrogate.convolution.kernels.radial import RadialBasis
+from gran_bench.surrogate.convolution.neighborhood import (
+    KernelBasis,
+    Neighborhood,
+    nearness,
+    particle_neighborhood,
+    weigh_pairs,
+)
+from gran_bench.surrogate.step import NewtonSurrogate
+
+_SOLID_FRACTION = 0.58  # of a settled bed; only sets the scale of the first weights
+_OUTPUT_START = 0.1  # first output weights, of their usual size: an untrained network starts near pure gravity
+
+
+class MixingLayer(nn.Module):
+    """convolution(h) + W h + b, and h itself where widths agree; h is the ReLU of what came before.
+
+    Args:
+        width_in: C_in.
+        width_out: C_out.
+        basis: of the convolution's kernel.
+        residual: add the input where C_in = C_out.
+        backend: of the convolution.
+        neighbors: expected of a particle.
+    """
+
+    def __init__(
+        self, width_in: int, width_out: int, basis: KernelBasis, residual: bool, backend: str, neighbors: float
+    ) -> None:
+        super().__init__()
+        self.convolution = ContinuousConvolution(width_in, width_out, basis, backend, neighbors)
+        self.linear = nn.Linear(width_in, width_out)
+        self.residual = residual and width_in == width_out
+
+    def forward(self, features: Tensor, pairs: Neighborhood) -> Tensor:
+        """``(N, C_in)`` features before their ReLU → ``(N, C_out)``, before the next."""
+        active = torch.relu(features)
+        mixed = self.convolution(active, pairs) + self.linear(active)
+        return mixed + features if self.residual else mixed
+
+
+class ContinuousConvolutionNetwork(NewtonSurrogate):
+    """The CCNN of the founding paper, and its relatives by config; a = a_pp + a_pw, then Newton.
+
+    *Particle branch.* Layer 1 joins a convolution over the neighbours' (v*, 1) and a linear map of v*, ``width/2``
+    each; further hidden layers and the output are :class:`MixingLayer`.
+
+    *Wall branch.* Layer 1 joins a linear map of v*, a convolution of the wall's normals and one of its velocities,
+    ``width/2`` each; its later layers convolve over the particles. It exists for particles closer than R to a wall
+    and sees only them; the others have a_pw = 0. With ``boundary.kind = analytic`` the sources are the closest wall
+    points; the gap (in d) joins the normals and the slip velocity the wall's velocities. A boundary feature that is
+    switched off takes its convolution with it; without normals, a constant 1 stands for the wall's presence.
+
+    A branch's output fades to zero where its nearest neighbour, or the wall, reaches the edge of R
+    (`neighborhood.nearness`), whatever its linear maps and biases say: a sphere that sees
+    nothing flies ballistically.
+
+    Velocities enter in m/s, normals as they are, and outputs count ``output_scale`` metres a frame squared:
+    a = output · output_scale / Δt². The map does not depend on where the scene lies, but it does on its axes.
+
+    Args:
+        config: widths, kernel, R, update.
+        boundary: how walls are seen.
+        scene: for the particles' diameter, and whether there are walls at all.
+
+    Raises:
+        ValueError: an unknown kernel, boundary kind, backend or update, or an impossible size.
+    """
+
+    def __init__(self, config: CconvModelConfig, boundary: BoundaryConfig, scene: Scene) -> None:
+        super().__init__(config.update)
+        check_model(config)
+        check_radius(config, scene.filling.diameter, scene.period)
+        if boundary.kind not in KINDS:
+            raise ConfigError(f"boundary.kind={boundary.kind} is not for {config.name}; choose {' or '.join(KINDS)}")
+        self.config, self.boundary = config, boundary
+        self.diameter = diameter = scene.filling.diameter
+        self.pair_basis = _basis(config, diameter, contact=diameter)
+        self.wall_basis = _basis(config, diameter, contact=0.5 * diameter)
+        half = config.width // 2
+        neighbors = 8.0 * _SOLID_FRACTION * (config.radius / diameter) ** 3
+
+        def convolution(width_in: int, basis: KernelBasis, count: float) -> ContinuousConvolution:
+            return ContinuousConvolution(width_in, half, basis, config.backend, count)
+
+        self.pair_input = convolution(4 if config.constant_input else 3, self.pair_basis, neighbors)
+        self.pair_linear = nn.Linear(3, half)
+        self.pair_bias = nn.Parameter(torch.zeros(half))
+        self.pair_layers = self._layers(2 * half, neighbors)
+
+        self.has_walls = boundary.kind != "none" and scene.needs.walls
+        if self.has_walls:
+            analytic = boundary.kind == "analytic"
+            cap = math.pi * (config.radius**2 - (0.5 * diameter) ** 2)  # what a touching particle sees of a wall
+            seen = 1.0 if analytic else cap / (boundary.spacing * diameter) ** 2
+            shape = (3 if boundary.normal else 1) + analytic
+            self.wall_linear = nn.Linear(3, half)
+            self.wall_normal = convolution(shape, self.wall_basis, seen)
+            self.wall_velocity = convolution(6 if analytic else 3, self.wall_basis, seen) if boundary.velocity else None
+            inputs = 3 if boundary.velocity else 2
+            self.wall_bias = nn.Parameter(torch.zeros((inputs - 1) * half))
+            self.wall_layers = self._layers(inputs * half, neighbors)
+
+    def _layers(self, width_in: int, neighbors: float) -> nn.ModuleList:
+        """Hidden layers after the first, and the output."""
+        config = self.config
+        widths = [width_in] + [config.width] * (config.layers - 1) + [3]
+        layers = nn.ModuleList(
+            MixingLayer(a, b, self.pair_basis, config.residual, config.backend, neighbors)
+            for a, b in itertools.pairwise(widths)
+        )
+        output = layers[-1]
+        with torch.no_grad():
+            output.convolution.weight.mul_(_OUTPUT_START)
+            output.linear.weight.mul_(_OUTPUT_START)
+            output.linear.bias.zero_()
+        return layers
+
+    def acceleration(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> Tensor:
+        return self.accelerations(position, velocity, scene, time)[0]
+
+    def accelerations(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> tuple[Tensor, Tensor]:
+        if self.config.backend == "fused":
+            position = position.detach()
+        pairs = particle_neighborhood(self.pair_basis, position, scene.period)
+        output = of_pairs = pairs.nearness(self.diameter)[:, None] * self._particle_branch(velocity, pairs)
+        if self.has_walls and scene.walls:
+            wall = self._see_walls(position, velocity, scene, time)
+            if len(wall.near):
+                fade = nearness(wall.distance, 0.5 * self.diameter, self.config.radius)
+                of_wall = fade[:, None] * self._wall_branch(velocity[wall.near], pairs, wall)
+                output = output.index_add(0, wall.near, of_wall)
+        unit = self.config.output_scale / scene.frame_interval**2
+        return output * unit, of_pairs * unit
+
+    def _particle_branch(self, velocity: Tensor, pairs: Neighborhood) -> Tensor:
+        inputs = velocity
+        if self.config.constant_input:
+            inputs = torch.cat((velocity, torch.ones_like(velocity[:, :1])), dim=1)
+        seen = self.pair_input(inputs, pairs) + self.pair_bias
+        features = torch.cat((seen, self.pair_linear(velocity)), dim=1)
+        for layer in self.pair_layers:
+            features = layer(features, pairs)
+        return features
+
+    def _see_walls(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> WallPairs:
+        if self.boundary.kind == "analytic":
+            return see_contacts(position, velocity, scene, time, self.config.radius)
+        spacing = self.boundary.spacing * scene.filling.diameter
+        return see_spheres(position, scene, time, self.config.radius, spacing)
+
+    def _wall_branch(self, velocity: Tensor, pairs: Neighborhood, wall: WallPairs) -> Tensor:
+        """Output of the wall branch, ``(P, 3)``, from the near particles' velocities ``(P, 3)``."""
+        features, among = self._wall_input(velocity, wall), pairs.restricted(wall.near)
+        for layer in self.wall_layers:
+            features = layer(features, among)
+        return features
+
+    def _wall_input(self, velocity: Tensor, wall: WallPairs) -> Tensor:
+        """Layer 1 of the wall branch, ``(P, 3/2 width)``: own velocity, normals seen, velocities seen."""
+        seen = weigh_pairs(self.wall_basis, wall.query, wall.source, wall.relative, len(wall.near), wall.source_count)
+        shape = wall.normal if self.boundary.normal else torch.ones_like(wall.normal[:, :1])
+        if wall.gap is not None:
+            shape = torch.cat((shape, wall.gap[:, None]), dim=1)
+        convolved = [self.wall_normal(shape, seen)]
+        if self.wall_velocity is not None:
+            if wall.slip is not None:
+                convolved.append(self.wall_velocity(torch.cat((wall.velocity, wall.slip), dim=1), seen))
+            elif wall.moves:
+                convolved.append(self.wall_velocity(wall.velocity, seen))
+            else:
+                convolved.append(torch.zeros_like(convolved[0]))
+        return torch.cat((self.wall_linear(velocity), torch.cat(convolved, dim=1) + self.wall_bias), dim=1)
+
+
+def _basis(config: CconvModelConfig, diameter: float, contact: float) -> KernelBasis:
+    if config.kernel == "lattice":
+        return LatticeBasis(config.radius, config.kernel_size)
+    return RadialBasis.around_contact(diameter, config.radius, contact)

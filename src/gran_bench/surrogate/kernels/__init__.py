@@ -1,1 +1,0 @@
-"""Kernel bases of the continuous convolution, and its fast path."""
