@@ -26,7 +26,7 @@ from gran_bench.config import (
     TrainerConfig,
 )
 from gran_bench.dataset import DatasetError, ensure_cases, read_case, split_cases
-from gran_bench.evaluation import Plan
+from gran_bench.evaluation.plan import Plan
 from gran_bench.processes import StopRequest
 from gran_bench.run.experiment import make_model, train_stage, training_windows
 from gran_bench.scene import build_scene

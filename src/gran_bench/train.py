@@ -11,7 +11,10 @@ from gran_bench.config import TrainConfig
 from gran_bench.entry import run
 
 # All that decides a result, so that a job of a sweep runs what the sweep began with, whatever is edited meanwhile.
-LOADS = [f"gran_bench.{name}" for name in ("run.experiment", "sweep.opening", "surrogate.convolution.ccnn", "surrogate.contact.network")]
+LOADS = [
+    *("gran_bench.run.experiment", "gran_bench.sweep.opening"),
+    *("gran_bench.surrogate.convolution.ccnn", "gran_bench.surrogate.contact.network"),
+]
 
 
 def task(config: TrainConfig) -> object:

@@ -12,9 +12,9 @@ from dataclasses import fields
 from difflib import SequenceMatcher
 from typing import Any, TypeVar
 
-from gran_bench.config import CONTAINER_SCHEMAS, MISSING, MODEL_SCHEMAS, SceneConfig
 from gran_bench.config.consistency import check_consistency
 from gran_bench.config.rules import ConfigError, checked, hints_of, is_optional, recheck, sections_of, shown
+from gran_bench.config.schema import CONTAINER_SCHEMAS, MISSING, MODEL_SCHEMAS, SceneConfig
 
 Config = TypeVar("Config")
 

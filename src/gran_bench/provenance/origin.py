@@ -77,7 +77,9 @@ def commit() -> str:
 def program() -> list[str]:
     """The first words of this process's command line, before its arguments."""
     spec = getattr(sys.modules.get("__main__"), "__spec__", None)
-    return ["python", "-m", spec.name.removesuffix(".__main__")] if spec is not None else ["python", Path(sys.argv[0]).name]
+    if spec is None:
+        return ["python", Path(sys.argv[0]).name]
+    return ["python", "-m", spec.name.removesuffix(".__main__")]
 
 
 def remember_command(words: Sequence[str]) -> None:

@@ -1,6 +1,8 @@
 """Training: updates, checkpoints, resuming bit for bit."""
 
 from gran_bench.trainer.trainer import (
+    CHECKPOINT,
+    DIVERGED,
     Trainer,
     TrainingDiverged,
     TrainingResult,
@@ -9,4 +11,4 @@ from gran_bench.trainer.trainer import (
     learning_rate,
 )
 
-__all__ = ["Trainer", "TrainingDiverged", "TrainingResult", "TrainingStopped", "frames_ahead", "learning_rate"]
+__all__ = ["CHECKPOINT", "DIVERGED", "Trainer", "TrainingDiverged", "TrainingResult", "TrainingStopped", "frames_ahead", "learning_rate"]
