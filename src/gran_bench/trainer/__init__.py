@@ -11,4 +11,13 @@ from gran_bench.trainer.trainer import (
     learning_rate,
 )
 
-__all__ = ["CHECKPOINT", "DIVERGED", "Trainer", "TrainingDiverged", "TrainingResult", "TrainingStopped", "frames_ahead", "learning_rate"]
+__all__ = [
+    "CHECKPOINT",
+    "DIVERGED",
+    "Trainer",
+    "TrainingDiverged",
+    "TrainingResult",
+    "TrainingStopped",
+    "frames_ahead",
+    "learning_rate",
+]
