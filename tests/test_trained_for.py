@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gran_bench.config import BoundaryConfig, ContactModelConfig
-from gran_bench.rollout import rollout
+from gran_bench.rollout import rollout, step_frames
 from gran_bench.run.summary import rollout_warnings
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_model, shipped_scene
@@ -114,3 +114,8 @@ def test_a_rollout_carries_its_warnings_to_the_summary(model):
     assert result.warnings == ("2 spheres, trained on 3000",)
     summary = {"rollouts": {"30rpm": {"warnings": list(result.warnings)}, "35rpm": {}}}
     assert rollout_warnings(summary) == ["rollout 30rpm is an extrapolation: 2 spheres, trained on 3000"]
+
+
+def test_single_frames_are_held_against_the_training_as_rollouts_are(model):
+    with pytest.raises(ModelMismatch, match="radius"):
+        next(step_frames(model, HOME, spheres(radius=0.02)))

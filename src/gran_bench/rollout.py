@@ -36,8 +36,13 @@ class Rollout:
 
 
 def initial_frame(model: Surrogate, scene: Scene, state: ParticleState) -> FrameState:
-    """The model's own form of a stored state, on the model's device, in its precision."""
+    """The model's own form of a stored state, on the model's device, in its precision.
+
+    Raises:
+        ModelMismatch: a scene or state that the model cannot be right for.
+    """
     check_arguments(model=(model, Surrogate), scene=(scene, Scene), state=(state, ParticleState))
+    extrapolations(model, scene, state)
     parameter = next(model.parameters())
 
     def tensor(array: np.ndarray) -> torch.Tensor:

@@ -88,7 +88,7 @@ def unknown_key(key: str, value: Any, schema: type, present: list[str] | None = 
     """
     everywhere = list(dotted_keys(schema, schema.place))
     keys = everywhere if present is None else present
-    given = f"{key}={value}"
+    given = key if isinstance(value, Mapping) else f"{key}={value}"  # a section, such as a whole scene, is too long
     place, _, name = key.rpartition(".")
     for section, choice, schemas in (
         ("model", "model", MODEL_SCHEMAS),
