@@ -24,7 +24,7 @@ from gran_bench.tracking.address import DATABASE
 
 SWEEP = "kills"  # name of the sweep
 RADII = (0.06, 0.065)  # m
-PATIENCE = 500.0  # s, of a sweep that would otherwise be waited for for ever
+PATIENCE = 900.0  # s, of a sweep that would otherwise be waited for for ever
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 JUDGED = ("judged_rpm", "judged", "nearest_case", "position_error", "data_digest")  # of a summary; no times
 # What a run's record says of times, of the machine and of the file that holds the weights, which has times in it.
