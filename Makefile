@@ -5,9 +5,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+SELENIUM := $(BIN)/python -m pip install --quiet --disable-pip-version-check "selenium>=4.20"
 PORT ?= 5000
 
-.PHONY: train data test lint ui browser-test verify bench bench-kernels stress clean
+.PHONY: train data test test-slow lint ui browser-test verify bench bench-kernels stress clean
 
 train: $(READY)
 	$(BIN)/python -m gran_bench.train +experiment=holdout30rpm
@@ -24,9 +25,14 @@ lint: $(READY)
 ui: $(READY)
 	$(BIN)/python -m gran_bench.ui port=$(PORT)
 
-# Needs chromium and chromedriver (Debian: chromium, chromium-driver); selenium is installed here, as only this uses it.
+# The browser's tests are among them where chromium and chromedriver are (Debian: chromium, chromium-driver).
+test-slow: $(READY)
+	@if command -v chromium chromedriver > /dev/null; then $(SELENIUM); \
+	else echo "no chromium and chromedriver on the PATH: the tests of the browser are skipped"; fi
+	$(BIN)/python -m pytest -m "slow or browser" -n 2 --dist loadfile
+
 browser-test: $(READY)
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check "selenium>=4.20"
+	@$(SELENIUM)
 	$(BIN)/python -m pytest -m browser tests/browser
 
 verify: $(READY)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 import torch
 
-from gran_bench.stress.full_disk import full_at
 from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, load_card, read_tensors, save_model
 
 CARD = ModelCard({"name": "contact"}, {}, {}, {})
@@ -37,7 +36,7 @@ def test_a_file_that_was_cut_short_is_refused_by_name(tmp_path):
 
 
 @pytest.mark.parametrize("room", [0, 1000, 4000])
-def test_a_full_disk_names_file_and_remedy_and_keeps_the_older_file(tmp_path, room):
+def test_a_full_disk_names_file_and_remedy_and_keeps_the_older_file(full_at, tmp_path, room):
     path = tmp_path / "model.pt"
     save_model(path, weights(1.0), CARD)
     with full_at(room), pytest.raises(CheckpointError, match=r"model\.pt cannot be written .*; free space"):

@@ -42,6 +42,8 @@ def test_a_child_and_what_it_has_started_end_with_a_parent_that_is_killed_or_jus
 def test_a_module_and_a_program_hand_on_their_exit_code_and_find_the_package_anywhere(tmp_path):
     code = "import gran_bench.state, sys; sys.exit(7)"
     assert start_program([sys.executable, "-c", code], cwd=tmp_path).wait(60) == 7
+    killed = "import os; os.kill(os.getpid(), 9)"
+    assert start_program([sys.executable, "-c", killed], cwd=tmp_path).wait(60) == 128 + signal.SIGKILL
     refused = start_module(
         "gran_bench.verify", "--case", "nothing", cwd=tmp_path, stderr=subprocess.PIPE, text=True
     )  # fmt: skip
@@ -65,7 +67,7 @@ def test_a_comparison_with_lammps_without_mpiexec_is_refused_before_any_work(tmp
 
 def test_every_process_of_the_package_is_started_in_one_place():
     """Beside it only what ends with its standard input, or in an instant, is started by `subprocess` itself."""
-    allowed = {"child.py", "dem/compiling.py", "surrogate/compiling.py", "provenance.py"}
+    allowed = {"processes.py", "dem/fast/compiling.py", "surrogate/contact/compiling.py", "provenance/origin.py"}
     source = ROOT / "src" / "gran_bench"
     found = {
         path.relative_to(source).as_posix()

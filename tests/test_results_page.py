@@ -10,10 +10,10 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import benchmark_records
 import pytest
-from test_comparison_page import found  # noqa: F401  a fixture
-from test_run_summary import SCENE, broken, flowing, summary_of
-from test_sweep import lost, run
+from beds import flowing
+from finished_runs import SCENE, broken, lost, run, summary_of
 
 from gran_bench.files import read_part, write_part
 from gran_bench.report.command import PAGE, renew_pages, report_command
@@ -26,6 +26,7 @@ ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
 PAGES = ["README.md", *(f"{name}/README.md" for name in ("benchmark", "dem_speed", "holdout30rpm", "paper", "stress"))]
 PAGES += ["sweeps/README.md", "verification/README.md"]
+found = benchmark_records.found
 
 
 def tracked() -> list[str]:
@@ -131,7 +132,7 @@ def test_a_run_of_ones_own_becomes_a_page_whose_words_stay(tmp_path: Path):
 
 
 @pytest.mark.parametrize("fails", [False, True])
-def test_every_table_says_what_failed(tmp_path: Path, found: dict, fails: bool):  # noqa: F811
+def test_every_table_says_what_failed(tmp_path: Path, found: dict, fails: bool):
     for folder in ("holdout30rpm", "benchmark/quick/drum", "sweeps/sweep_radius"):
         (tmp_path / folder).mkdir(parents=True)
     rollout = broken(20) if fails else flowing(SCENE, seed=3)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from beds import flowing
+from finished_runs import SCENE, broken, summary_of
 from PIL import Image
-from test_run_summary import SCENE, broken, summary_of
 
 from gran_bench.config import LossConfig, RolloutConfig, TrackingConfig
 from gran_bench.plots.style import drawing, drawn_for

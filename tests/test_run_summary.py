@@ -2,60 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from beds import drum, flowing
+from beds import flowing
+from finished_runs import REPLICAS, SCENE, broken, summary_of
 
 from gran_bench.metrics import Judgement, judge
 from gran_bench.metrics.outside import counted
 from gran_bench.run.page import description
 from gran_bench.run.summary import flat_metrics, headline, read_summary, summary_table, write_summary
-from gran_bench.state import Trajectory
-
-SCENE = drum(end_time=1.8)
-REPLICAS = [flowing(SCENE, seed=1), flowing(SCENE, seed=2)]
-
-
-def summary_of(*runs: Trajectory, failed_frames: tuple[int | None, ...] = (None, None), own: bool = True) -> dict:
-    """A summary as the main job writes it, of a rollout from each packing."""
-    judgements = dict(zip(("shared", "unseen"), (judge(run, REPLICAS, SCENE) for run in runs), strict=False))
-    facts = {"ms_per_frame_median": 2.0, "ms_per_frame_90th": 3.0, "dem_ms_per_frame": 10.0}
-    summary = {
-        "experiment": "test",
-        "judged_rpm": 30.0,
-        "judged_as": "held out",
-        "model": {"name": "contact"},
-        "training": {"parameters": 10, "steps": 5, "seconds": 60.0, "stopped_by": "steps"},
-        "judged": {packing: judgement.to_dict() for packing, judgement in judgements.items()},
-        "baselines": {"ballistic": judgements["shared"].to_dict()["errors"]},
-        "nearest_case": {"30rpm": {"own_rpm": 30.0, "nearest_rpm": 30.0 if own else 35.0, "is_own": own}},
-        "position_error": {"10_frames": {"m": 0.004, "diameters": 0.08, "note": ""}},
-        "rollouts": {
-            name: {"failed_frame": frame, **facts}
-            for name, frame in zip(("30rpm", "30rpm_unseen"), failed_frames, strict=True)
-        },
-        "frame_ms": 10.0,
-        "wall_seconds": {"training": 60.0},
-    }
-    return json.loads(json.dumps(summary, allow_nan=False))
 
 
 def failed_rows(summary: dict[str, Any]) -> int:
     return sum(
         "  fail" in line and not line.strip().startswith("failures") for line in summary_table(summary).split("\n")
     )
-
-
-def broken(frame: int) -> Trajectory:
-    run = flowing(SCENE, seed=3)
-    for array in (run.position, run.velocity, run.angular_velocity):
-        array[frame:] = np.nan
-    return run
 
 
 def test_a_good_run_meets_what_it_can_and_says_that_nothing_got_lost():

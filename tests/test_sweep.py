@@ -7,13 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from test_run_summary import SCENE, broken, flowing, summary_of
+from beds import flowing
+from finished_runs import SCENE, broken, lost, run, summary_of, sweep_in
 
 from gran_bench.run.run_file import (
     MADE,
     RunFile,
     SweepFileError,
-    failed_run,
     finished_run,
     read_runs,
     recorded_runs,
@@ -26,39 +26,6 @@ from gran_bench.sweep.sweep_report import report_sweep
 from gran_bench.sweep.table import axes_of, best_choices, choices_frame, newest, runs_frame, shown_table
 
 RESULTS = Path(__file__).parents[1] / "results"
-
-
-def run(radius: str, seed: int, angle: float, w1: float = 0.1, name: str = "", **changes) -> RunFile:
-    """A finished run by hand, whose figures are easy to average."""
-    figures = {
-        "angle_error_deg": angle,
-        "angle_error_floors": 2 * angle,
-        "speed_w1_m_s": w1,
-        "speed_w1_floors": 10 * w1,
-        "position_error_10_frames_mm": 5.0,
-        "ms_per_frame": 1e3 * float(radius),
-        "training_minutes": 2.0,
-        "requirements_failed": 1.0,
-    }
-    choices = {"model.radius": radius, "seed": str(seed)}
-    values = {"figures": figures, "judged": {"rpm": 35.0, "as": "validation"}, "ended_at": "2025-01-01T00:00:00+00:00"}
-    key = f"{radius}{seed}".replace(".", "").ljust(12, "0")
-    name = name or f"r+model.radius-{radius}+seed-{seed}"
-    return RunFile(name, key, "j", "finished", choices, seed, **values | changes)
-
-
-def lost(radius: str, seed: int, reason: str = "the loss is not finite at update 7") -> RunFile:
-    choices = {"model.radius": radius, "seed": str(seed)}
-    facts = {"log": "logs/x.log"}
-    return failed_run(f"r+model.radius-{radius}+seed-{seed}", f"{radius}{seed}", "j", choices, seed, reason, facts)
-
-
-def sweep_in(folder: Path, *runs: RunFile, jobs: int = 0) -> None:
-    for one in runs:
-        one.write(folder)
-    listed = [SweepJob(one.run, one.key, one.judged_by, one.choices, one.seed) for one in runs]
-    listed += [SweepJob(f"waits {i}", f"w{i}", "j", {"model.radius": "0.2", "seed": str(i)}, i) for i in range(jobs)]
-    SweepFile(folder.name, "k", "python -m gran_bench.train -m ...", "gran-bench", listed).write(folder)
 
 
 # ---- a run's file ----------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_sweep import lost, run, sweep_in
+from finished_runs import lost, run, sweep_in
 
 from gran_bench.report.command import report_command
 from gran_bench.run.run_file import RunFile

@@ -87,26 +87,6 @@ def _started(words: list[str], environment: Mapping[str, str] | None, pipes: dic
     )
 
 
-@contextmanager
-def group(command: Sequence[str], folder: Path, environment: Mapping[str, str]) -> Iterator[subprocess.Popen]:
-    """A command in a process group of its own; what is left of the group when the block ends is killed.
-
-    Args:
-        command: of the group.
-        folder: that it works in; gets what it says, in ``said.txt``.
-        environment: beside that of this process.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / "said.txt", "ab") as said:
-        process = start_program(
-            command, environment, cwd=folder, stdin=subprocess.DEVNULL, stdout=said, stderr=said
-        )  # fmt: skip
-    try:
-        yield process
-    finally:
-        kill_group(process)
-
-
 def kill_group(process: subprocess.Popen) -> None:
     """``kill -9`` of a process and of all in its group, where it has not ended by itself."""
     if process.poll() is None:  # once it is reaped, its number may be another's

@@ -31,7 +31,7 @@ from gran_bench.config.rules import ConfigError
 from gran_bench.stress.expectation import Bound, Expectation
 from gran_bench.stress.experiment import Experiment
 
-SHIPPED_LISTS = ("dem", "surrogate", "data")
+SHIPPED_LISTS = ("dem", "surrogate")
 _KEYS = {"name", "kind", "short", "models", "with", "expect", "known"}
 
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
 import subprocess
 import threading
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import asdict
 from typing import Any
 
-from gran_bench.processes import start_module
+from gran_bench.processes import kill_group, start_module
 from gran_bench.stress.expectation import Failure, Observation, Outcome
 from gran_bench.stress.perform import Task
 
@@ -35,7 +32,7 @@ class Worker:
 
         def give_up() -> None:
             late.set()
-            _kill(process)
+            kill_group(process)
 
         watch = threading.Timer(self.patience, give_up)
         watch.daemon = True
@@ -57,10 +54,8 @@ class Worker:
 
     def dismiss(self) -> None:
         """End the process, whatever it does."""
-        if self._process is not None and self._process.poll() is None:
-            _kill(self._process)
         if self._process is not None:
-            self._process.wait()
+            kill_group(self._process)
             for pipe in (self._process.stdin, self._process.stdout):
                 pipe.close()
             self._process = None
@@ -77,13 +72,6 @@ class Worker:
                 text=True,
             )
         return self._process
-
-
-def _kill(process: subprocess.Popen[str]) -> None:
-    """Kill a worker, and with it what it has started in its session."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.kill()
 
 
 def outcome_of(document: Mapping[str, Any]) -> Outcome:

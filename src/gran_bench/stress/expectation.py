@@ -6,11 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-MET, FLAGGED, FAILED, ABSENT = "met", "flagged", "FAILED", "not there yet"
-
-
-class NotThereYet(RuntimeError):
-    """A case whose subject this version does not have; it is named in the table and counts neither way."""
+MET, FLAGGED, FAILED = "met", "flagged", "FAILED"
 
 
 @dataclass(frozen=True)
@@ -109,7 +105,7 @@ class Verdict:
     """How a case ended.
 
     Attributes:
-        word: ``met``, ``flagged`` (as expected, with flags), ``FAILED`` or ``not there yet``.
+        word: ``met``, ``flagged`` (as expected, with flags) or ``FAILED``.
         found: what was found, in a line.
     """
 
@@ -120,8 +116,6 @@ class Verdict:
 def verdict(expectation: Expectation, outcome: Outcome) -> Verdict:
     """Hold what a case showed, or the error that stopped it, against what it must show."""
     if isinstance(outcome, Failure):
-        if outcome.error == NotThereYet.__name__:
-            return Verdict(ABSENT, outcome.message)
         right = expectation.form == "error" and outcome.error == expectation.error
         right = right and all(word in outcome.message for word in expectation.says)
         return Verdict(MET if right else FAILED, f"{outcome.error}: {_one_line(outcome.message)}")

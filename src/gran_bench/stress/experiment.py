@@ -33,12 +33,10 @@ class Bench:
     """What an experiment may use beside its parameters.
 
     Attributes:
-        folder: an empty one of its own.
         shared: folder of settled beds that the cases of a run share.
-        subject: the model under stress; None for the DEM, data and files.
+        subject: the model under stress; None for the DEM.
     """
 
-    folder: Path
     shared: Path
     subject: Subject | None = None
 
@@ -62,15 +60,13 @@ class Experiment:
         run: called with a bench and the parameters of the case by name.
         measures: unit of each quantity by its name.
         of_model: whether it is done with a model.
-        alone: whether nothing else may run beside it, because it takes times or starts many processes.
-        first: whether it begins before all others, because it takes so long that the list would wait for it at its end.
+        alone: whether nothing else may run beside it, because it takes times.
     """
 
     run: Callable[..., Observation]
     measures: Mapping[str, str]
     of_model: bool = False
     alone: bool = False
-    first: bool = False
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:

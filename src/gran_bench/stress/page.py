@@ -11,16 +11,12 @@ from pathlib import Path
 
 from gran_bench.files import write_part
 from gran_bench.provenance import read_table, stamp, write_table
-from gran_bench.stress.expectation import ABSENT, FAILED, FLAGGED, MET, Observation
+from gran_bench.stress.expectation import FAILED, FLAGGED, MET, Observation
 from gran_bench.stress.run import Result
 
 PAGE, TABLE = "README.md", "stress.csv"
 HEADS = ("case", "model", "expectation", "found", "verdict", "s")
-PARTS = {
-    "dem": "The DEM",
-    "surrogate": "Surrogates",
-    "data": "Data, files and processes",
-}
+PARTS = {"dem": "The DEM", "surrogate": "Surrogates"}
 FIGURES = {
     "time_to_failure.png": "Time to failure of each model's rollout in the paper's drum, against the speed: the first "
     "state that is not finite, has a centre outside by more than a radius, or has more than twice the energy that "
@@ -56,7 +52,7 @@ def closing_line(results: Sequence[Result], seconds: float) -> str:
     """How many cases ended how, and which failed, in a line."""
     words = Counter(result.verdict.word for result in results)
     failed = [result.name for result in results if result.verdict.word == FAILED]
-    counted = ", ".join(f"{words[word]} {word}" for word in (MET, FLAGGED, ABSENT, FAILED) if words[word])
+    counted = ", ".join(f"{words[word]} {word}" for word in (MET, FLAGGED, FAILED) if words[word])
     return f"{len(results)} cases in {seconds:.0f} s: {counted}" + (f" ({', '.join(failed)})" if failed else "")
 
 
@@ -94,14 +90,14 @@ def _csv(results: Sequence[Result]) -> str:
 
 def _page(rows: Sequence[dict[str, str]], origin: Mapping[str, str], folder: Path) -> Iterator[str]:
     """A table of verdicts by part, every case that failed, rollouts of models that ended early, and figures."""
-    words = [word for word in (MET, FLAGGED, ABSENT, FAILED) if word != ABSENT or count(rows, word)]
+    words = (MET, FLAGGED, FAILED)
     yield f"| {len(rows)} cases | {' | '.join(words)} |"
     yield "|---" + "|---:" * len(words) + "|"
     for part in dict.fromkeys(row["part"] for row in rows):
         some = [row for row in rows if row["part"] == part]
         yield f"| {PARTS.get(part, part)} | {' | '.join(str(count(some, word)) for word in words)} |"
     yield ""
-    failed = [row for row in rows if row["verdict"].startswith((FAILED, ABSENT))]
+    failed = [row for row in rows if row["verdict"].startswith(FAILED)]
     if failed:
         yield from (f"- {row['verdict']}: {row['case']} {row['model']}: {row['found']}" for row in failed)
         yield ""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,38 +25,30 @@ class Task:
         kind: of the experiment.
         parameters: of the experiment.
         checkpoint: model file, or empty.
-        folder: of the case's own files; emptied before and removed afterwards.
         shared: folder of what cases share.
     """
 
     kind: str
     parameters: dict[str, Any]
     checkpoint: str
-    folder: str
     shared: str
 
 
 def perform(task: Task) -> Outcome:
     """Do it; any error is an outcome, never the end of the list."""
-    folder, shared = Path(task.folder), Path(task.shared)
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
+    shared = Path(task.shared)
     shared.mkdir(parents=True, exist_ok=True)
     try:
         subject = _subject(task.checkpoint) if task.checkpoint else None
-        seen = EXPERIMENTS[task.kind].run(Bench(folder, shared, subject), **task.parameters)
-        return replace(seen, flags=tuple(_without(flag, folder, shared) for flag in seen.flags))
+        seen = EXPERIMENTS[task.kind].run(Bench(shared, subject), **task.parameters)
+        return replace(seen, flags=tuple(_without(flag, shared) for flag in seen.flags))
     except Exception as error:
-        return Failure(type(error).__name__, _without(str(error), folder, shared))
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        return Failure(type(error).__name__, _without(str(error), shared))
 
 
-def _without(text: str, *folders: Path) -> str:
-    """A message without the names of folders that exist only while the list runs."""
-    for folder in folders:
-        text = text.replace(str(folder), "…")
-    return text
+def _without(text: str, folder: Path) -> str:
+    """A message without the name of a folder that exists only while the list runs."""
+    return text.replace(str(folder), "…")
 
 
 def model_file(checkpoint: str) -> Path:

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from gran_bench.stress.beds import BEDS
-from gran_bench.stress.damage import DAMAGE
 from gran_bench.stress.experiment import Experiment
-from gran_bench.stress.full_disk import FULL_DISK
 from gran_bench.stress.impacts import IMPACTS
-from gran_bench.stress.kills import KILLS
 from gran_bench.stress.rollouts import ROLLOUTS
-from gran_bench.stress.sharing import SHARING
 from gran_bench.stress.steps import STEPS
 from gran_bench.stress.symmetries import SYMMETRIES
 
@@ -19,8 +15,4 @@ EXPERIMENTS: dict[str, Experiment] = {
     **STEPS,
     **ROLLOUTS,
     **SYMMETRIES,
-    **DAMAGE,
-    **FULL_DISK,
-    **KILLS,
-    **SHARING,
 }

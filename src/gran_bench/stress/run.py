@@ -27,7 +27,7 @@ from gran_bench.stress.perform import Task, model_words, perform
 from gran_bench.stress.registry import EXPERIMENTS
 from gran_bench.surrogate.checkpoint import file_digest
 
-KEPT, SHARED, OWN = "kept", "beds", "work"
+KEPT, SHARED = "kept", "beds"
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Result:
 
     Attributes:
         case: which.
-        model: label of the model; empty for the DEM, data and files.
+        model: label of the model; empty for the DEM.
         outcome: what it showed.
         seconds: wall time, s.
         kept: whether it is from an earlier, interrupted run.
@@ -96,7 +96,7 @@ def errands(cases: Sequence[StressCase], checkpoints: Sequence[Path], folder: Pa
 def package_digest() -> str:
     """SHA-256 (64 hex digits) of what a case may depend on: all code, configs and lists of the package.
 
-    A killed sweep goes through nearly all of it, from the command to the report, so nothing is left out.
+    Any case may go through any of it, so nothing is left out.
     """
     digest = hashlib.sha256(source_digest(["."]).encode())
     for place in (files("gran_bench.conf"), files("gran_bench.stress") / "lists"):
@@ -135,16 +135,15 @@ def carry_out(
     with tqdm(total=len(todo), unit=" cases", leave=False, disable=None) as bar:
 
         def one(number: int, act: Callable[[Task], Outcome]) -> None:
-            result = _kept(todo[number]) or _carried_out(todo[number], folder, number, act)
+            result = _kept(todo[number]) or _carried_out(todo[number], folder, act)
             with lock:
                 results[number] = result
                 bar.update()
                 bar.set_postfix_str(todo[number].case.name[:40], refresh=False)
                 tell(result)
 
-        kinds = [EXPERIMENTS[errand.case.kind] for errand in todo]
-        alone = [n for n, kind in enumerate(kinds) if kind.alone]
-        beside = sorted((n for n, kind in enumerate(kinds) if not kind.alone), key=lambda n: not kinds[n].first)
+        alone = [n for n, errand in enumerate(todo) if EXPERIMENTS[errand.case.kind].alone]
+        beside = [n for n in range(len(todo)) if n not in alone]
         if workers == 1:
             for number in (*beside, *alone):
                 one(number, perform)
@@ -156,7 +155,7 @@ def carry_out(
 
 def forget(folder: Path) -> None:
     """Remove what a finished run has kept, so that the next one does everything anew."""
-    for name in (KEPT, SHARED, OWN):
+    for name in (KEPT, SHARED):
         shutil.rmtree(folder / name, ignore_errors=True)
 
 
@@ -192,10 +191,9 @@ def _in_processes(
             worker.dismiss()
 
 
-def _carried_out(errand: Errand, folder: Path, number: int, act: Callable[[Task], Outcome]) -> Result:
+def _carried_out(errand: Errand, folder: Path, act: Callable[[Task], Outcome]) -> Result:
     case, began = errand.case, time.perf_counter()
-    own = (folder / OWN / str(number)).resolve()
-    task = Task(case.kind, dict(case.parameters), errand.checkpoint, str(own), str((folder / SHARED).resolve()))
+    task = Task(case.kind, dict(case.parameters), errand.checkpoint, str((folder / SHARED).resolve()))
     outcome = act(task)
     result = Result(case, errand.model, outcome, time.perf_counter() - began)
     if not isinstance(outcome, Failure) or outcome.error not in ("Crash", "Hang"):

@@ -1,58 +1,67 @@
-"""A process that does one small job and may be killed at any moment: ``python -m gran_bench.stress.victim``.
-
-Started by the experiments on killed and competing processes, not by people. It says ``begins`` when the job does.
-"""
+"""A process that does one small job and may be killed at any moment; it says ``begins`` when the job does."""
 
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
-from gran_bench.files import write_text
-from gran_bench.processes import ONE_THREAD, start_module
-from gran_bench.tracking.address import SERVER
+import gran_bench
+from gran_bench.processes import ONE_THREAD
+
+PATIENCE = 500.0  # s, for a process that should have ended long ago
 
 
 def start(job: str, **values: Any) -> subprocess.Popen[str]:
-    """A process that does ``job``; returns when the job begins.
+    """A process that does a job; returns when the job begins.
 
     Args:
         job: ``data``, ``training`` or ``tracking``.
         values: arguments of the function of that name.
-
-    Raises:
-        RuntimeError: it ended before it began.
     """
     process = launch(job, **values)
     assert process.stdout is not None
-    if process.stdout.readline() != "begins\n":
-        _, errors = process.communicate()
-        raise RuntimeError(f"the process for {job} did not begin: {errors.strip().splitlines()[-1:]}")
+    assert process.stdout.readline() == "begins\n", process.communicate()[1]
     return process
 
 
 def launch(job: str, **values: Any) -> subprocess.Popen[str]:
     """As :func:`start`, without waiting for the job to begin."""
-    return start_module(
-        "gran_bench.stress.victim",
-        job,
-        json.dumps(values),
-        environment=ONE_THREAD | {SERVER: ""},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    sources = str(Path(gran_bench.__file__).parents[1])
+    return subprocess.Popen(
+        [sys.executable, __file__, job, json.dumps(values)],
+        env=os.environ | ONE_THREAD | {"PYTHONPATH": sources},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
 
 
-def data(root: str, workers: int, seconds: float) -> None:
+def finish(process: subprocess.Popen[str]) -> str:
+    """Let a process end well; what it said on stderr."""
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, errors
+    return errors
+
+
+def kill_after(process: subprocess.Popen[str], seconds: float) -> bool:
+    """``kill -9`` of a process after a while; whether it was still at work."""
+    time.sleep(seconds)
+    working = process.poll() is None
+    process.kill()
+    process.communicate()
+    return working
+
+
+def data(root: str, workers: int, seconds: float = 2.0) -> None:
     """Make the tiny data set."""
-    from gran_bench.dataset import ensure_cases
-    from gran_bench.stress.tiny import tiny_specs
+    from tiny import tiny_specs
 
-    specs = tiny_specs(seconds=seconds)
+    from gran_bench.dataset import ensure_cases
+
+    specs = tiny_specs(seconds)
     print("begins", flush=True)
     ensure_cases(specs, root, workers=workers, progress=False)
 
@@ -60,38 +69,33 @@ def data(root: str, workers: int, seconds: float) -> None:
 def training(root: str, folder: str) -> None:
     """Train on the tiny data set, or go on, and leave the final weights."""
     import torch
-
-    from gran_bench.files import write_atomically
-    from gran_bench.stress.tiny import tiny_trainer
+    from tiny import tiny_trainer
 
     trainer = tiny_trainer(Path(root), Path(folder))
     print("begins", flush=True)
     trainer.run(progress=False)
-    write_atomically(Path(folder) / "final.pt", lambda file: torch.save(trainer.final_weights(), file))
+    torch.save(trainer.final_weights(), Path(folder) / "final.pt")
 
 
 def tracking(root: str, number: int, steps: int, gate: str) -> None:
     """Wait until all are there, then record a run of so many steps."""
-    import time
-
     from gran_bench.config import TrackingConfig
     from gran_bench.tracking import open_run
 
     print("begins", flush=True)
     while not Path(gate).exists():
         time.sleep(0.01)
-    config = TrackingConfig(experiment="stress", root=root)
+    config = TrackingConfig(experiment="shared", root=root)
     with open_run(config, f"job {number}", f"key-{number}", {"number": number}) as run:
         for step in range(steps):
             run.log_metrics({"loss": 1.0 / (1 + step), "number": float(number)}, step)
             run.flush()
         report = Path(root) / f"report-{number}.txt"
-        write_text(report, f"{number}\n")
+        report.write_text(f"{number}\n", "utf-8")
         run.log_artifact(report)
 
 
 JOBS = {"data": data, "training": training, "tracking": tracking}
-
 
 if __name__ == "__main__":
     JOBS[sys.argv[1]](**json.loads(sys.argv[2]))

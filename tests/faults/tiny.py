@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -12,39 +13,28 @@ from gran_bench.dataset import CaseSpec, Windows, ensure_cases, read_case, split
 from gran_bench.entry import checked_config, compose
 from gran_bench.scene import Scene, build_scene
 from gran_bench.surrogate.build import build_model
+from gran_bench.surrogate.checkpoint import ModelCard, save_model
 from gran_bench.trainer import Trainer
 
 SPEEDS = (20.0, 30.0, 40.0)  # rpm
-STEPS = 40  # updates of the training
 
 
-def tiny_specs(count: int = 60, seconds: float = 2.0) -> list[CaseSpec]:
-    """Three cases of a short drum.
-
-    Args:
-        count: of spheres.
-        seconds: of rotation.
-    """
-    scene = build_scene(
-        SceneConfig(
-            name="drum_tiny",
-            container=ContainerConfig(diameter=0.4, length=0.2),
-            filling=FillingConfig(count=count),
-            start_time=1.0,
-            end_time=1.0 + seconds,
-        )
+def tiny_specs(seconds: float = 2.0) -> list[CaseSpec]:
+    """Three cases of 60 spheres in a short drum, with so many seconds of rotation."""
+    config = SceneConfig(
+        name="drum_tiny",
+        container=ContainerConfig(diameter=0.4, length=0.2),
+        filling=FillingConfig(count=60),
+        start_time=1.0,
+        end_time=1.0 + seconds,
     )
-    return [CaseSpec(scene.at_speed(speed)) for speed in SPEEDS]
+    return [CaseSpec(build_scene(config).at_speed(speed)) for speed in SPEEDS]
 
 
 def tiny_training(root: Path) -> tuple[TrainConfig, Scene]:
-    """The smoke recipe with short cases and few updates.
-
-    Args:
-        root: folder of its cases.
-    """
+    """The smoke recipe with short cases, which lie in ``root``, and 40 updates."""
     changes = [
-        "scene.end_time=1.9", "judge.short_horizon_starts=3", f"trainer.steps={STEPS}", "trainer.checkpoint_steps=3",
+        "scene.end_time=1.9", "judge.short_horizon_starts=3", "trainer.steps=40", "trainer.checkpoint_steps=3",
         "threads=1", override("dataset.root", root), "dataset.workers=1",
     ]  # fmt: skip
     config = checked_config(compose("train", ["+experiment=smoke", *changes]), TrainConfig)
@@ -52,12 +42,7 @@ def tiny_training(root: Path) -> tuple[TrainConfig, Scene]:
 
 
 def tiny_trainer(root: Path, folder: Path) -> Trainer:
-    """A trainer of that recipe, whose data are made where they are missing.
-
-    Args:
-        root: of the data.
-        folder: of the checkpoint.
-    """
+    """A trainer of that recipe with its checkpoint in ``folder``; its data are made where they are missing."""
     config, scene = tiny_training(root)
     split = split_cases(scene, config.dem, config.dataset)
     ensure_cases(split.training, root, workers=1, progress=False)
@@ -66,3 +51,13 @@ def tiny_trainer(root: Path, folder: Path) -> Trainer:
     model = build_model(config.model, config.boundary, scene)
     folder.mkdir(parents=True, exist_ok=True)
     return Trainer(model, windows, config, folder)
+
+
+def model_file(folder: Path) -> Path:
+    """An untrained model in a file of a folder; one that is there is replaced."""
+    config, scene = tiny_training(folder / "data")
+    torch.manual_seed(0)
+    model = build_model(config.model, config.boundary, scene)
+    card = ModelCard(asdict(config.model), asdict(config.boundary), asdict(config.scene), {"steps": 0})
+    save_model(folder / "model.pt", model.state_dict(), card)
+    return folder / "model.pt"

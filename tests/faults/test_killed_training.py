@@ -9,8 +9,10 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+import victim
 
 # A short scene and few updates: what is tested is the way, not the result.
 COMMAND = [
@@ -108,6 +110,23 @@ def test_kill_9_during_data_training_and_rollout_changes_no_number(undisturbed, 
     assert all(torch.equal(ours[name], theirs[name]) for name in theirs)
     assert numbers(folder) == numbers(undisturbed)
     assert statuses(folder) == ["FINISHED"]  # one run, reopened, not four
+
+
+def test_kill_9_at_random_moments_of_a_training_changes_no_weight(tmp_path):
+    calm, wild, hits, resumed = tmp_path / "calm", tmp_path / "wild", 0, 0
+    began = time.monotonic()
+    victim.finish(victim.start("training", root=str(tmp_path / "data"), folder=str(calm)))
+    whole = time.monotonic() - began
+    for share in np.random.default_rng(0).uniform(0.1, 0.7, 4):
+        # Of the start too, so that an update, a save and the opening are all hit.
+        process = victim.launch("training", root=str(tmp_path / "data"), folder=str(wild))
+        hits += victim.kill_after(process, share * whole)
+        resumed += (wild / "checkpoint.pt").exists()
+    victim.finish(victim.start("training", root=str(tmp_path / "data"), folder=str(wild)))
+    mine, theirs = (torch.load(folder / "final.pt", weights_only=True) for folder in (wild, calm))
+    assert hits >= 3
+    assert resumed > 0
+    assert all(torch.equal(mine[name], theirs[name]) for name in theirs)
 
 
 def test_sigterm_leaves_a_resumable_state_and_a_killed_run(undisturbed, tmp_path):

@@ -1,94 +1,24 @@
-"""A sweep is unbreakable: killed whole or in one job, without its store or without disk, nothing finished is lost."""
+"""A sweep without its store, without disk, or with records from elsewhere: nothing that is finished is lost."""
 
 from __future__ import annotations
 
-import os
-import re
-import resource
 import shutil
-import signal
 import sqlite3
-import time
 from pathlib import Path
 
 import pytest
 from omegaconf import DictConfig
+from sweeps import statuses, stored, sweep_command
 
 from gran_bench.compose import PlannedJob, Source, changed_in, checked_config, described_jobs
 from gran_bench.config import TrainConfig
 from gran_bench.config.override_errors import explain
-from gran_bench.processes import group
 from gran_bench.run import experiment
 from gran_bench.run.run_file import read_runs
-from gran_bench.stress.sweep_kill import ENVIRONMENT, PATIENCE, sweep_command, sweep_under_kills
 from gran_bench.sweep.job import Job
 from gran_bench.sweep.jobs import Sweep
 from gran_bench.sweep.opening import open_sweep
 from gran_bench.tracking import TrackingError
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder whose ``data`` the tests of this module share."""
-    return tmp_path_factory.mktemp("sweeps")
-
-
-def stored(root: Path) -> dict[str, tuple[str, str | None]]:
-    """Status and parent's name of every run in a store, by name."""
-    name = "(select name from runs as parents where run_uuid = tags.value)"
-    parent = f"(select {name} from tags where run_uuid = runs.run_uuid and key = 'mlflow.parentRunId')"
-    with sqlite3.connect(root / "mlflow.db") as store:
-        rows = store.execute(f"select name, status, {parent} from runs").fetchall()
-    assert len({row[0] for row in rows}) == len(rows)
-    return {row[0]: row[1:] for row in rows}
-
-
-def statuses(root: Path) -> list[str]:
-    """Of the children, in the order of their names."""
-    return [status for _, (status, parent) in sorted(stored(root).items()) if parent is not None]
-
-
-# ---- killed ----------------------------------------------------------------------------------------------
-
-
-def test_a_sweep_that_is_killed_as_a_whole_ends_like_one_that_is_not(place: Path):
-    result = sweep_under_kills(place, jobs=3, kills=1, seed=1)
-    assert result.passed, "\n".join(result.lines())
-    assert result.kills == 1
-
-
-def test_a_job_that_the_system_kills_fails_alone_and_the_same_command_finishes_it(place: Path):
-    folder = place / "one job"
-    command = [*sweep_command(place / "data", jobs=2), "trainer.steps=25"]
-    with group(command, folder, ENVIRONMENT) as process:
-        patience = time.monotonic() + PATIENCE
-        while not (found := _process_of_first_job(folder)):
-            assert process.poll() is None, (folder / "said.txt").read_text()
-            assert time.monotonic() < patience
-            time.sleep(0.005)
-        os.kill(found, signal.SIGKILL)
-        assert process.wait(PATIENCE) == 1
-    assert statuses(folder / "results") == ["FAILED", "FINISHED"]
-    assert stored(folder / "results")["kills"] == ("FAILED", None)
-    killed, other = read_runs(folder / "results" / "sweeps" / "kills")
-    assert (killed.status, other.status) == ("failed", "finished")
-    assert "signal 9" in killed.reason
-    assert f"{killed.reason} (log: `{killed.facts['log']}`)" in (folder / "said.txt").read_text()
-    with group(command, folder, ENVIRONMENT) as process:
-        assert process.wait(PATIENCE) == 0
-    assert statuses(folder / "results") == ["FINISHED", "FINISHED"]
-    assert stored(folder / "results")["kills"] == ("FINISHED", None)
-
-
-def _process_of_first_job(folder: Path) -> int | None:
-    """Id of the first job's process, once it has its log."""
-    for log in folder.glob("results/sweeps/kills/logs/*radius-0.06+*.log"):
-        if found := re.search(r"^---- \S+  process (\d+)  ", log.read_text("utf-8")):
-            return int(found[1])
-    return None
-
-
-# ---- in this process: a store that vanishes, a disk that is full, records from elsewhere -------------------
 
 
 def described(place: Path, root: Path, *more: str) -> list[tuple[list[str], DictConfig]]:
@@ -186,19 +116,14 @@ def test_a_run_that_a_single_command_finished_is_found_under_its_other_name(plac
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_full_disk_is_one_clear_line_and_what_was_finished_stays(place: Path, tmp_path: Path):
+def test_a_full_disk_is_one_clear_line_and_what_was_finished_stays(full_at, place: Path, tmp_path: Path):
     root = tmp_path / "results"
     jobs = planned(place, root, "tracking.enabled=false")
-    former = resource.getrlimit(resource.RLIMIT_FSIZE)
     with open_sweep(jobs, "full") as sweep:
         do(sweep, jobs, 0)
         # From here on no file may be larger than a model, as where a disk has little left: a rollout is.
-        resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, former[1]))
-        try:
-            with pytest.raises(OSError, match="File too large") as full:
-                do(sweep, jobs, 1)
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, former)
+        with full_at(150_000), pytest.raises(OSError, match="File too large") as full:
+            do(sweep, jobs, 1)
         message = explain(full.value, TrainConfig)
         assert message.startswith("the disk takes no more")
         assert "free space, and the same command goes on" in message

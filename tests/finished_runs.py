@@ -1,0 +1,81 @@
+"""Summaries of runs and records of sweeps, as they lie on the disk, that the tests of pages and tables share."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from beds import drum, flowing
+
+from gran_bench.metrics import judge
+from gran_bench.run.run_file import RunFile, failed_run
+from gran_bench.state import Trajectory
+from gran_bench.sweep.sweep_file import SweepFile, SweepJob
+
+SCENE = drum(end_time=1.8)
+REPLICAS = [flowing(SCENE, seed=1), flowing(SCENE, seed=2)]
+
+
+def summary_of(*runs: Trajectory, failed_frames: tuple[int | None, ...] = (None, None), own: bool = True) -> dict:
+    """A summary as the main job writes it, of a rollout from each packing."""
+    judgements = dict(zip(("shared", "unseen"), (judge(run, REPLICAS, SCENE) for run in runs), strict=False))
+    facts = {"ms_per_frame_median": 2.0, "ms_per_frame_90th": 3.0, "dem_ms_per_frame": 10.0}
+    summary = {
+        "experiment": "test",
+        "judged_rpm": 30.0,
+        "judged_as": "held out",
+        "model": {"name": "contact"},
+        "training": {"parameters": 10, "steps": 5, "seconds": 60.0, "stopped_by": "steps"},
+        "judged": {packing: judgement.to_dict() for packing, judgement in judgements.items()},
+        "baselines": {"ballistic": judgements["shared"].to_dict()["errors"]},
+        "nearest_case": {"30rpm": {"own_rpm": 30.0, "nearest_rpm": 30.0 if own else 35.0, "is_own": own}},
+        "position_error": {"10_frames": {"m": 0.004, "diameters": 0.08, "note": ""}},
+        "rollouts": {
+            name: {"failed_frame": frame, **facts}
+            for name, frame in zip(("30rpm", "30rpm_unseen"), failed_frames, strict=True)
+        },
+        "frame_ms": 10.0,
+        "wall_seconds": {"training": 60.0},
+    }
+    return json.loads(json.dumps(summary, allow_nan=False))
+
+
+def broken(frame: int) -> Trajectory:
+    run = flowing(SCENE, seed=3)
+    for array in (run.position, run.velocity, run.angular_velocity):
+        array[frame:] = np.nan
+    return run
+
+
+def run(radius: str, seed: int, angle: float, w1: float = 0.1, name: str = "", **changes) -> RunFile:
+    """A finished run by hand, whose figures are easy to average."""
+    figures = {
+        "angle_error_deg": angle,
+        "angle_error_floors": 2 * angle,
+        "speed_w1_m_s": w1,
+        "speed_w1_floors": 10 * w1,
+        "position_error_10_frames_mm": 5.0,
+        "ms_per_frame": 1e3 * float(radius),
+        "training_minutes": 2.0,
+        "requirements_failed": 1.0,
+    }
+    choices = {"model.radius": radius, "seed": str(seed)}
+    values = {"figures": figures, "judged": {"rpm": 35.0, "as": "validation"}, "ended_at": "2025-01-01T00:00:00+00:00"}
+    key = f"{radius}{seed}".replace(".", "").ljust(12, "0")
+    name = name or f"r+model.radius-{radius}+seed-{seed}"
+    return RunFile(name, key, "j", "finished", choices, seed, **values | changes)
+
+
+def lost(radius: str, seed: int, reason: str = "the loss is not finite at update 7") -> RunFile:
+    choices = {"model.radius": radius, "seed": str(seed)}
+    facts = {"log": "logs/x.log"}
+    return failed_run(f"r+model.radius-{radius}+seed-{seed}", f"{radius}{seed}", "j", choices, seed, reason, facts)
+
+
+def sweep_in(folder: Path, *runs: RunFile, jobs: int = 0) -> None:
+    for one in runs:
+        one.write(folder)
+    listed = [SweepJob(one.run, one.key, one.judged_by, one.choices, one.seed) for one in runs]
+    listed += [SweepJob(f"waits {i}", f"w{i}", "j", {"model.radius": "0.2", "seed": str(i)}, i) for i in range(jobs)]
+    SweepFile(folder.name, "k", "python -m gran_bench.train -m ...", "gran-bench", listed).write(folder)
