@@ -20,8 +20,6 @@ from gran_bench.state import FloatArray
 from gran_bench.surrogate.step import minimum_image
 from gran_bench.surrogate.walls import FrameWalls, closest_point
 
-MILLIMETRE = 1.0e-3  # m; the unit of length inside the contact network
-
 
 @dataclass(frozen=True)
 class ContactList:

@@ -22,7 +22,8 @@ from torch import Tensor
 
 from gran_bench.scene import Plane, Rotation, Scene, Translation, Vibration, Wall
 from gran_bench.state import FloatArray
-from gran_bench.surrogate.contact.geometry import MILLIMETRE, ContactList, find_contacts
+from gran_bench.surrogate.contact.constants import MILLIMETRE
+from gran_bench.surrogate.contact.geometry import ContactList, find_contacts
 from gran_bench.surrogate.contact.kernels.springs import stretch_pairs, stretch_walls
 from gran_bench.surrogate.step import FrameState
 from gran_bench.surrogate.walls import FrameWalls, frame_walls

@@ -12,8 +12,7 @@ import numpy as np
 from gran_bench import dem, neighbors
 from gran_bench.dem.fast.wall_list import shape_of, toward_wall
 from gran_bench.neighbors.kernel import cached, kernel
-
-SPRING_CAP = 0.40  # of the overlap; a longer spring has slid
+from gran_bench.surrogate.contact.constants import SPRING_CAP
 
 jitted = cached(*(Path(room).parent for room in (__file__, dem.__file__, neighbors.__file__)), nogil=True)
 
