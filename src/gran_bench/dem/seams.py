@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gran_bench.dem.fast.kernel import shared
 from gran_bench.dem.fast.wall_list import shape_of, toward_wall
 from gran_bench.dem.walls import REVOLUTION, SURFACE, wall_contact
+from gran_bench.neighbors.kernel import kernel
 from gran_bench.scene.seams import SAME_POINT
 from gran_bench.state import ContactHistory, FloatArray
 
@@ -80,7 +80,7 @@ def _handed_over(history: ContactHistory, source: int, target: int, spheres: np.
     return ContactHistory(history.first, second, history.force, history.overlap, history.rolling_moment)
 
 
-@shared
+@kernel
 def another_answers(walls, w, x, y, z, radius, distance, nx, ny, nz):
     """Whether another piece of wall w's surface answers a sphere that touches w.
 
@@ -99,7 +99,7 @@ def another_answers(walls, w, x, y, z, radius, distance, nx, ny, nz):
     return False
 
 
-@shared
+@kernel
 def _is_far(walls, v, x, y, z, radius):
     """Whether a sphere lies before or behind the whole of wall v: what is cheap to see, and true of most."""
     if walls[v, 0] != REVOLUTION:
@@ -109,7 +109,7 @@ def _is_far(walls, v, x, y, z, radius):
     return along < min(s0, s1) - radius or along > max(s0, s1) + radius
 
 
-@shared
+@kernel
 def hand_over(walls, w, p, x, y, z, radius, distance, wall_i, start, memory, touched, remembered):
     """Gives a new contact what the contact that it takes the place of remembers.
 
@@ -142,7 +142,7 @@ def hand_over(walls, w, p, x, y, z, radius, distance, wall_i, start, memory, tou
                 return
 
 
-@shared
+@kernel
 def _goes_before(shape, v, away, w, x, y, z, radius, distance, nx, ny, nz):
     """Whether wall v, of a shape and this far away, answers in the place of wall w, whose closest point is given."""
     step = EQUAL * radius
