@@ -65,12 +65,12 @@ def stretch_pairs(pairs, start, end, spin, diameter, period, springs, result, to
 
 @jitted
 def stretch_walls(
-    near, wall, start, end, spin, radius, period, before, after, turn, shift, springs, result, touches
+    near, wall, other_piece, start, end, spin, radius, period, before, after, turn, shift, springs, result, touches
 ):  # fmt: skip  # pragma: no cover - jitted
     """ξ' of the particles ``near`` walls, whose touched point c moves by ``turn`` c + ``shift``.
 
     Args:
-        wall: ``(C,)`` index of the wall of each.
+        wall, other_piece: ``(C,)`` index of the wall of each, and of the piece that it may come from over a seam.
         before, after: ``(W, 11)`` shapes at the frame's two ends.
         turn, shift: ``(W, 3, 3)`` and ``(W, 3)``.
     """
@@ -89,5 +89,8 @@ def stretch_walls(
             for p in range(3):
                 motion[m] += turn[w, m, p] * (end[i, p] + distance * normal[p])
         apart = toward_wall(shape_of(before, w), start[i, 0], start[i, 1], start[i, 2])[0]
+        if other_piece[c] != w:
+            from_there = toward_wall(shape_of(before, other_piece[c]), start[i, 0], start[i, 1], start[i, 2])[0]
+            apart = min(apart, from_there)
         _stretch(springs[c], normal, motion, spin[i], radius - distance, radius - apart, result[c])
         touches[c] = True
