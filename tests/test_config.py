@@ -34,7 +34,6 @@ from gran_bench.dem.initial_checks import check_initial_state
 from gran_bench.metrics.position_error import HORIZONS
 from gran_bench.scene import build_scene
 from gran_bench.state import StateError
-from gran_bench.surrogate.contact.kernels import fused as contact_fused
 from gran_bench.surrogate.convolution import boundary
 
 CONF = Path(gran_bench.conf.__path__[0])
@@ -274,7 +273,6 @@ def test_an_impossible_value_is_refused_in_one_line(override, words):
 
 
 def test_what_the_config_says_of_rooms_further_on_is_what_they_say():
-    assert config_consistency.FUSED_SIZES == contact_fused.FUSED_SIZES
     assert {kind for kind in config_choices.BOUNDARY_KEYS if kind != "own"} == set(boundary.KINDS)
     assert max(HORIZONS) == config_consistency.LONGEST_HORIZON
 

@@ -11,7 +11,7 @@ from contact_beds import DIAMETER, cluster, drum, network, nowhere, with_memory
 from gran_bench.config import ContactModelConfig
 from gran_bench.scene import Disc, Spin, Translation
 from gran_bench.shipped import shipped_scene
-from gran_bench.surrogate.contact.kernels.springs import SPRING_CAP
+from gran_bench.surrogate.contact.constants import SPRING_CAP
 from gran_bench.surrogate.contact.memory import ContactMemory, follow_memory, warm_memory
 from gran_bench.surrogate.contact.network import ContactNetwork
 from gran_bench.surrogate.step import FrameState

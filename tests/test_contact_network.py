@@ -8,9 +8,9 @@ from contact_beds import VARIANTS, at_walls, cluster, drum, furnished, network, 
 from gran_bench.config import ContactModelConfig
 from gran_bench.neighbors import tree_pairs
 from gran_bench.scene import Plane
-from gran_bench.surrogate.contact.geometry import MILLIMETRE, find_contacts, wall_surfaces
+from gran_bench.surrogate.contact.constants import MILLIMETRE, PAIR
+from gran_bench.surrogate.contact.geometry import find_contacts, wall_surfaces
 from gran_bench.surrogate.contact.network import ContactNetwork
-from gran_bench.surrogate.contact.solver import PAIR
 from gran_bench.surrogate.step import FrameState
 from gran_bench.surrogate.walls import frame_walls
 
@@ -38,7 +38,7 @@ class TestDefinition:
             model.output_weight.zero_()  # contacts answer nothing; the channels' biases alone take gravity back
             model.output_bias.zero_()
             model.stiffness.zero_()
-        reach, width = (1e-3 * length for length in model.fade(PAIR))
+        reach, width = (1e-3 * length for length in model.weights.fades[PAIR])
 
         def lifted(gap: float) -> float:
             position = torch.tensor([[0.0, 0.0, 0.0], [0.05 + gap, 0.0, 0.0]], dtype=torch.float64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import importlib.metadata
 import re
 import tomllib
@@ -66,6 +67,25 @@ def test_imports_go_one_way(path):
         other = rest.partition(".")[0]
         entry = path.name == "__main__.py"
         assert other == room or entry or order[other] < order[room], f"{room} imports {other}, which comes after it"
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    """Inside functions and for types alike: a circle ties modules into one, however late it closes."""
+    files = {".".join(path.relative_to(SOURCE.parent).with_suffix("").parts): path for path in SOURCE.rglob("*.py")}
+    files = {name.removesuffix(".__init__"): path for name, path in files.items()}
+    del files["gran_bench"]  # the public face, and the version
+
+    def module(name: str) -> str:
+        return name if name in files else name.rpartition(".")[0]
+
+    imports = {name: {module(found) for found in imported_modules(path)} & {*files} for name, path in files.items()}
+    graphlib.TopologicalSorter(imports).prepare()  # raises a CycleError that names the modules
+
+
+def test_files_have_a_size_to_read_at_a_sitting():
+    lines = {str(path.relative_to(SOURCE)): len(path.read_text("utf-8").splitlines()) for path in MODULES}
+    odd = {file: n for file, n in lines.items() if not 20 <= n <= 400 and not file.endswith("__main__.py")}
+    assert odd == {}
 
 
 def test_only_tracking_imports_mlflow():

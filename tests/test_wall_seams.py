@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from gran_bench.dem import engine_numpy
 from gran_bench.dem.contact import sphere_mass
@@ -28,6 +29,10 @@ from gran_bench.scene import (
 )
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import ParticleState
+from gran_bench.surrogate.contact.geometry import find_contacts
+from gran_bench.surrogate.contact.memory import follow_memory
+from gran_bench.surrogate.convolution.boundary import see_contacts
+from gran_bench.surrogate.walls import frame_walls
 
 UP, X, Y = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 R = 0.025
@@ -326,3 +331,59 @@ def test_which_walls_are_pieces_of_one_surface(walls, expected):
 
 def test_the_hopper_is_one_surface_of_tube_cone_and_lid():
     assert shipped_scene("hopper").surfaces == (1, 1, 1)
+
+
+class TestSurrogates:
+    """What the DEM merges, a surrogate sees once."""
+
+    @ALL_SEAMS
+    def test_a_sphere_over_a_seam_is_one_contact_and_one_source(self, name):
+        walls, place, normal = SEAMS[name]
+        scene = scene_with(*walls)
+        position = np.add(place, 0.99 * R * np.array(normal))[None]
+        contacts = find_contacts(scene, frame_walls(scene, 0.0), position, 2 * R, 0.01)
+        assert len(contacts.wall) == 1
+        sources = see_contacts(torch.tensor(position), torch.zeros(1, 3, dtype=torch.float64), scene, 0.0, 1.2 * R)
+        assert sources.source_count == 1
+        assert sources.near.tolist() == [0]
+
+    def test_the_corner_of_a_tube_and_its_lid_is_two(self):
+        scene = scene_with(Cylinder((0, 0, 0), UP, 0.3, length=0.2), Disc((0, 0, -0.1), UP, 0.3))
+        assert scene.needs.wall_seams
+        position = np.array([[0.3 - 0.99 * R, 0.0, -0.1 + 0.99 * R]])
+        contacts = find_contacts(scene, frame_walls(scene, 0.0), position, 2 * R, 0.01)
+        assert contacts.wall.tolist() == contacts.other_piece.tolist() == [0, 1]
+        still = torch.zeros(1, 3, dtype=torch.float64)
+        assert see_contacts(torch.tensor(position), still, scene, 0.0, 1.2 * R).source_count == 2
+
+    @pytest.mark.parametrize("jump", [1e-3, 2e-2])  # within the contact patch, and far past it
+    def test_a_spring_goes_over_a_seam_as_along_one_tube(self, jump):
+        whole = scene_with(Cylinder((0, 0, 0), X, 0.3, length=0.8), friction=0.5)
+        pieces = scene_with(LEFT, RIGHT, friction=0.5)
+        positions = np.zeros((6, 1, 3))
+        positions[:, 0, 0] = (np.arange(6) - 2.5) * jump
+        positions[:, 0, 2] = -0.3 + 0.96 * R
+        # It rolls but for a slip of 0.02 mm a frame.
+        spins = np.zeros((6, 1, 3))
+        spins[:, 0, 1] = (jump - 2e-5) / (R * whole.frame_interval)
+        expected, found = (
+            [memory.spring for memory in follow_memory(scene, 0.01 * np.arange(6), positions, spins)]
+            for scene in (whole, pieces)
+        )
+        assert [len(spring) for spring in found] == [0, 1, 1, 1, 1, 1]
+        assert np.linalg.norm(found[-1]) > 1.5 * np.linalg.norm(found[2])
+        for one, two in zip(expected[2:], found[2:], strict=True):
+            np.testing.assert_allclose(two, one, rtol=1e-3, atol=1e-5)
+
+    def test_a_scene_without_seams_asks_nobody(self, monkeypatch):
+        def refuse(*_):
+            raise AssertionError("no wall of this scene is a piece")
+
+        for module in ("contact.geometry", "convolution.boundary"):
+            monkeypatch.setattr(f"gran_bench.surrogate.{module}.one_contact_each", refuse)
+        scene = scene_with(*box((-0.2, -0.2, 0.0), (0.2, 0.2, 0.4)))
+        assert not scene.needs.wall_seams
+        position = np.array([[0.0, 0.0, 0.99 * R]])
+        contacts = find_contacts(scene, frame_walls(scene, 0.0), position, 2 * R, 0.01)
+        assert (contacts.other_piece == contacts.wall).all()
+        see_contacts(torch.tensor(position), torch.zeros(1, 3, dtype=torch.float64), scene, 0.0, R)

@@ -1,4 +1,8 @@
-"""Open the MLflow UI on the recorded runs: ``python -m gran_bench.ui``."""
+"""Open the MLflow UI on the recorded runs.
+
+python -m gran_bench.ui
+python -m gran_bench.ui port=5001
+"""
 
 from __future__ import annotations
 

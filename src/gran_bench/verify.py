@@ -1,4 +1,8 @@
-"""Verify the DEM against theory: ``python -m gran_bench.verify``; ``--quick`` for a subset, ``--help`` for the rest."""
+"""Verify the DEM against theory.
+
+python -m gran_bench.verify            # the whole suite: analytic cases, published tests, the drum
+python -m gran_bench.verify --quick    # a subset; --help for the rest
+"""
 
 from __future__ import annotations
 

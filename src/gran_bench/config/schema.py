@@ -1,8 +1,7 @@
 """The schema of every config key: name, type, default, unit and bounds.
 
-The dataclasses below are the only place where a key may be declared. ``conf/`` chooses values, Hydra composes them and
-``reading`` reads a composed config into these classes. A section refuses what its keys cannot hold, whether it is
-made by a command or in Python (``rules.Section``).
+The only place where a key may be declared. ``conf/`` chooses values, Hydra composes them and ``reading`` reads them
+into these classes. A section refuses what its keys cannot hold, made by a command or in Python (``rules.Section``).
 """
 
 from __future__ import annotations

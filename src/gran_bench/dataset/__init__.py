@@ -11,7 +11,7 @@ from gran_bench.dataset.case_spec import (
     rotation_label,
     split_cases,
 )
-from gran_bench.dataset.generation import ensure_case, ensure_cases
+from gran_bench.dataset.ensure import ensure_case, ensure_cases
 from gran_bench.dataset.scene_document import from_document, to_document
 from gran_bench.dataset.summary import CaseRow, case_rows, generate, table
 from gran_bench.dataset.windows import Window, Windows, dataset_digest

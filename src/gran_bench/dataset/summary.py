@@ -12,7 +12,7 @@ import numpy as np
 from gran_bench.config import GenerateConfig
 from gran_bench.dataset.case_file import read_attributes, read_case
 from gran_bench.dataset.case_spec import DatasetError, Split, dem_source_hash, own_case, rotation_label, split_cases
-from gran_bench.dataset.generation import ensure_cases
+from gran_bench.dataset.ensure import ensure_cases
 from gran_bench.scene import build_scene
 
 STEADY_AFTER = 2.0  # s after the start of the rotation

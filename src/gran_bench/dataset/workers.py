@@ -13,16 +13,14 @@ import tempfile
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gran_bench.config import DemConfig
 from gran_bench.dataset.case_spec import CaseSpec
+from gran_bench.dataset.generation import Job
 from gran_bench.dataset.progress import SimulatedTimeBar
 from gran_bench.dataset.scene_document import from_document, to_document
 from gran_bench.processes import ONE_THREAD, start_module
-
-if TYPE_CHECKING:
-    from gran_bench.dataset.generation import Job
 
 
 def spec_to_document(spec: CaseSpec) -> dict[str, Any]:

@@ -259,7 +259,7 @@ def _compiling_notice(patience: float = 1.0) -> Iterator[None]:
     """Says on stderr what a user waits for when the kernels are not in Numba's cache."""
     # A cached load takes less than the patience, so nothing has to be known of how Numba caches.
     notice = threading.Timer(
-        patience, lambda: print("compiling the DEM kernels (once, some ten seconds) …", file=sys.stderr, flush=True)
+        patience, lambda: print("compiling the DEM kernels (once, 10 to 20 s) …", file=sys.stderr, flush=True)
     )
     notice.daemon = True
     notice.start()

@@ -10,13 +10,14 @@ over a seam as over one piece.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from gran_bench.dem.fast.kernel import shared
 from gran_bench.dem.fast.wall_list import shape_of, toward_wall
 from gran_bench.dem.walls import REVOLUTION, SURFACE, wall_contact
+from gran_bench.neighbors.kernel import kernel
 from gran_bench.scene.seams import SAME_POINT
 from gran_bench.state import ContactHistory, FloatArray
 
@@ -50,24 +51,48 @@ def wall_touching(
     """
     reached = [wall_contact(pose, position) for pose in poses]
     touches = [distance < radius for distance, _ in reached]
-    answers, merged = [near.copy() for near in touches], []
-    for w in np.flatnonzero(poses[:, SURFACE]):
-        distance, normal = reached[w]
-        for v in np.flatnonzero(poses[:, SURFACE] == poses[w, SURFACE]):
-            i = np.flatnonzero(touches[v] & np.isfinite(distance))
-            if v == w or not len(i):
-                continue
-            point = position[i] + distance[i, None] * normal[i]
-            here = np.abs(wall_contact(poses[v], point)[0]) <= SAME_POINT * radius[i]
-            ranks = (np.floor(reached[k][0][i] / (EQUAL * radius[i])) for k in (v, w))
-            first, second = ranks
-            i = i[here & ((first < second) | ((first == second) & (v < w)))]
-            answers[w][i] = False
-            merged.append((w, v, i))
+    answers, merged = one_contact_each(poses, poses[:, SURFACE], position, radius, reached, touches)
     for w, v, i in merged:
         history = _handed_over(history, w, v, i[answers[v][i]])
     found = map(np.flatnonzero, answers)
     return [Touching(i, d[i], n[i]) for i, (d, n) in zip(found, reached, strict=True)], history
+
+
+def one_contact_each(
+    shapes: FloatArray,
+    surfaces: Sequence[float],
+    position: FloatArray,
+    radius: FloatArray,
+    reached: Sequence[tuple[FloatArray, FloatArray]],
+    touches: Sequence[np.ndarray],
+) -> tuple[list[np.ndarray], list[tuple[int, int, np.ndarray]]]:
+    """Which spheres each of W walls answers, where a surface answers a sphere once, and what goes over.
+
+    Args:
+        shapes: ``(W, ≥ 11)`` first columns of their poses.
+        surfaces: ``(W,)`` number of the surface that each is a piece of, 0 for none.
+        position, radius: ``(N, 3)`` and ``(N,)`` m.
+        reached: distances and normals of each wall, as of :func:`wall_contact`.
+        touches: ``(N,)`` bool of each wall: spheres that it would answer alone.
+
+    Returns:
+        ``(N,)`` bool of each wall, and triples (w, v, i): wall v answers the spheres i in the place of wall w.
+    """
+    surfaces = np.asarray(surfaces)
+    answers, merged = [near.copy() for near in touches], []
+    for w in np.flatnonzero(surfaces):
+        distance, normal = reached[w]
+        for v in np.flatnonzero(surfaces == surfaces[w]):
+            i = np.flatnonzero(touches[v] & np.isfinite(distance))
+            if v == w or not len(i):
+                continue
+            point = position[i] + distance[i, None] * normal[i]
+            here = np.abs(wall_contact(shapes[v], point)[0]) <= SAME_POINT * radius[i]
+            first, second = (np.floor(reached[k][0][i] / (EQUAL * radius[i])) for k in (v, w))
+            i = i[here & ((first < second) | ((first == second) & (v < w)))]
+            answers[w][i] = False
+            merged.append((w, v, i))
+    return answers, merged
 
 
 def _handed_over(history: ContactHistory, source: int, target: int, spheres: np.ndarray) -> ContactHistory:
@@ -80,7 +105,7 @@ def _handed_over(history: ContactHistory, source: int, target: int, spheres: np.
     return ContactHistory(history.first, second, history.force, history.overlap, history.rolling_moment)
 
 
-@shared
+@kernel
 def another_answers(walls, w, x, y, z, radius, distance, nx, ny, nz):
     """Whether another piece of wall w's surface answers a sphere that touches w.
 
@@ -99,7 +124,7 @@ def another_answers(walls, w, x, y, z, radius, distance, nx, ny, nz):
     return False
 
 
-@shared
+@kernel
 def _is_far(walls, v, x, y, z, radius):
     """Whether a sphere lies before or behind the whole of wall v: what is cheap to see, and true of most."""
     if walls[v, 0] != REVOLUTION:
@@ -109,7 +134,7 @@ def _is_far(walls, v, x, y, z, radius):
     return along < min(s0, s1) - radius or along > max(s0, s1) + radius
 
 
-@shared
+@kernel
 def hand_over(walls, w, p, x, y, z, radius, distance, wall_i, start, memory, touched, remembered):
     """Gives a new contact what the contact that it takes the place of remembers.
 
@@ -142,7 +167,7 @@ def hand_over(walls, w, p, x, y, z, radius, distance, wall_i, start, memory, tou
                 return
 
 
-@shared
+@kernel
 def _goes_before(shape, v, away, w, x, y, z, radius, distance, nx, ny, nz):
     """Whether wall v, of a shape and this far away, answers in the place of wall w, whose closest point is given."""
     step = EQUAL * radius

@@ -36,5 +36,5 @@ def cached(*rooms: Path, **options) -> Callable[[Callable], Callable]:
     return jitted
 
 
-# What Python calls; it lets other threads run meanwhile.
-entry = cached(Path(__file__).parent, nogil=True)
+# What Python calls, of the searches and of the fast engine; it lets other threads run meanwhile.
+entry = cached(*(Path(__file__).parents[1] / room for room in ("neighbors", "dem")), nogil=True)

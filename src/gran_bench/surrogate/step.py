@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -37,6 +37,11 @@ class FrameState:
     angular_velocity: Tensor | None = None
     memory: object | None = None
     pair_acceleration: Tensor | None = None
+
+    def detached(self) -> FrameState:
+        """The same state, cut off from the frames that made it."""
+        values = (getattr(self, field.name) for field in fields(self))
+        return FrameState(*(value.detach() if isinstance(value, Tensor) else value for value in values))
 
 
 class Surrogate(nn.Module):

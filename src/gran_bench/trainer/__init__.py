@@ -1,5 +1,6 @@
 """Training: updates, checkpoints, resuming bit for bit."""
 
+from gran_bench.trainer.schedule import frames_ahead, learning_rate
 from gran_bench.trainer.trainer import (
     CHECKPOINT,
     DIVERGED,
@@ -7,8 +8,6 @@ from gran_bench.trainer.trainer import (
     TrainingDiverged,
     TrainingResult,
     TrainingStopped,
-    frames_ahead,
-    learning_rate,
 )
 
 __all__ = [

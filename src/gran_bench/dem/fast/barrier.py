@@ -14,7 +14,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from gran_bench.dem.fast.kernel import kernel
+from gran_bench.neighbors.kernel import kernel
 from gran_bench.state import FloatArray
 
 # Places of a gate, a cache line apart.

@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
+from gran_bench.dem.contact import PREDICTION_FADE
 from gran_bench.dem.fast.contact_list import overlapping
-from gran_bench.dem.fast.kernel import kernel, shared
 from gran_bench.dem.fast.rows import (
     BLOCK,
     four_from,
@@ -26,8 +26,8 @@ from gran_bench.dem.fast.rows import (
     scatter_opposite,
     scatter_rows,
 )
-from gran_bench.dem.prediction import PREDICTION_FADE
 from gran_bench.dem.rolling import CONTACT_INERTIA
+from gran_bench.neighbors.kernel import kernel
 from gran_bench.state import FloatArray
 
 # Columns in groups of four, as rows.py moves them.
@@ -361,7 +361,7 @@ def second_torques(buffer, size):
         )
 
 
-@shared
+@kernel
 def contact_laws(buffer, size, tangential, rolling, dt):
     """What the contacts of a block do: force on the first, n × f_t, rolling moment, and what they remember."""
     normal_law(buffer, size, dt)

@@ -24,9 +24,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gran_bench.dem.fast.kernel import entry, kernel, shared
 from gran_bench.dem.fast.rows import squared_gap
 from gran_bench.neighbors import IndexArray
+from gran_bench.neighbors.kernel import entry, kernel
 from gran_bench.state import FloatArray
 
 PairArray = NDArray[np.uint32]
@@ -190,7 +190,7 @@ def wrapped_gap(sphere, i, j, period):
     return dx * dx + dy * dy + dz * dz - reach * reach
 
 
-@shared
+@kernel
 def largest_displacement(sphere, reference, inverse_square, begin, end):
     """max ‖x − x_ref‖ / m over the particles ``begin … end − 1``; ``reference`` has their rows, 1/m² is given."""
     largest = 0.0

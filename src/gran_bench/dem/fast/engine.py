@@ -22,12 +22,10 @@ import math
 import threading
 from dataclasses import replace
 
-import numba
 import numpy as np
 
 from gran_bench.dem.fast import barrier
-from gran_bench.dem.fast.bodies import Bodies, Known, as_given, bodies_in_order, contact_history, known_contacts
-from gran_bench.dem.fast.compiling import compiled_beside
+from gran_bench.dem.fast.bodies import Known, as_given, bodies_in_order, contact_history, known_contacts
 from gran_bench.dem.fast.contact_blocks import BUFFER_SIZE, block_buffer, take_peaks
 from gran_bench.dem.fast.search import Lists, search, touching
 from gran_bench.dem.fast.stretch import (
@@ -44,7 +42,6 @@ from gran_bench.dem.fast.stretch import (
     WHOLE,
     march,
 )
-from gran_bench.dem.fast.wall_list import list_near
 from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, into_period
 from gran_bench.dem.walls import PATH
 from gran_bench.state import FloatArray, Held, ParticleState
@@ -125,14 +122,12 @@ class Stretch:
         self._progress = np.array([(0, 0, 0, held is None, 1, 1, 1)] * self.threads)
         self.set_walls(walls)
         self._peaks = np.zeros((self.threads, 2, 3))
-        if march.overloads:
-            self._begin(held)
-        else:
-            with compiled_beside(self.precision):
-                self._begin(held)
-                self.compile()
+        self._begin(held)
         if held is None:
             self.run(0)
+        elif not march.overloads:
+            # What runs on from held forces compiles now too, and not in a step that is timed.
+            Stretch(state, physics, time_step, walls)
 
     def _unequal(self) -> bool:
         """Whether radii or masses differ: contacts of equal spheres share R*, m* and I_r."""
@@ -189,7 +184,7 @@ class Stretch:
                 self._shares[thread] = lists, self._room(sphere, velocity, stop - chunk, lists, last)
                 self._told[thread, TRAVELLED] = np.inf
             lists, room = self._shares[thread]
-            culprit = int(march(*self._of_march(thread, progress, self.bodies, lists, room)))
+            culprit = int(march(*self._of_march(thread, progress, lists, room)))
             for found, buffer in zip(self._peaks[thread], room[-2:], strict=True):
                 np.maximum(found, take_peaks(buffer), out=found)
             if culprit != SEARCH:
@@ -270,22 +265,6 @@ class Stretch:
     def _chunks(self) -> list[tuple[int, int, int]]:
         return [(c, int(self._bounds[c]), int(self._bounds[c + 1])) for c in range(len(self._bounds) - 1)]
 
-    def compile(self) -> None:
-        """Compiles the loop of steps, and before it what it shares with the lists, with arrays of their kinds."""
-        row, place, number = np.ones((1, 4)), np.zeros(1, np.uint32), np.zeros(1, np.int64)
-        histories, margin = np.zeros((2, 1, 4)), np.zeros(1)
-        bodies = Bodies(number, number, row, row, row, row, np.zeros(1, np.uint8))
-        lists = Lists(
-            *(place, place, place, place, histories, histories),
-            *(place, place, place, number, histories, histories),
-            *(margin, margin),
-        )
-        arguments = self._of_march(0, np.zeros(7, np.int64), bodies, lists, self._room(row, row, 1, lists, 0))
-        # First what else needs a wall's distance: meanwhile, the process beside gets ahead.
-        near = row, number, 0, 1, row, margin, margin, place[None], place, place, place, number
-        list_near.compile(tuple(map(numba.typeof, near)))
-        march.compile(tuple(map(numba.typeof, arguments)))
-
     def _room(self, sphere: FloatArray, velocity: FloatArray, chunks: int, lists: Lists, last: int) -> tuple:
         """What a thread with so many chunks keeps while its lists live; they know what touched in step ``last``."""
         pairs, walls = lists.slot.shape[1], lists.wall_slot.shape[1]
@@ -301,9 +280,9 @@ class Stretch:
             *(block_buffer(buffer, *constants) for buffer in _zeros(2, BUFFER_SIZE, dtype=self.precision)),
         )  # fmt: skip
 
-    def _of_march(self, thread: int, progress: np.ndarray, bodies: Bodies, lists: Lists, room: tuple) -> tuple:
+    def _of_march(self, thread: int, progress: np.ndarray, lists: Lists, room: tuple) -> tuple:
         return (
-            thread, self.threads, *self._shared, progress, *bodies[2:], *self._loads, *lists, *room,
+            thread, self.threads, *self._shared, progress, *self.bodies[2:], *self._loads, *lists, *room,
             *self._laws, self._walls, *self._constants,
         )  # fmt: skip
 

@@ -18,9 +18,9 @@ import numpy as np
 from gran_bench.dem.fast.barrier import meet
 from gran_bench.dem.fast.contact_blocks import pair_forces
 from gran_bench.dem.fast.contact_list import INNER_SHARE, largest_displacement, prune
-from gran_bench.dem.fast.kernel import entry, kernel, shared
 from gran_bench.dem.fast.rows import kick_row, move_row, twist_row
 from gran_bench.dem.fast.wall_contacts import wall_forces
+from gran_bench.neighbors.kernel import entry, kernel
 
 # What threads tell each other: places of a thread's row. The last is its own: how far the fastest went, in margins,
 # since its inner list was made; infinite where its lists are new.
@@ -195,7 +195,7 @@ def _end_of_reach(near_j, begin, end, furthest):
     return furthest
 
 
-@shared
+@kernel
 def take_over(force, torque, bounds, reach, chunk, stop, tangential):
     """Moves what earlier chunks left for the particles of ``chunk … stop − 1`` to the loads of their own chunk."""
     for c in range(chunk, stop):
@@ -206,7 +206,7 @@ def take_over(force, torque, bounds, reach, chunk, stop, tangential):
                     move_row(torque[earlier], torque[c], i)
 
 
-@shared
+@kernel
 def kick(
     velocity, spin, ahead, force, torque, inverse_square, bounds, chunk, stop, gravity, closing, opening, tangential,
     fastest_allowed,

@@ -43,7 +43,6 @@ from gran_bench.dem.fast.contact_blocks import (
     fill_law,
     watch,
 )  # fmt: skip
-from gran_bench.dem.fast.kernel import shared
 from gran_bench.dem.fast.rows import (
     four_from,
     four_of,
@@ -56,9 +55,10 @@ from gran_bench.dem.fast.rows import (
 from gran_bench.dem.fast.wall_list import shape_of, toward_wall
 from gran_bench.dem.rolling import CONTACT_INERTIA
 from gran_bench.dem.seams import another_answers, hand_over
+from gran_bench.neighbors.kernel import kernel
 
 
-@shared
+@kernel
 def wall_forces(
     sphere, velocity, spin, ahead, material, force, torque, wall_i, wall_w, memory, start, touched, remembered, active,
     contacts, geometry, old_slot, slot, old_moment, moment, buffer, laws, walls, tangential, rolling, full_radius, dt,

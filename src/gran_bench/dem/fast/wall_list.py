@@ -9,13 +9,13 @@ import math
 
 import numpy as np
 
-from gran_bench.dem.fast.kernel import entry, kernel, shared
 from gran_bench.dem.walls import ABSENT, CYLINDER, PATH, PLANE
 from gran_bench.neighbors import IndexArray
+from gran_bench.neighbors.kernel import entry, kernel
 from gran_bench.state import FloatArray
 
 
-@shared
+@kernel
 def shape_of(walls, w):
     """Kind, point, direction and sizes of wall w of ``(W, 22)`` poses, as a tuple that stays in registers."""
     return (
@@ -24,7 +24,7 @@ def shape_of(walls, w):
     )  # fmt: skip
 
 
-@shared
+@kernel
 def toward_wall(shape, x, y, z):
     """Distance of a point from a wall, and the unit vector to it; the rules of :func:`walls.wall_contact`.
 

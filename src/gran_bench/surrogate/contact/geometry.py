@@ -13,14 +13,13 @@ from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
+from gran_bench.dem.seams import one_contact_each
 from gran_bench.dem.walls import wall_contact
 from gran_bench.neighbors import check_period, list_pairs
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
 from gran_bench.surrogate.step import minimum_image
 from gran_bench.surrogate.walls import FrameWalls, closest_point
-
-MILLIMETRE = 1.0e-3  # m; the unit of length inside the contact network
 
 
 @dataclass(frozen=True)
@@ -31,22 +30,31 @@ class ContactList:
         pairs: ``(M, 2)`` int64, i < j, sorted.
         wall_particle: ``(W,)`` int64, sorted within each wall.
         wall: ``(W,)`` int64, index into ``scene.walls``, sorted.
+        other_piece: ``(W,)`` int64, the piece of the same surface that the contact answers for as well, where a sphere
+            is over a seam; elsewhere the wall itself.
     """
 
     pairs: NDArray[np.int64]
     wall_particle: NDArray[np.int64]
     wall: NDArray[np.int64]
+    other_piece: NDArray[np.int64]
 
     def keys(self, count: int) -> NDArray[np.int64]:
         """One increasing number for each contact, pairs first, among ``count`` particles, ``(M + W,)``."""
         pair_keys = self.pairs[:, 0] * count + self.pairs[:, 1]
         return np.concatenate((pair_keys, count * count + self.wall * count + self.wall_particle))
 
+    def keys_of_other_pieces(self, count: int) -> NDArray[np.int64]:
+        """The key that each wall contact would have with the other piece of its surface, ``(W,)``."""
+        return count * count + self.other_piece * count + self.wall_particle
+
 
 def find_contacts(
     scene: Scene, walls: FrameWalls, position: FloatArray, reach: float, wall_reach: float
 ) -> ContactList:
     """Pairs closer than ``reach`` and walls closer than ``wall_reach``, at the ballistic guess of a frame's end.
+
+    Pieces of one surface answer a sphere once, as in the DEM (:mod:`gran_bench.dem.seams`).
 
     Args:
         walls: of the frame, m.
@@ -59,19 +67,25 @@ def find_contacts(
         ValueError: a period that is shorter than twice the reach.
     """
     check_period(scene.period, reach)
-    particles, indices = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    nothing = np.zeros(0, np.int64)
     if not np.isfinite(position).all():
-        return ContactList(np.zeros((0, 2), np.int64), particles[0], indices[0])
-    for index, shape in enumerate(walls.after):
-        near = np.flatnonzero(wall_contact(shape, position)[0] - scene.filling.radius < wall_reach)
-        particles.append(near)
-        indices.append(np.full(len(near), index, np.int64))
+        return ContactList(np.zeros((0, 2), np.int64), nothing, nothing, nothing)
+    reached = [wall_contact(shape, position) for shape in walls.after]
+    near, merged = [distance - scene.filling.radius < wall_reach for distance, _ in reached], []
+    if scene.needs.wall_seams:
+        exact = np.asarray(position, np.float64)
+        radius = np.full(len(position), scene.filling.radius)
+        near, merged = one_contact_each(walls.after, scene.surfaces, exact, radius, reached, near)
+    wall, particle = np.nonzero(np.array(near, bool).reshape(len(near), len(position)))
+    other = np.tile(np.arange(len(near))[:, None], len(position))
+    for w, v, i in reversed(merged):  # the first of several
+        other[v, i] = w
     sphere = np.zeros((len(position), 4))
     sphere[:, :3] = position
     if scene.period > 0.0:
         sphere[:, 1] %= scene.period
     pairs = _in_order(*list_pairs(sphere, reach, scene.period), len(position))
-    return ContactList(pairs, np.concatenate(particles), np.concatenate(indices))
+    return ContactList(pairs, particle, wall, other[wall, particle])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -22,7 +22,8 @@ from torch import Tensor
 
 from gran_bench.scene import Plane, Rotation, Scene, Translation, Vibration, Wall
 from gran_bench.state import FloatArray
-from gran_bench.surrogate.contact.geometry import MILLIMETRE, ContactList, find_contacts
+from gran_bench.surrogate.contact.constants import MILLIMETRE
+from gran_bench.surrogate.contact.geometry import ContactList, find_contacts
 from gran_bench.surrogate.contact.kernels.springs import stretch_pairs, stretch_walls
 from gran_bench.surrogate.step import FrameState
 from gran_bench.surrogate.walls import FrameWalls, frame_walls
@@ -79,13 +80,21 @@ class ContactMemory:
 
 
 def springs_of(memory: ContactMemory, contacts: ContactList, count: int) -> Tensor:
-    """The spring of each listed contact, zero where it is new, ``(M + W, 3)`` float32 mm."""
+    """The spring of each listed contact, zero where it is new, ``(M + W, 3)`` float32 mm.
+
+    A contact over a seam goes on with the spring that the sphere had with the other piece of the surface.
+    """
     keys = contacts.keys(count)
     spring = np.zeros((len(keys), 3), np.float32)
     if len(memory.keys):
         place = np.minimum(np.searchsorted(memory.keys, keys), len(memory.keys) - 1)
         known = memory.keys[place] == keys
         spring[known] = memory.spring[place[known]]
+        pairs = len(contacts.pairs)
+        keys = contacts.keys_of_other_pieces(count)
+        place = np.minimum(np.searchsorted(memory.keys, keys), len(memory.keys) - 1)
+        handed = ~known[pairs:] & (memory.keys[place] == keys)
+        spring[pairs:][handed] = memory.spring[place[handed]]
     return torch.from_numpy(spring)
 
 
@@ -172,6 +181,7 @@ def _gather(
     stretch_walls(
         contacts.wall_particle,
         contacts.wall,
+        contacts.other_piece,
         start,
         end,
         spin,

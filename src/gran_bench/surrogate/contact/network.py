@@ -12,14 +12,14 @@ from gran_bench.config.choices import PAIR_FADE, check_radius
 from gran_bench.config.consistency import check_model
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
-from gran_bench.surrogate.contact.geometry import MILLIMETRE, find_contacts
+from gran_bench.surrogate.contact.constants import MILLIMETRE, RAMP_NODES, WALL_FADE
+from gran_bench.surrogate.contact.geometry import find_contacts
 from gran_bench.surrogate.contact.kernels.fused import fused_solve
 from gran_bench.surrogate.contact.memory import ContactMemory, follow_memory, springs_of, update_memory
-from gran_bench.surrogate.contact.solver import PAIR, RAMP_NODES, nearest_fade, solve_contacts
+from gran_bench.surrogate.contact.solver import nearest_fade, solve_contacts
+from gran_bench.surrogate.contact.weights import ContactWeights
 from gran_bench.surrogate.step import FrameState, Surrogate, wrap
 from gran_bench.surrogate.walls import frame_walls
-
-WALL_FADE = 0.5  # of the wall's reach
 
 
 class ContactNetwork(Surrogate):
@@ -84,11 +84,18 @@ class ContactNetwork(Surrogate):
     def _is_instantaneous(self) -> bool:
         return self.config.velocity == "instantaneous"
 
-    def fade(self, kind: int) -> tuple[float, float]:
-        """Gap at which an answer has faded to nothing, and the width over which it fades, mm."""
-        if kind == PAIR:
-            return self.config.radius / MILLIMETRE - self.diameter, PAIR_FADE * self.diameter
-        return self.config.wall_reach / MILLIMETRE, WALL_FADE * self.config.wall_reach / MILLIMETRE
+    @property
+    def weights(self) -> ContactWeights:
+        """What the solver takes of the model."""
+        config, reach = self.config, self.config.wall_reach / MILLIMETRE
+        of_pair = config.radius / MILLIMETRE - self.diameter, PAIR_FADE * self.diameter
+        return ContactWeights(
+            **dict(self.named_parameters()),
+            diameter=self.diameter,
+            fades=(of_pair, (reach, WALL_FADE * config.wall_reach / MILLIMETRE)),
+            memory=config.memory,
+            instantaneous=self._is_instantaneous,
+        )
 
     def begin(
         self,
@@ -127,14 +134,15 @@ class ContactNetwork(Surrogate):
             end = wrap((position + guess) * MILLIMETRE, scene.period).cpu().numpy()
             contacts = find_contacts(scene, room, end, self.config.radius, self.config.wall_reach)
         springs = springs_of(state.memory, contacts, len(position)).to(position) if self.has_memory else None
-        nearness = nearest_fade(self, period, walls, contacts, position + guess)
+        weights = self.weights
+        nearness = nearest_fade(weights, period, walls, contacts, position + guess)
 
         if self.config.backend == "fused" and position.device.type == "cpu" and position.dtype == torch.float32:
             solve = fused_solve
         else:
             solve = solve_contacts
         displacement, new_spin, extra, extra_spin = solve(
-            self, period, walls, contacts, position, guess, spin, fall, nearness, springs
+            weights, period, walls, contacts, position, guess, spin, fall, nearness, springs
         )
         moved, turned = displacement - guess, new_spin - spin
         if self._is_instantaneous:

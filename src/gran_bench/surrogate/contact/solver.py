@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
+from gran_bench.surrogate.contact.constants import (
+    CHANNEL_CLAMP,
+    INPUT_CLAMP,
+    INPUT_SCALE,
+    PAIR,
+    RAMP_NODES,
+    SMALLEST_SLIP_SQUARED,
+    SPIN_RESPONSE,
+    VISCOUS_SHARE,
+    WALL,
+)
 from gran_bench.surrogate.contact.geometry import ContactList, Surfaces, pair_surfaces, wall_surfaces
+from gran_bench.surrogate.contact.weights import ContactWeights
 from gran_bench.surrogate.step import minimum_image
 from gran_bench.surrogate.walls import FrameWalls, closest_point
-
-if TYPE_CHECKING:
-    from gran_bench.surrogate.contact.network import ContactNetwork
-
-RAMP_NODES = (-4.0, -1.5, -0.6, -0.2, 0.2, 0.6, 1.5, 4.0, 10.0)  # mm; the gap's ramps run from node to node
-INPUT_CLAMP = 8.0  # mm a frame; a perceptron never sees more
-INPUT_SCALE = 0.3
-VISCOUS_SHARE = 0.3  # of c in τ = slip (b/s + 0.3 c)
-CHANNEL_CLAMP = 5.0
-SMALLEST_SLIP_SQUARED = 1.0e-4  # mm², keeps the direction of slip differentiable at rest
-PAIR, WALL = 0, 1  # kinds of contact, each with its own weights
-SPIN_RESPONSE = 1.25  # ½ m r²/I of a solid sphere: surface speed that a unit of tangential displacement brings
 
 
 @dataclass
@@ -44,7 +43,7 @@ class Answer:
 
 
 def solve_contacts(
-    model: ContactNetwork,
+    weights: ContactWeights,
     period: float,
     walls: FrameWalls,
     contacts: ContactList,
@@ -70,20 +69,20 @@ def solve_contacts(
     Returns:
         D and q at the end, and what acts on the velocity alone (translation, spin); each ``(N, 3)`` mm a frame.
     """
-    config, channels_count = model.config, model.config.channels
+    channels_count = weights.channels
     groups = _contact_groups(contacts, len(walls.after), position.device)
     channels = position.new_zeros(len(position), channels_count)
     extra, extra_spin = torch.zeros_like(position), torch.zeros_like(position)
-    taken_back = 0.5 * fall if config.velocity == "instantaneous" else fall
+    taken_back = 0.5 * fall if weights.instantaneous else fall
     sums = [position.new_zeros(len(group.first), 2) for group in groups]
-    for k in range(config.iterations):
+    for k in range(len(weights.hidden_weight)):
         end = position + displacement
         moves = []
         for index, group in enumerate(groups):
-            surfaces = group.surfaces(end, displacement, spin, model.diameter, period, walls)
+            surfaces = group.surfaces(end, displacement, spin, weights.diameter, period, walls)
             together = channels[group.first] + channels[group.second]
             spring = None if springs is None else springs[group.span]
-            answer, sums[index] = _answer(model, k, group.kind, surfaces, sums[index], together, spring)
+            answer, sums[index] = _answer(weights, k, group.kind, surfaces, sums[index], together, spring)
             moves.append(answer)
         for group, answer in zip(groups, moves, strict=True):
             displacement = group.scatter(displacement, 0.5 * answer.push, -1.0)
@@ -92,15 +91,17 @@ def solve_contacts(
             extra_spin = group.scatter(extra_spin, SPIN_RESPONSE * answer.extra_turn, 1.0)
             channels = group.scatter(channels, answer.messages, 1.0)
         limited = channels.clamp(-CHANNEL_CLAMP, CHANNEL_CLAMP)
-        share = nearness * (limited @ model.mix_weight[k, channels_count])
+        share = nearness * (limited @ weights.mix_weight[k, channels_count])
         displacement = displacement + share[:, None] * taken_back
         extra = extra + share[:, None] * (fall - taken_back)
-        mixed = limited @ model.mix_weight[k, :channels_count].T + model.mix_bias[k, :channels_count]
+        mixed = limited @ weights.mix_weight[k, :channels_count].T + weights.mix_bias[k, :channels_count]
         channels = channels + 0.5 * torch.relu(mixed)
     return displacement, spin, extra, extra_spin
 
 
-def nearest_fade(model: ContactNetwork, period: float, walls: FrameWalls, contacts: ContactList, end: Tensor) -> Tensor:
+def nearest_fade(
+    weights: ContactWeights, period: float, walls: FrameWalls, contacts: ContactList, end: Tensor
+) -> Tensor:
     """The largest fade among each particle's contacts at the ballistic guess, ``(N,)``.
 
     1 where a contact is within full reach, 0 without a contact: the share of its answer that a particle may have
@@ -113,8 +114,8 @@ def nearest_fade(model: ContactNetwork, period: float, walls: FrameWalls, contac
     """
     nearness = end.new_zeros(len(end))
     for group in _contact_groups(contacts, len(walls.after), end.device):
-        reach, width = model.fade(group.kind)
-        fade = ((reach - group.gap(end, model.diameter, period, walls)) / width).clamp(0.0, 1.0)
+        reach, width = weights.fades[group.kind]
+        fade = ((reach - group.gap(end, weights.diameter, period, walls)) / width).clamp(0.0, 1.0)
         nearness = nearness.scatter_reduce(0, group.first, fade, "amax")
         if group.kind == PAIR:
             nearness = nearness.scatter_reduce(0, group.second, fade, "amax")
@@ -163,7 +164,7 @@ def _contact_groups(contacts: ContactList, walls: int, device: torch.device) -> 
 
 
 def _answer(
-    model: ContactNetwork,
+    weights: ContactWeights,
     k: int,
     kind: int,
     surfaces: Surfaces,
@@ -172,7 +173,7 @@ def _answer(
     spring: Tensor | None,
 ) -> tuple[Answer, Tensor]:
     """What contacts of one kind answer in iteration ``k``, and the running sums of a and b, ``(C, 2)``."""
-    channels_count = model.config.channels
+    channels_count = weights.channels
     normal, gap, slip = surfaces.normal, surfaces.gap, surfaces.slip
     slip_size = torch.sqrt((slip * slip).sum(1) + SMALLEST_SLIP_SQUARED)
     seen = torch.stack((surfaces.approach, slip_size, gap, sums[:, 0], sums[:, 1]), 1)
@@ -182,20 +183,20 @@ def _answer(
         load = torch.sqrt((flat * flat).sum(1) + SMALLEST_SLIP_SQUARED)
         along = (flat * slip).sum(1) / slip_size
         inputs.append(torch.stack((load, along), 1).clamp(-INPUT_CLAMP, INPUT_CLAMP))
-    hidden = torch.relu(torch.cat(inputs, 1) @ model.hidden_weight[k, kind].T + model.hidden_bias[k, kind])
-    outputs = hidden @ model.output_weight[k, kind].T + model.output_bias[k, kind]
+    hidden = torch.relu(torch.cat(inputs, 1) @ weights.hidden_weight[k, kind].T + weights.hidden_bias[k, kind])
+    outputs = hidden @ weights.output_weight[k, kind].T + weights.output_bias[k, kind]
 
-    reach, width = model.fade(kind)
+    reach, width = weights.fades[kind]
     outputs = outputs * ((reach - gap) / width).clamp(0.0, 1.0)[:, None]
     a, b, c = outputs[:, 0], outputs[:, 1], outputs[:, 2]
-    strength = model.stiffness[k, kind] * (2.0 if kind == WALL else 1.0)
+    strength = weights.stiffness[k, kind] * (2.0 if kind == WALL else 1.0)
     a = a + strength * torch.relu(-gap)
     tangential = slip * (b / slip_size + VISCOUS_SHARE * c)[:, None]
     column = 3 + channels_count
     if spring is not None:
         tangential = tangential + outputs[:, column, None] * flat
         column += 1
-    share = model.spin_share[k, kind]
+    share = weights.spin_share[k, kind]
     answer = Answer(
         push=tangential - a[:, None] * normal,
         turn=share * torch.linalg.cross(normal, tangential),
@@ -203,7 +204,7 @@ def _answer(
         extra_turn=torch.zeros_like(normal),
         messages=outputs[:, 3 : 3 + channels_count],
     )
-    if model.config.velocity == "instantaneous":
+    if weights.instantaneous:
         extra = slip * (outputs[:, column + 1] / slip_size)[:, None]
         answer.extra_push = extra - outputs[:, column, None] * normal
         answer.extra_turn = share * torch.linalg.cross(normal, extra)

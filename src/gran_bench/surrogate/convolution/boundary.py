@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gran_bench.dem.walls import ABSENT, CYLINDER, DIRECTION, KIND, PLANE, POINT, REVOLUTION, SIZES
+from gran_bench.dem.seams import one_contact_each
+from gran_bench.dem.walls import ABSENT, CYLINDER, DIRECTION, KIND, PLANE, POINT, REVOLUTION, SIZES, wall_contact
 from gran_bench.neighbors import cell_neighbors
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
@@ -254,18 +255,28 @@ def see_spheres(position: Tensor, scene: Scene, time: float, radius: float, spac
 def see_contacts(position: Tensor, velocity: Tensor, scene: Scene, time: float, radius: float) -> WallPairs:
     """The walls as their closest points: one source for each particle and wall closer than R.
 
+    Pieces of one surface answer a particle once, as in the DEM (:mod:`gran_bench.dem.seams`).
+
     Args:
         position: ``(N, 3)`` m.
         velocity: ``(N, 3)`` m/s, for the slip.
         time: start of the frame, s.
         radius: R, m.
     """
-    near, distances, found = _near(position, frame_walls(scene, time).after, radius)
+    shapes = frame_walls(scene, time).after
+    near, distances, found = _near(position, shapes, radius)
+    within = [distance.detach() < radius for distance, _ in found]
+    if scene.needs.wall_seams:
+        exact = position.detach().double().cpu().numpy()
+        reached = [wall_contact(shape, exact) for shape in shapes]
+        touches, size = [w.cpu().numpy() for w in within], np.full(len(exact), scene.filling.radius)
+        answers, _ = one_contact_each(shapes, scene.surfaces, exact, size, reached, touches)
+        within = [torch.from_numpy(answer).to(position.device) for answer in answers]
     place = torch.full((len(position),), -1, dtype=torch.int64, device=position.device)
     place[near] = torch.arange(len(near), device=position.device)
     columns: list[tuple[Tensor, ...]] = []
-    for wall, (distance, toward) in zip(scene.walls, found, strict=True):
-        seen = torch.nonzero(distance.detach() < radius)[:, 0]
+    for wall, near_it, (distance, toward) in zip(scene.walls, within, found, strict=True):
+        seen = torch.nonzero(near_it)[:, 0]
         relative = distance[seen, None] * toward[seen]
         moving = wall_velocity(wall, position[seen] + relative, scene, time)
         gap = (distance[seen] - scene.filling.radius) / scene.filling.diameter

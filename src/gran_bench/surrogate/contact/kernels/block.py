@@ -14,7 +14,9 @@ from itertools import pairwise
 import numpy as np
 from numba import njit
 
-from gran_bench.surrogate.contact.solver import (
+from gran_bench.surrogate.contact.constants import (
+    CHANNELS,
+    HIDDEN,
     INPUT_CLAMP,
     INPUT_SCALE,
     RAMP_NODES,
@@ -23,7 +25,6 @@ from gran_bench.surrogate.contact.solver import (
 )
 
 LANES = 32  # contacts a block: all rows stay in the first-level cache
-HIDDEN, CHANNELS = 16, 4  # other sizes need the reference
 RAMPS = len(RAMP_NODES) - 1
 INPUTS = RAMPS + 5 + CHANNELS + 2
 OUTPUTS = 3 + CHANNELS + 3

@@ -9,7 +9,7 @@ from numba import njit
 
 from gran_bench.dem import walls
 from gran_bench.dem.fast import wall_list
-from gran_bench.surrogate.contact import solver as contact_solver
+from gran_bench.surrogate.contact import constants
 from gran_bench.surrogate.contact.kernels import adjoint as contact_adjoint
 from gran_bench.surrogate.contact.kernels import block as contact_block
 from gran_bench.surrogate.contact.kernels import iterations as contact_iterations
@@ -40,9 +40,10 @@ def _keyed_entries(sources: str):
 
 def digest_of_sources() -> str:
     """Of the files that the entries are compiled from, as they are on disk now."""
-    others = (contact_iterations, contact_adjoint, contact_kinematics, contact_block, contact_solver, wall_list, walls)
+    others = (contact_iterations, contact_adjoint, contact_kinematics, contact_block, constants, wall_list, walls)
     files = (__file__, *(module.__file__ for module in others))
-    return hashlib.sha256(b"".join(Path(file).read_bytes() for file in files)).hexdigest()
+    sizes = repr(constants.FUSED_SIZES).encode()
+    return hashlib.sha256(b"".join((sizes, *(Path(file).read_bytes() for file in files)))).hexdigest()
 
 
 frame_forward, frame_adjoint = _keyed_entries(digest_of_sources())

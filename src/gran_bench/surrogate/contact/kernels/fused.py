@@ -6,28 +6,22 @@ The same function as :func:`gran_bench.surrogate.contact.solver.solve_contacts`,
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from gran_bench.surrogate.contact.constants import CHANNELS, HIDDEN
 from gran_bench.surrogate.contact.geometry import ContactList
-from gran_bench.surrogate.contact.kernels.block import CHANNELS, HIDDEN, INPUTS
+from gran_bench.surrogate.contact.kernels.block import INPUTS
 from gran_bench.surrogate.contact.kernels.frame import frame_adjoint, frame_forward
 from gran_bench.surrogate.contact.kernels.kinematics import ROW
-from gran_bench.surrogate.contact.solver import PAIR, WALL
+from gran_bench.surrogate.contact.weights import ContactWeights
 from gran_bench.surrogate.walls import FrameWalls
-
-if TYPE_CHECKING:
-    from gran_bench.surrogate.contact.network import ContactNetwork
-
-FUSED_SIZES = (HIDDEN, CHANNELS)  # hidden units and channels that the kernel is compiled for
 
 
 def fused_solve(
-    model: ContactNetwork,
+    weights: ContactWeights,
     period: float,
     walls: FrameWalls,
     contacts: ContactList,
@@ -39,44 +33,42 @@ def fused_solve(
     springs: Tensor | None,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """The fused form of :func:`gran_bench.surrogate.contact.solver.solve_contacts`; same arguments, same results."""
-    config = model.config
     count = len(contacts.pairs) + len(contacts.wall)
-    taken_back = 0.5 * fall if config.velocity == "instantaneous" else fall
+    taken_back = 0.5 * fall if weights.instantaneous else fall
     frame = (
         contacts.pairs,
         contacts.wall_particle,
         contacts.wall.searchsorted(np.arange(len(walls.after) + 1)),
         np.hstack((walls.after, walls.turn.reshape(-1, 9), walls.shift)).astype(np.float32),
         np.zeros((count, 3), np.float32) if springs is None else springs.numpy(),
-        np.array([*model.fade(PAIR), *model.fade(WALL), model.diameter], np.float32),
+        np.array([*weights.fades[0], *weights.fades[1], weights.diameter], np.float32),
         np.float32(period),
         np.stack([taken_back.numpy(), (fall - taken_back).numpy()]),
     )
-    return _FusedContacts.apply(frame, position, displacement, spin, nearness, *_full_weights(model))
+    return _FusedContacts.apply(frame, position, displacement, spin, nearness, *_full_weights(weights))
 
 
-def _full_weights(model: ContactNetwork) -> tuple[Tensor, ...]:
+def _full_weights(weights: ContactWeights) -> tuple[Tensor, ...]:
     """The model's weights in the kernel's one form, with zeros where the model has no memory or velocity output."""
-    config = model.config
-    lacks_memory, lacks_velocity = not config.memory, config.velocity != "instantaneous"
-    hidden_weight = pad(model.hidden_weight, (0, 2)) if lacks_memory else model.hidden_weight
-    output_weight, output_bias = model.output_weight, model.output_bias
-    if lacks_memory:  # e comes before a_v and b_v
+    hidden_weight, output_weight, output_bias = weights.hidden_weight, weights.output_weight, weights.output_bias
+    if not weights.memory:
+        hidden_weight = pad(hidden_weight, (0, 2))
+        # e comes before a_v and b_v
         cut = 3 + CHANNELS
         head, tail = output_weight[:, :, :cut], output_weight[:, :, cut:]
         output_weight = torch.cat((pad(head, (0, 0, 0, 1)), tail), 2)
         output_bias = torch.cat((pad(output_bias[:, :, :cut], (0, 1)), output_bias[:, :, cut:]), 2)
-    if lacks_velocity:
+    if not weights.instantaneous:
         output_weight, output_bias = pad(output_weight, (0, 0, 0, 2)), pad(output_bias, (0, 2))
     return (
         hidden_weight,
-        model.hidden_bias,
+        weights.hidden_bias,
         output_weight,
         output_bias,
-        model.stiffness,
-        model.spin_share,
-        model.mix_weight,
-        model.mix_bias,
+        weights.stiffness,
+        weights.spin_share,
+        weights.mix_weight,
+        weights.mix_bias,
     )
 
 

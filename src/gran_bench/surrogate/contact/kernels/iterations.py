@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from gran_bench.surrogate.contact import solver as contact_solver
+from gran_bench.surrogate.contact import constants
 from gran_bench.surrogate.contact.kernels.block import (
     ANSWER,
     CHANNELS,
@@ -39,8 +39,8 @@ from gran_bench.surrogate.contact.kernels.kinematics import (
     gather_walls,
 )
 
-SPIN_RESPONSE = np.float32(contact_solver.SPIN_RESPONSE)
-CHANNEL_CLAMP = np.float32(contact_solver.CHANNEL_CLAMP)
+SPIN_RESPONSE = np.float32(constants.SPIN_RESPONSE)
+CHANNEL_CLAMP = np.float32(constants.CHANNEL_CLAMP)
 
 
 @block_jit

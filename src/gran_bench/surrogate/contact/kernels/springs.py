@@ -12,8 +12,7 @@ import numpy as np
 from gran_bench import dem, neighbors
 from gran_bench.dem.fast.wall_list import shape_of, toward_wall
 from gran_bench.neighbors.kernel import cached, kernel
-
-SPRING_CAP = 0.40  # of the overlap; a longer spring has slid
+from gran_bench.surrogate.contact.constants import SPRING_CAP
 
 jitted = cached(*(Path(room).parent for room in (__file__, dem.__file__, neighbors.__file__)), nogil=True)
 
@@ -66,12 +65,12 @@ def stretch_pairs(pairs, start, end, spin, diameter, period, springs, result, to
 
 @jitted
 def stretch_walls(
-    near, wall, start, end, spin, radius, period, before, after, turn, shift, springs, result, touches
+    near, wall, other_piece, start, end, spin, radius, period, before, after, turn, shift, springs, result, touches
 ):  # fmt: skip  # pragma: no cover - jitted
     """ξ' of the particles ``near`` walls, whose touched point c moves by ``turn`` c + ``shift``.
 
     Args:
-        wall: ``(C,)`` index of the wall of each.
+        wall, other_piece: ``(C,)`` index of the wall of each, and of the piece that it may come from over a seam.
         before, after: ``(W, 11)`` shapes at the frame's two ends.
         turn, shift: ``(W, 3, 3)`` and ``(W, 3)``.
     """
@@ -90,5 +89,8 @@ def stretch_walls(
             for p in range(3):
                 motion[m] += turn[w, m, p] * (end[i, p] + distance * normal[p])
         apart = toward_wall(shape_of(before, w), start[i, 0], start[i, 1], start[i, 2])[0]
+        if other_piece[c] != w:
+            from_there = toward_wall(shape_of(before, other_piece[c]), start[i, 0], start[i, 1], start[i, 2])[0]
+            apart = min(apart, from_there)
         _stretch(springs[c], normal, motion, spin[i], radius - distance, radius - apart, result[c])
         touches[c] = True
