@@ -14,10 +14,10 @@ import pytest
 
 import gran_bench
 from gran_bench.processes import group
-from gran_bench.run.run_file import RunFile
 from gran_bench.stress import kills, sweep_kill
 from gran_bench.stress.experiment import Bench
 from gran_bench.stress.finished_files import done_again, finished_files, records_of
+from gran_bench.sweep.runs import SweepRun
 
 PATIENCE = 20.0  # s
 
@@ -28,7 +28,7 @@ def finish_run(results: Path, name: str, **said) -> Path:
     folder.mkdir(parents=True)
     (folder / "summary.json").write_text("{}")
     (folder / "model.pt").write_bytes(b"weights")
-    RunFile(name, "0123456789", "judge", "finished", {"seed": "0"}, 0, **said).write(results / "sweeps" / "kills")
+    SweepRun(name, "0123456789", "judge", "finished", {"seed": "0"}, 0, **said).write(results / "sweeps" / "kills")
     return folder
 
 
@@ -38,7 +38,7 @@ def finish_run(results: Path, name: str, **said) -> Path:
 def test_finished_files_that_stay_as_they_were_are_not_told(tmp_path):
     finish_run(tmp_path, "radius-0.06")
     before = finished_files(tmp_path)
-    assert {path.name for path in before} == {"summary.json", "model.pt", "radius-0.06-01234567.json"}
+    assert {path.name for path in before} == {"summary.json", "model.pt"}
     finish_run(tmp_path, "radius-0.07")  # finished later: nothing was done again
     assert done_again(before, finished_files(tmp_path)) == []
 
@@ -64,18 +64,18 @@ def test_a_run_that_is_done_again_is_named_though_it_ends_with_the_same_bytes(tm
 def test_what_a_run_that_is_not_finished_has_left_may_change(tmp_path):
     folder = finish_run(tmp_path, "radius-0.06")
     (folder / "summary.json").unlink()
-    failed = RunFile("radius-0.06", "0123456789", "judge", "failed", {}, 0, reason="killed")
+    failed = SweepRun("radius-0.06", "0123456789", "judge", "failed", {}, 0, reason="killed")
     failed.write(tmp_path / "sweeps" / "kills")
     assert finished_files(tmp_path) == {}
 
 
 def test_records_of_sweeps_are_compared_without_their_times(tmp_path):
-    figures = {"angle_error_deg": 1.0, "ms_per_frame": 3.0}
-    finish_run(tmp_path / "calm", "radius-0.06", figures=figures, facts={"wall_seconds": {"training": 1.0}})
-    finish_run(tmp_path / "wild", "radius-0.06", figures=figures | {"ms_per_frame": 4.0}, ended_at="later")
+    figures = {"headline/angle error deg": 1.0, "headline/rollout ms per frame": 3.0, "wall_seconds/training": 1.0}
+    finish_run(tmp_path / "calm", "radius-0.06", figures=figures, facts={"hardware": "a fast one"})
+    finish_run(tmp_path / "wild", "radius-0.06", figures=figures | {"wall_seconds/training": 4.0}, ended_at="later")
     calm, wild = (records_of(tmp_path / name / "sweeps" / "kills") for name in ("calm", "wild"))
     assert calm == wild
-    assert calm["radius-0.06"]["figures"] == {"angle_error_deg": 1.0}
+    assert calm["radius-0.06"]["figures"] == {"headline/angle error deg": 1.0}
 
 
 # A sweep of four jobs that are done in no time; with a word behind it, it does finished ones again.

@@ -7,22 +7,20 @@ results nor the store tell. When its files were written does.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from gran_bench.run.record import MODEL
-from gran_bench.run.run_file import FINISHED, RUNS, SWEEPS, RunFile, read_run, read_runs
 from gran_bench.run.summary import SUMMARY
+from gran_bench.sweep.runs import SweepRun, read_runs
 
-# What a run's file says of times, of the machine and of the file that holds the weights, which has times in it.
-TIMED = {
-    "figures": ("ms_per_frame", "training_minutes"),
-    "training": ("seconds",),
-    "facts": ("wall_seconds", "dem_ms_per_frame", "model_sha256", "provenance"),
-}
-TIMED_HEADLINES = ("rollout ms per frame", "training minutes")
+# What a run's row says of times, of the machine and of the file that holds the weights, which has times in it.
+TIMED_TRAINING = ("seconds",)
+TIMED_FIGURE = re.compile("wall_seconds/|.*ms_per_frame|.*ms per frame|.*minutes")
+UNTIMED_FACTS = ("judged", "broken_rollouts", "data_digest", "made_with", "model", "budget")
 
 
 @dataclass(frozen=True)
@@ -41,14 +39,10 @@ class Written:
 
 
 def finished_files(results: Path) -> dict[Path, Written]:
-    """The weights, the summary and the sweep's record of every finished run below a results folder."""
+    """The weights and the summary of every finished run below a results folder."""
     found = {}
     for summary in sorted(results.glob(f"runs/*/{SUMMARY}")):
         found |= {path: _written(path, summary.parent.name) for path in (summary, summary.parent / MODEL)}
-    for path in sorted(results.glob(f"{SWEEPS}/*/{RUNS}/*.json")):
-        record = read_run(path)
-        if record.status == FINISHED:
-            found[path] = _written(path, record.run)
     return found
 
 
@@ -75,13 +69,12 @@ def records_of(sweep: Path) -> dict[str, dict[str, Any]]:
     return {record.run: _timeless(record) for record in read_runs(sweep)}
 
 
-def _timeless(record: RunFile) -> dict[str, Any]:
+def _timeless(record: SweepRun) -> dict[str, Any]:
     said = asdict(record)
     del said["ended_at"]
-    for part, names in TIMED.items():
-        said[part] = {name: value for name, value in said[part].items() if name not in names}
-    headline = said["facts"].get("headline", {})
-    said["facts"]["headline"] = {name: value for name, value in headline.items() if name not in TIMED_HEADLINES}
+    said["training"] = {name: value for name, value in record.training.items() if name not in TIMED_TRAINING}
+    said["figures"] = {name: value for name, value in record.figures.items() if not TIMED_FIGURE.match(name)}
+    said["facts"] = {name: text for name, text in record.facts.items() if name in UNTIMED_FACTS}
     return said
 
 

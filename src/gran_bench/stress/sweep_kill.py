@@ -24,10 +24,10 @@ import numpy as np
 from gran_bench.compose import override
 from gran_bench.processes import group, kill_group, stop_on_signals
 from gran_bench.run.record import MODEL
-from gran_bench.run.run_file import SWEEPS
 from gran_bench.run.summary import SUMMARY
 from gran_bench.stress.finished_files import Written, done_again, finished_files, records_of
 from gran_bench.surrogate.checkpoint import load_card
+from gran_bench.sweep.sweep_file import SWEEPS
 from gran_bench.tracking.address import DATABASE, SERVER
 from gran_bench.tracking.store import KEY_TAG, PARENT_TAG
 
