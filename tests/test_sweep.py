@@ -9,7 +9,10 @@ from pathlib import Path
 import pytest
 from test_run_summary import SCENE, broken, flowing, summary_of
 
+from gran_bench.config import TrainConfig
+from gran_bench.run.identity import RunIdentity
 from gran_bench.run.summary import headline
+from gran_bench.sweep.opening import _finished
 from gran_bench.sweep.overview import write_overview
 from gran_bench.sweep.runs import (
     SweepRun,
@@ -245,6 +248,16 @@ def test_a_run_of_an_earlier_command_that_was_made_otherwise_does_not_count(earl
     now, earlier = run("0.1", 0, 1.0), made(earlier, "other code, data, judge or budget")
     stands = standing(sweep_of(now), [earlier, now])
     assert (stands.counted, stands.others) == ([now], [earlier])
+
+
+def test_a_finished_row_of_the_table_is_made_with_what_its_command_goes_by_now(tmp_path: Path):
+    folder, old = tmp_path / "sweeps" / "mine", made(run("0.1", 0, 1.0, training={"stopped_by": "steps"}), "old")
+    write_runs(folder, [old])
+    identity = RunIdentity(tmp_path / "runs" / "nothing", old.key, old.judged_by, "")
+    job = replace(job_of(old), made_with="new", config=TrainConfig(), identity=identity)
+    summaries, rows = _finished(folder, [job])
+    assert (summaries, rows) == ({}, {0: (folder, old)})
+    assert read_runs(folder) == [made(old, "new")]
 
 
 def test_choices_of_data_and_budget_within_one_command_may_change_data_and_budget():

@@ -140,16 +140,19 @@ def _finished(
         if job.identity is None:
             continue
         known = recorded.get((job.key, job.judged_by), [])
-        own = any(source == folder and run.run == job.run for source, run in known)
+        own = next((run for source, run in known if source == folder and run.run == job.run), None)
         summary = finished_summary(job.identity)
         if summary is not None and not wants_more(job.config, summary["training"]):
             summaries[number] = summary
-            if not own:
-                finished_run(job, summary).write(folder)
+            left = own or finished_run(job, summary)
         elif known and not wants_more(job.config, known[-1][1].training):
             source, run = rows[number] = known[-1]
-            if not own:
-                copied_run(run, job, source).write(folder)
+            left = own or copied_run(run, job, source)
+        else:
+            continue
+        # Code that decides nothing here may have changed: by now the run is made with what the others are.
+        if own is None or own.facts.get("made_with") != job.made_with:
+            replace(left, facts=left.facts | {"made_with": job.made_with}).write(folder)
     return summaries, rows
 
 

@@ -128,8 +128,9 @@ def copied_run(run: SweepRun, job: SweepJob, source: Path) -> SweepRun:
         source: folder of the other sweep, with the log.
     """
     facts = {name: value for name, value in run.facts.items() if name != "log"}
-    facts |= {"copied_from": f"{source.name}, {run.run}", "made_with": job.made_with}
-    return replace(run, run=job.run, choices=dict(job.choices), facts=facts)
+    return replace(
+        run, run=job.run, choices=dict(job.choices), facts=facts | {"copied_from": f"{source.name}, {run.run}"}
+    )
 
 
 # ---- the table -------------------------------------------------------------------------------------------
