@@ -9,11 +9,12 @@ import numpy as np
 from beds import drum, flowing
 
 from gran_bench.metrics import judge
-from gran_bench.run.run_file import RunFile, failed_run
 from gran_bench.state import Trajectory
+from gran_bench.sweep.runs import SweepRun, failed_run
 from gran_bench.sweep.sweep_file import SweepFile, SweepJob
 
 SCENE = drum(end_time=1.8)
+ANGLE, ANGLE_FLOORS = "headline/angle error deg", "headline/angle error floors"
 REPLICAS = [flowing(SCENE, seed=1), flowing(SCENE, seed=2)]
 
 
@@ -48,34 +49,41 @@ def broken(frame: int) -> Trajectory:
     return run
 
 
-def run(radius: str, seed: int, angle: float, w1: float = 0.1, name: str = "", **changes) -> RunFile:
+def run(radius: str, seed: int, angle: float, w1: float = 0.1, name: str = "", **changes) -> SweepRun:
     """A finished run by hand, whose figures are easy to average."""
     figures = {
-        "angle_error_deg": angle,
-        "angle_error_floors": 2 * angle,
-        "speed_w1_m_s": w1,
-        "speed_w1_floors": 10 * w1,
-        "position_error_10_frames_mm": 5.0,
-        "ms_per_frame": 1e3 * float(radius),
-        "training_minutes": 2.0,
-        "requirements_failed": 1.0,
+        ANGLE: angle,
+        ANGLE_FLOORS: 2 * angle,
+        "headline/speed W1 m per s": w1,
+        "headline/speed W1 floors": 10 * w1,
+        "headline/position error 10 frames mm": 5.0,
+        "headline/rollout ms per frame": 1e3 * float(radius),
+        "headline/training minutes": 2.0,
+        "headline/requirements failed": 1.0,
     }
     choices = {"model.radius": radius, "seed": str(seed)}
-    values = {"figures": figures, "judged": {"rpm": 35.0, "as": "validation"}, "ended_at": "2025-01-01T00:00:00+00:00"}
+    facts = {"judged": "validation, 35 rpm", "made_with": "this"}
+    values = {"figures": figures, "facts": facts, "ended_at": "2025-01-01T00:00:00+00:00"}
     key = f"{radius}{seed}".replace(".", "").ljust(12, "0")
     name = name or f"r+model.radius-{radius}+seed-{seed}"
-    return RunFile(name, key, "j", "finished", choices, seed, **values | changes)
+    return SweepRun(name, key, "j", "finished", choices, seed, **values | changes)
 
 
-def lost(radius: str, seed: int, reason: str = "the loss is not finite at update 7") -> RunFile:
+def lost(radius: str, seed: int, reason: str = "the loss is not finite at update 7") -> SweepRun:
     choices = {"model.radius": radius, "seed": str(seed)}
-    facts = {"log": "logs/x.log"}
-    return failed_run(f"r+model.radius-{radius}+seed-{seed}", f"{radius}{seed}", "j", choices, seed, reason, facts)
+    return failed_run(
+        SweepJob(f"r+model.radius-{radius}+seed-{seed}", choices, seed, f"{radius}{seed}", "j", "this"), reason
+    )
 
 
-def sweep_in(folder: Path, *runs: RunFile, jobs: int = 0) -> None:
+def job_of(one: SweepRun) -> SweepJob:
+    return SweepJob(one.run, one.choices, one.seed, one.key, one.judged_by, one.facts.get("made_with", ""))
+
+
+def sweep_in(folder: Path, *runs: SweepRun, jobs: int = 0) -> None:
     for one in runs:
         one.write(folder)
-    listed = [SweepJob(one.run, one.key, one.judged_by, one.choices, one.seed) for one in runs]
-    listed += [SweepJob(f"waits {i}", f"w{i}", "j", {"model.radius": "0.2", "seed": str(i)}, i) for i in range(jobs)]
+    listed = [job_of(one) for one in runs]
+    waiting = ({"model.radius": "0.2", "seed": str(i)} for i in range(jobs))
+    listed += [SweepJob(f"waits {i}", choices, i, f"w{i}", "j", "this") for i, choices in enumerate(waiting)]
     SweepFile(folder.name, "k", "python -m gran_bench.train -m ...", "gran-bench", listed).write(folder)

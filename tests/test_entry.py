@@ -17,8 +17,8 @@ from gran_bench.config.rules import ConfigError
 from gran_bench.entry import run
 from gran_bench.scene import SceneError
 from gran_bench.state import StateError
-from gran_bench.sweep.job import FAILED, REFUSED, complain
 from gran_bench.sweep.opening import open_sweep
+from gran_bench.sweep.task import FAILED, REFUSED, complain
 
 CONF = Path(gran_bench.conf.__path__[0])
 RESULTS = Path(__file__).parents[1] / "results" / "sweeps"

@@ -56,7 +56,7 @@ def launcher(tmp_path: Path):
 
 @pytest.mark.parametrize("finished", [(0, 1, 2), (1, 2), (0, 1)])
 def test_a_sweep_whose_last_jobs_or_all_have_nothing_to_do_ends(launcher: ProcessLauncher, tmp_path: Path, finished):
-    launcher.job.finished = finished
+    launcher.task.finished = finished
     assert len(launcher.launch([["one"], ["two"], ["three"]], 0)) == 3
     made = [path.name for path in tmp_path.iterdir()]
     assert sorted(made) == sorted({"one", "two", "three"} - {("one", "two", "three")[k] for k in finished})
@@ -65,7 +65,7 @@ def test_a_sweep_whose_last_jobs_or_all_have_nothing_to_do_ends(launcher: Proces
 def test_a_status_that_no_signal_gives_is_told_and_the_next_job_starts(launcher: ProcessLauncher, tmp_path: Path):
     with pytest.raises(JobError, match="3 of 4 jobs failed"):
         launcher.launch([["255"], ["200"], ["137"], ["done"]], 0)
-    lost, odd, stopped = (launcher.job.ends[number] for number in range(3))
+    lost, odd, stopped = (launcher.task.ends[number] for number in range(3))
     assert "forked from" in lost
     assert "status 200" in odd
     assert "SIGKILL" in stopped
@@ -77,8 +77,8 @@ def test_a_job_whose_fork_server_is_gone_is_ended_before_another_takes_its_place
 ):
     with pytest.raises(JobError, match="1 of 2 jobs failed"):
         launcher.launch([["orphan"], ["done"]], 4)
-    assert list(launcher.job.ends) == [4]
-    assert "hydra.launcher.n_jobs=1" in launcher.job.ends[4]
+    assert list(launcher.task.ends) == [4]
+    assert "hydra.launcher.n_jobs=1" in launcher.task.ends[4]
     assert (tmp_path / "done").exists()
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "orphan").read_text()), 0)

@@ -8,60 +8,104 @@ from pathlib import Path
 
 import pytest
 from beds import flowing
-from finished_runs import SCENE, broken, lost, run, summary_of, sweep_in
+from finished_runs import ANGLE, ANGLE_FLOORS, SCENE, broken, job_of, lost, run, summary_of, sweep_in
 
-from gran_bench.run.run_file import (
-    MADE,
-    RunFile,
-    SweepFileError,
+from gran_bench.config import TrainConfig
+from gran_bench.run.identity import RunIdentity
+from gran_bench.run.summary import headline
+from gran_bench.sweep.opening import _finished
+from gran_bench.sweep.overview import write_overview
+from gran_bench.sweep.runs import (
+    SweepRun,
+    copied_run,
     finished_run,
+    fold_runs,
     read_runs,
     recorded_runs,
+    write_runs,
 )
-from gran_bench.run.summary import headline
-from gran_bench.sweep.overview import write_overview
 from gran_bench.sweep.standing import cut_short, read_standing, standing, unequal_updates
-from gran_bench.sweep.sweep_file import SweepFile, SweepJob
+from gran_bench.sweep.sweep_file import SweepFile, SweepFileError, SweepJob
 from gran_bench.sweep.sweep_report import report_sweep
 from gran_bench.sweep.table import axes_of, best_choices, choices_frame, newest, runs_frame, shown_table
 
 RESULTS = Path(__file__).parents[1] / "results"
 
 
-# ---- a run's file ----------------------------------------------------------------------------------------
+# ---- what a run leaves, and the table that has it afterwards -----------------------------------------------
 
 
 def test_a_finished_run_leaves_a_few_kilobytes_that_hold_both_packings(tmp_path: Path):
     summary = summary_of(flowing(SCENE, seed=3), broken(7), failed_frames=(None, 7))
     summary["training"] |= {"loss": 0.1, "data_digest": "d", "model_sha256": "s"}
     summary |= {"judged_by": "judge", "provenance": {"commit": "abc"}}
-    missed = headline(summary)["requirements failed"]
-    left = finished_run("name", "0123456789ab", {"seed": "0"}, 0, summary, missed)
+    left = finished_run(SweepJob("name", {"seed": "0"}, 0, "0123456789ab", "judge"), summary)
     path = left.write(tmp_path)
     assert path == tmp_path / "runs" / "name-01234567.json"
     assert path.stat().st_size < 10_000
     assert read_runs(tmp_path) == [left]
-    assert left.figures["angle_error_deg"] == summary["judged"]["shared"]["errors"]["surface_angle"]["value"]
-    assert left.figures["requirements_failed"] == missed
-    assert left.packings["unseen"]["failures"]["non_finite_states"] == 24
-    assert left.packings["unseen"]["errors"]["speed_w1"]["note"]
-    assert left.facts["broken_rollouts"] == {"30rpm_unseen": 7}
+    assert left.figures.get(ANGLE) == summary["judged"]["shared"]["errors"]["surface_angle"]["value"]
+    assert left.figures["headline/requirements failed"] == headline(summary)["requirements failed"]
+    assert left.figures["unseen/failures/non_finite_states"] == 24
+    assert left.facts["broken_rollouts"] == "30rpm_unseen at frame 7"
+
+
+def test_the_table_keeps_every_word_and_every_bit_of_what_jobs_left_and_their_files_go(tmp_path: Path):
+    summary = summary_of(flowing(SCENE, seed=3), broken(7), failed_frames=(None, 7))
+    summary["training"] |= {"loss": 0.1 + 0.2, "data_digest": "d", "model_sha256": "s"}
+    summary |= {"judged_by": "judge", "provenance": {"command": 'train "a=b, c"\nd', "versions": "null"}}
+    choices = {"model.radius": "0.10", "scene": "null", "dataset": "1e3"}
+    runs = [finished_run(SweepJob("a", choices, 3, "0" * 12, "judge"), summary), lost("0.1", 0), run("0.2", 1, 1 / 3)]
+    for one in runs:
+        one.write(tmp_path)
+    fold_runs(tmp_path)
+    assert list((tmp_path / "runs").iterdir()) == []
+    assert read_runs(tmp_path) == runs
+    table = (tmp_path / "runs.csv").read_bytes()
+    fold_runs(tmp_path)
+    assert (tmp_path / "runs.csv").read_bytes() == table
+
+
+def test_a_job_that_is_done_again_replaces_its_row(tmp_path: Path):
+    failed = lost("0.1", 0)
+    failed.write(tmp_path)
+    fold_runs(tmp_path)
+    finished = replace(failed, status="finished", reason="")
+    finished.write(tmp_path)
+    assert read_runs(tmp_path) == [finished], "before it is folded"
+    fold_runs(tmp_path)
+    assert read_runs(tmp_path) == [finished]
 
 
 def test_what_any_sweep_has_recorded_is_known_by_key_and_judge_but_a_failure_is_not(tmp_path: Path):
     good, bad = run("0.08", 0, 1.0), lost("0.1", 0)
-    path = good.write(tmp_path / "sweeps" / "one")
-    bad.write(tmp_path / "sweeps" / "two")
-    assert recorded_runs(tmp_path) == ({(good.key, "j"): [path]}, [])
+    one, two = tmp_path / "sweeps" / "one", tmp_path / "sweeps" / "two"
+    write_runs(one, [good])  # as a clone has it
+    bad.write(two)
+    assert recorded_runs(tmp_path) == ({(good.key, "j"): [(one, good)]}, [])
 
 
-def test_a_damaged_file_of_one_sweep_hides_no_run_of_another(tmp_path: Path):
+def test_the_second_sweep_shows_a_run_that_it_shares_like_its_own(tmp_path: Path):
+    theirs, folder = run("0.08", 0, 1.0), tmp_path / "sweeps" / "mine"
+    job = SweepJob("mine+boundary-spheres", {"boundary": "spheres"}, 0, theirs.key, "j", "here")
+    copied_run(theirs, job, tmp_path / "sweeps" / "theirs").write(folder)
+    SweepFile("mine", "k", "train", "gran-bench", [job]).write(folder)
+    stands = read_standing(folder)
+    ((mine,), others, waiting) = stands.counted, stands.others, stands.waiting
+    assert (mine.run, mine.choices, others, waiting) == (job.run, job.choices, [], [])
+    assert mine.figures == theirs.figures
+    assert mine.facts["copied_from"] == f"theirs, {theirs.run}"
+
+
+@pytest.mark.parametrize("name", ["runs/x.json", "runs.csv"])
+def test_a_damaged_file_of_one_sweep_hides_no_run_of_another(tmp_path: Path, name: str):
     good = run("0.08", 0, 1.0)
-    path, damaged = good.write(tmp_path / "sweeps" / "two"), tmp_path / "sweeps" / "one" / "runs" / "x.json"
+    good.write(tmp_path / "sweeps" / "two")
+    damaged = tmp_path / "sweeps" / "one" / name
     damaged.parent.mkdir(parents=True)
-    damaged.write_text("{")
+    damaged.write_text("{\n[")
     found, (complaint,) = recorded_runs(tmp_path)
-    assert found == {(good.key, "j"): [path]}
+    assert found == {(good.key, "j"): [(tmp_path / "sweeps" / "two", good)]}
     assert str(damaged) in str(complaint)
 
 
@@ -74,6 +118,20 @@ def test_a_damaged_file_is_named(tmp_path: Path, text: str):
         read_runs(tmp_path)
 
 
+@pytest.mark.parametrize("damage", ["header", "short row", "no number"])
+def test_a_damaged_table_is_named(tmp_path: Path, damage: str):
+    path = write_runs(tmp_path, [run("0.08", 0, 1.0)])
+    header, row = path.read_text("utf-8").splitlines()
+    texts = {
+        "header": f"x{header}\n{row}\n",
+        "short row": f"{header}\n{row.rpartition(',')[0]}\n",
+        "no number": f"{header}\n{row.replace('80.0', 'many')}\n",
+    }
+    path.write_text(texts[damage], "utf-8")
+    with pytest.raises(SweepFileError, match=rf"{re.escape(str(path))}.*delete it"):
+        read_runs(tmp_path)
+
+
 # ---- the table -------------------------------------------------------------------------------------------
 
 
@@ -82,11 +140,11 @@ def test_a_choice_has_the_mean_and_the_spread_of_its_seeds():
     assert axes_of(runs) == ["model.radius"]
     first, second = (row for _, row in choices_frame(runs).iterrows())
     assert (first["model.radius"], first["n"], first["failed"]) == ("0.08", 2, 0)
-    assert first["angle_error_deg"] == 2.0
-    assert first["angle_error_deg_spread"] == pytest.approx(2**0.5)
-    assert (second["n"], second["angle_error_deg"]) == (1, 5.0)
+    assert first[ANGLE_FLOORS] == 4.0
+    assert first[f"{ANGLE_FLOORS}_spread"] == pytest.approx(2 * 2**0.5)
+    assert (second["n"], second[ANGLE_FLOORS]) == (1, 10.0)
     assert "4.00 ± 2.83" in shown_table(runs)
-    assert best_choices(runs)["angle_error_deg"] == ("model.radius=0.08", 2.0)
+    assert best_choices(runs)["angle error floors"] == ("model.radius=0.08", 4.0)
 
 
 def test_values_are_in_the_order_of_their_numbers():
@@ -98,12 +156,12 @@ def test_a_failed_run_stays_in_the_table_and_its_choice_is_not_the_best():
     runs = [run("0.08", 0, 0.5), lost("0.08", 1), run("0.1", 0, 5.0)]
     first, _ = (row for _, row in choices_frame(runs).iterrows())
     assert (first["n"], first["failed"]) == (1, 1)
-    assert best_choices(runs)["angle_error_deg"] == ("model.radius=0.1", 5.0)
+    assert best_choices(runs)["angle error floors"] == ("model.radius=0.1", 10.0)
 
 
 def test_a_figure_that_is_undefined_in_one_seed_is_so_for_the_choice():
     undefined = run("0.08", 1, 1.0)
-    undefined = replace(undefined, figures=undefined.figures | {"angle_error_floors": None})
+    del undefined.figures[ANGLE_FLOORS]
     table = shown_table([run("0.08", 0, 1.0), undefined])
     assert "undefined in 1" in table
 
@@ -117,18 +175,12 @@ def test_a_newer_run_of_the_same_choices_takes_the_place_of_an_older_one():
 # ---- which runs count --------------------------------------------------------------------------------------
 
 
-def job_of(one: RunFile) -> SweepJob:
-    return SweepJob(one.run, one.key, one.judged_by, one.choices, one.seed)
-
-
-def sweep_of(*runs: RunFile) -> SweepFile:
+def sweep_of(*runs: SweepRun) -> SweepFile:
     return SweepFile("mine", "k", "python -m gran_bench.train -m ...", "gran-bench", [job_of(one) for one in runs])
 
 
-def made(one: RunFile, code: str = "c1", budget: str = "2 min", **facts) -> RunFile:
-    """A run that says what it was made with."""
-    with_what = {"model": "contact", "training_code": {"contact": code, "radial": "r"}, "budget": budget}
-    return replace(one, facts=one.facts | {MADE: with_what | {"judging_code": "j"}} | facts)
+def made(one: SweepRun, made_with: str) -> SweepRun:
+    return replace(one, facts=one.facts | {"made_with": made_with})
 
 
 def test_a_run_with_another_key_than_its_job_does_not_count_and_the_job_waits():
@@ -140,38 +192,34 @@ def test_a_run_with_another_key_than_its_job_does_not_count_and_the_job_waits():
     assert standing(sweep_of(replace(old, judged_by="k")), [old]).counted == []
 
 
-def test_runs_of_an_earlier_command_of_the_same_code_count_though_the_last_one_does_not_list_them():
+def test_runs_of_an_earlier_command_that_were_made_alike_count_though_the_last_one_does_not_list_them():
     contact, radial = (
-        replace(made(run("0.08", 0, 1.0)), run=model, key=model, choices={"model": model})
-        for model in ("contact", "radial")
+        replace(run("0.08", 0, 1.0), run=model, key=model, choices={"model": model}) for model in ("contact", "radial")
     )
     stands = standing(sweep_of(radial), [contact, radial])
     assert (stands.counted, stands.others, stands.waiting) == ([contact, radial], [], [])
 
 
-@pytest.mark.parametrize(
-    "earlier",
-    [
-        made(run("0.1", 1, 1.0), code="c0"),
-        made(run("0.1", 1, 1.0), budget="4 min"),
-        made(run("0.1", 1, 1.0), data_digest="other data"),
-        replace(made(run("0.1", 1, 1.0)), judged_by="another judge"),
-        replace(made(lost("0.1", 1)), facts=made(lost("0.1", 1), code="c0").facts),
-    ],
-    ids=["code", "budget", "data", "judge", "failed"],
-)
-def test_a_run_of_an_earlier_command_does_not_count_where_it_says_that_it_was_made_otherwise(earlier: RunFile):
-    now = made(run("0.1", 0, 1.0, training={"stopped_by": "time"}), data_digest="data")
+@pytest.mark.parametrize("earlier", [run("0.1", 1, 1.0), lost("0.1", 1)], ids=["finished", "failed"])
+def test_a_run_of_an_earlier_command_that_was_made_otherwise_does_not_count(earlier: SweepRun):
+    now, earlier = run("0.1", 0, 1.0), made(earlier, "other code, data, judge or budget")
     stands = standing(sweep_of(now), [earlier, now])
     assert (stands.counted, stands.others) == ([now], [earlier])
 
 
-def test_choices_of_data_and_budget_may_change_data_and_budget():
-    now = made(run("0.1", 0, 1.0), data_digest="of the drum")
-    chosen = {"scene": "drum_small", "trainer": "quick", "seed": "0"}
-    other = made(run("0.1", 0, 1.0), budget="1 min", data_digest="of a small drum")
-    other = replace(other, choices=chosen, judged_by="there")
-    assert standing(sweep_of(now), [now, other]).others == []
+def test_a_finished_row_of_the_table_is_made_with_what_its_command_goes_by_now(tmp_path: Path):
+    folder, old = tmp_path / "sweeps" / "mine", made(run("0.1", 0, 1.0, training={"stopped_by": "steps"}), "old")
+    write_runs(folder, [old])
+    identity = RunIdentity(tmp_path / "runs" / "nothing", old.key, old.judged_by, "")
+    job = replace(job_of(old), made_with="new", config=TrainConfig(), identity=identity)
+    summaries, rows = _finished(folder, [job])
+    assert (summaries, rows) == ({}, {0: (folder, old)})
+    assert read_runs(folder) == [made(old, "new")]
+
+
+def test_choices_of_data_and_budget_within_one_command_may_change_data_and_budget():
+    now, other = run("0.1", 0, 1.0), made(replace(run("0.1", 1, 1.0), judged_by="there"), "of a small drum")
+    assert standing(sweep_of(now, other), [now, other]).others == []
 
 
 def test_every_committed_run_counts():
@@ -197,9 +245,10 @@ def test_every_page_counts_waiting_jobs_alike(tmp_path: Path):
 
 
 def test_the_page_says_where_equal_time_bought_unequal_updates_of_one_model(tmp_path: Path):
-    def trained(model: str, seed: int, steps: int, stopped_by: str = "time") -> RunFile:
+    def trained(model: str, seed: int, steps: int, stopped_by: str = "time") -> SweepRun:
         one = run("0.1", seed, 1.0, name=f"{model}-{seed}", training={"steps": steps, "stopped_by": stopped_by})
-        return replace(one, key=one.run, choices={"model": model, "seed": str(seed)})
+        choices, facts = {"model": model, "seed": str(seed)}, one.facts | {"model": model}
+        return replace(one, key=one.run, choices=choices, facts=facts)
 
     runs = [
         trained("contact", 0, 1000),
@@ -225,7 +274,7 @@ def test_the_page_lists_what_does_not_count(tmp_path: Path):
 
 
 def test_the_page_says_where_the_clock_has_cut_budgets_of_steps(tmp_path: Path):
-    def trained(seed: int, steps: int, planned: int | None) -> RunFile:
+    def trained(seed: int, steps: int, planned: int | None) -> SweepRun:
         stopped_by = "steps" if steps == planned else "time"
         training = {"steps": steps, "planned_steps": planned, "stopped_by": stopped_by}
         return replace(run("0.1", seed, 1.0, name=f"R{seed}", training=training), key=f"R{seed}")

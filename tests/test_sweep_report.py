@@ -12,8 +12,8 @@ import pytest
 from finished_runs import lost, run, sweep_in
 
 from gran_bench.report.command import report_command
-from gran_bench.run.run_file import RunFile
 from gran_bench.sweep.overview import chance_ratio, reaches, write_overview
+from gran_bench.sweep.runs import SweepRun, fold_runs
 from gran_bench.sweep.sweep_file import read_sweep
 from gran_bench.sweep.sweep_report import report_sweep
 from gran_bench.sweep.table import best_choices
@@ -24,15 +24,16 @@ from gran_bench.sweep.table import best_choices
 def test_the_page_says_what_it_is_judged_on_what_failed_and_what_waits(tmp_path: Path):
     folder = tmp_path / "results" / "sweeps" / "mine"
     sweep_in(folder, run("0.08", 0, 1.0), run("0.1", 0, 2.0), lost("0.15", 0), jobs=2)
+    fold_runs(folder)
     report = report_sweep(folder)
     text = (folder / "README.md").read_text("utf-8")
     assert text == report.text
     assert "2 runs finished, 1 failed, 2 wait; judged at 35 rpm, the validation speed" in text
-    assert "the loss is not finite at update 7 (log: `logs/x.log`)" in text
+    assert "the loss is not finite at update 7 (log: `logs/r+model.radius-0.15+seed-0-0.150.log`)" in text
     assert "waits 1" in text
     assert (len(report.failed), len(report.waiting)) == (1, 2)
-    assert report.metrics["best/angle_error_deg"] == 1.0
-    assert report.tags["best.angle_error_deg"] == "model.radius=0.08"
+    assert report.metrics["best/angle error floors"] == 2.0
+    assert report.tags["best.angle error floors"] == "model.radius=0.08"
     assert (folder / "model.radius.png").read_bytes().startswith(b"\x89PNG")
     assert len((folder / "runs.csv").read_text().splitlines()) == 4
     assert read_sweep(folder).jobs[-1].run == "waits 1"
@@ -100,15 +101,15 @@ def test_the_best_and_the_worst_of_choices_that_do_not_matter_are_apart_by_chanc
 
 def test_the_smallest_time_of_a_frame_is_named_only_where_every_key_changes_the_work():
     runs = [run("0.08", 0, 1.0), run("0.1", 0, 2.0)]
-    assert "ms_per_frame" in best_choices(runs)
+    assert "rollout ms per frame" in best_choices(runs)
     losses = [replace(one, choices={"loss": loss, "seed": "0"}) for one, loss in zip(runs, "ab", strict=True)]
-    assert "ms_per_frame" not in best_choices(losses)
-    assert "angle_error_deg" in best_choices(losses)
+    assert "rollout ms per frame" not in best_choices(losses)
+    assert "angle error floors" in best_choices(losses)
 
 
 def test_the_page_says_on_what_its_runs_were_made_and_warns_of_several_machines(tmp_path: Path):
-    def made(radius: str, hardware: str) -> RunFile:
-        return run(radius, 0, 1.0, facts={"provenance": {"hardware": hardware, "commit": "abc"}})
+    def made(radius: str, hardware: str) -> SweepRun:
+        return run(radius, 0, 1.0, facts={"hardware": hardware, "commit": "abc"})
 
     sweep_in(tmp_path / "one", made("0.08", "a fast one"), made("0.1", "a fast one"))
     assert "commit `abc`, 2025-01-01, a fast one*" in report_sweep(tmp_path / "one").text
@@ -117,7 +118,7 @@ def test_the_page_says_on_what_its_runs_were_made_and_warns_of_several_machines(
     assert "a fast one (1 runs); a slow one (1 runs)* Times, and what equal time bought" in text
 
 
-def test_a_figure_that_cannot_be_drawn_costs_no_table(tmp_path: Path, monkeypatch):
+def test_a_figure_that_cannot_be_drawn_costs_no_page(tmp_path: Path, monkeypatch):
     def refuse(*arguments) -> None:
         raise OSError("no space left")
 
@@ -126,7 +127,6 @@ def test_a_figure_that_cannot_be_drawn_costs_no_table(tmp_path: Path, monkeypatc
     with pytest.raises(OSError, match="no space left"):
         report_sweep(tmp_path)
     assert (tmp_path / "README.md").exists()
-    assert (tmp_path / "runs.csv").exists()
 
 
 def test_the_page_over_all_sweeps_keeps_a_persons_words_and_shows_every_sweep(tmp_path: Path, capsys):

@@ -10,7 +10,7 @@ from mlflow.entities import Run as StoredRun
 from stored_runs import client, runs
 
 from gran_bench.config import TrackingConfig
-from gran_bench.tracking import Child, end_child, fill_stand_ins, open_run, reopen_ended, schedule_children
+from gran_bench.tracking import Child, end_child, open_run, reopen_ended, schedule_children
 
 # SQLAlchemy's word to MLflow, which a user never sees either.
 pytestmark = pytest.mark.filterwarnings("ignore:The ``noload`` loader strategy")
@@ -50,35 +50,23 @@ def under(config: TrackingConfig, parent: str) -> dict[str, StoredRun]:
     return {run.info.run_name: run for run in runs(config) if run.data.tags.get("mlflow.parentRunId") == parent}
 
 
-def test_a_run_that_two_sweeps_share_stays_with_the_first_and_a_stand_in_shows_it_in_the_second(config: TrackingConfig):
+def test_a_run_that_two_sweeps_share_stays_with_the_first_and_its_tag_names_both(config: TrackingConfig):
     first = sweep_parent(config)
     schedule_children(config, first, [Child("R1", "one"), Child("R2", "two")])
     with open_run(config, "boundary", "second", {}, {"sweep": "boundary"}) as second:
         pass
-    theirs = [Child("R1", "one", called="boundary+kind-spheres"), Child("R3", "three")]
-    for _ in "12":  # the same command again makes none again
-        schedule_children(config, second.run_id, theirs)
+    for parent in (second.run_id, second.run_id, first):  # the same commands again change nothing
+        schedule_children(config, parent, [Child("R1", "one")])
+    schedule_children(config, second.run_id, [Child("R3", "three")])
     assert set(under(config, first)) == {"R1", "R2"}
-    assert {name: run.info.status for name, run in under(config, second.run_id).items()} == {
-        "kind-spheres": "SCHEDULED",
-        "R3": "SCHEDULED",
-    }
-    with open_run(config, "R1", "one", {"model": {"radius": 0.1}}, {"commit": "abc"}) as run:
-        run.log_metrics({"headline/angle": 1.5})
-    for _ in "12":
-        fill_stand_ins(config, second.run_id)
-    shown = under(config, second.run_id)["kind-spheres"]
-    assert shown.info.status == "FINISHED"
-    assert shown.data.params == {"model.radius": "0.1"}
-    assert shown.data.metrics == {"headline/angle": 1.5}
-    assert (shown.data.tags["sweep"], shown.data.tags["commit"]) == ("boundary", "abc")
-    assert run.run_id in shown.data.tags["mlflow.note.content"]
-    # No command takes the stand-in for the run.
-    with open_run(config, "R1", "one", {}) as again:
-        assert again.run_id == run.run_id
+    assert set(under(config, second.run_id)) == {"R3"}
+    # As README says it.
+    experiment, both = runs(config)[0].info.experiment_id, "tags.sweep LIKE '%boundary%'"
+    found = {run.info.run_name: run.data.tags["sweep"] for run in client(config).search_runs([experiment], both)}
+    assert found == {"R1": "sweep_radius, boundary", "R3": "boundary", "boundary": "boundary"}
 
 
-def test_an_orphan_is_taken_in_and_what_stood_for_it_goes(config: TrackingConfig):
+def test_an_orphan_is_taken_in(config: TrackingConfig):
     with open_run(config, "single", "one", {}):
         pass
     first, child = sweep_parent(config), Child("single", "one", finished=True)
@@ -86,11 +74,10 @@ def test_an_orphan_is_taken_in_and_what_stood_for_it_goes(config: TrackingConfig
     assert set(under(config, first)) == {"single"}
     with open_run(config, "another sweep", "second", {}, {"sweep": "another"}) as other:
         pass
-    schedule_children(config, other.run_id, [child])
     client(config).delete_run(first)
     schedule_children(config, other.run_id, [child])
     (name, run), *more = under(config, other.run_id).items()
-    assert (name, run.data.tags["sweep"], more) == ("single", "another", [])
+    assert (name, run.data.tags["sweep"], more) == ("single", "sweep_radius, another", [])
     assert run.data.tags["gran_bench.key"] == "one"
 
 

@@ -106,21 +106,6 @@ class Described:
     apart: bool = False
 
 
-@dataclass(frozen=True)
-class PlannedJob:
-    """A job of a sweep before it runs.
-
-    Attributes:
-        run: name of its run, without the key.
-        choices: what the command line changed, by key.
-        config: checked.
-    """
-
-    run: str
-    choices: dict[str, str]
-    config: TrainConfig
-
-
 def described_jobs(source: Source, overrides: Sequence[str], multirun: bool) -> Described:
     """Compose every job of a command line: the one, or the product of all swept values.
 

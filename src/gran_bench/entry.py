@@ -20,7 +20,6 @@ from gran_bench.compose import (
     CONFIG_MODULE,
     VERSION_BASE,
     Described,
-    PlannedJob,
     Source,
     changed_in,
     checked_config,
@@ -33,8 +32,9 @@ from gran_bench.config.override_errors import explain
 from gran_bench.config.rules import ConfigError
 from gran_bench.processes import quiet_without_reader
 from gran_bench.provenance import program
-from gran_bench.sweep.job import FAILED, REFUSED, Job, complain
 from gran_bench.sweep.launcher import JobError, load_ahead, register_launcher
+from gran_bench.sweep.sweep_file import SweepJob
+from gran_bench.sweep.task import FAILED, REFUSED, Task, complain
 
 if TYPE_CHECKING:
     from gran_bench.sweep.jobs import Sweep
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 __all__ = ["FAILED", "REFUSED", "checked_config", "complain", "compose", "run", "run_folder"]
 
 # Called with the jobs of a multirun and the name of its folder; what the block gets goes to each job.
-OpenSweep = Callable[[Sequence[PlannedJob], str], AbstractContextManager["Sweep"]]
+OpenSweep = Callable[[Sequence[SweepJob], str], AbstractContextManager["Sweep"]]
 
 
 def run(
@@ -89,7 +89,7 @@ def _run(
         sys.exit(FAILED if explain(error, schema) is None else REFUSED)
 
     # Found here: a job of a multirun may run in a process that a launcher started.
-    job = Job(task, source, schema, [*program(), *source.flags])
+    each = Task(task, source, schema, [*program(), *source.flags])
     around: AbstractContextManager[Any] = nullcontext()
     try:
         if multirun and configs:
@@ -99,8 +99,8 @@ def _run(
                 swept = swept_keys([overrides for overrides, _ in described.jobs])
                 name = run_folder(configs[0].experiment, arguments.overrides, swept)
                 around = sweep(_planned(described, configs), name)
-        with around as job.sweep:
-            _run_in_hydra(job, config_name)
+        with around as each.sweep:
+            _run_in_hydra(each, config_name)
     except KeyboardInterrupt as stop:
         number = getattr(signal.Signals, str(stop), signal.SIGINT)
         print(f"stopped by {number.name}; the same command goes on from here", file=sys.stderr)
@@ -109,36 +109,36 @@ def _run(
         raise
     except Exception as error:
         sys.exit(max(FAILED, complain(error, schema)))
-    if not job.failures:
+    if not each.failures:
         sys.exit(0)
     if multirun:  # said already, where it happened
         print("error: at least one job of the multirun failed; its message is above", file=sys.stderr)
         sys.exit(FAILED)
-    if isinstance(job.failures[0], BrokenPipeError):
-        raise job.failures[0]
-    sys.exit(complain(job.failures[0], schema))
+    if isinstance(each.failures[0], BrokenPipeError):
+        raise each.failures[0]
+    sys.exit(complain(each.failures[0], schema))
 
 
-def _run_in_hydra(job: Job, config_name: str) -> None:
-    """Let Hydra compose and launch; failures of jobs, which have been said, are in ``job.failures`` afterwards."""
+def _run_in_hydra(task: Task, config_name: str) -> None:
+    """Let Hydra compose and launch; failures of jobs, which have been said, are in ``task.failures`` afterwards."""
     decorate = hydra.main(config_path=f"pkg://{CONFIG_MODULE}", config_name=config_name, version_base=VERSION_BASE)
     try:
-        decorate(job)()
+        decorate(task)()
     except JobError as error:
-        job.failures.append(error)
+        task.failures.append(error)
     except Exception as error:
-        if error not in job.failures:
+        if error not in task.failures:
             raise
 
 
-def _planned(described: Described, configs: Sequence[Any]) -> list[PlannedJob]:
+def _planned(described: Described, configs: Sequence[Any]) -> list[SweepJob]:
     """The jobs of a sweep, each with the name of its run, which has every swept key in it."""
     swept, planned = swept_keys([overrides for overrides, _ in described.jobs]), []
     for (overrides, _), config in zip(described.jobs, configs, strict=True):
         run_name = config.tracking.folder or run_folder(config.experiment, overrides, swept)
         config.tracking.folder = run_name
         choices = dict(line.partition("=")[::2] for line in changed_in(overrides, swept))
-        planned.append(PlannedJob(run_name, choices, config))
+        planned.append(SweepJob(run_name, choices, config.seed, config=config))
     return planned
 
 

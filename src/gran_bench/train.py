@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
-from gran_bench.compose import PlannedJob
 from gran_bench.config import TrainConfig
 from gran_bench.entry import run
+from gran_bench.sweep.sweep_file import SweepJob
 
 # All that decides a result, so that a job of a sweep runs what the sweep began with, whatever is edited meanwhile.
 LOADS = [
@@ -25,7 +25,7 @@ def task(config: TrainConfig) -> object:
     return run_experiment(config)
 
 
-def sweep(jobs: Sequence[PlannedJob], name: str) -> AbstractContextManager[Any]:
+def sweep(jobs: Sequence[SweepJob], name: str) -> AbstractContextManager[Any]:
     """What happens around the jobs of a multirun."""
     from gran_bench.sweep.opening import open_sweep
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import sqlite3
 import subprocess
 import sys
@@ -17,9 +18,10 @@ from typing import Any
 from gran_bench.compose import override
 from gran_bench.processes import kill_group, start_program
 from gran_bench.run.record import MODEL
-from gran_bench.run.run_file import FINISHED, SWEEPS, read_runs
 from gran_bench.run.summary import SUMMARY
 from gran_bench.surrogate.checkpoint import load_card
+from gran_bench.sweep.runs import FINISHED, read_runs
+from gran_bench.sweep.sweep_file import SWEEPS
 from gran_bench.tracking.address import DATABASE
 
 SWEEP = "kills"  # name of the sweep
@@ -27,13 +29,9 @@ RADII = (0.06, 0.065)  # m
 PATIENCE = 900.0  # s, of a sweep that would otherwise be waited for for ever
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 JUDGED = ("judged_rpm", "judged", "nearest_case", "position_error", "data_digest")  # of a summary; no times
-# What a run's record says of times, of the machine and of the file that holds the weights, which has times in it.
-TIMED = {
-    "figures": ("ms_per_frame", "training_minutes"),
-    "training": ("seconds",),
-    "facts": ("wall_seconds", "dem_ms_per_frame", "model_sha256", "provenance"),
-    "headline": ("rollout ms per frame", "training minutes"),
-}
+# What a run's row says of times, of the machine and of the file that holds the weights, which has times in it.
+TIMED_FIGURE = re.compile("wall_seconds/|.*ms_per_frame|.*ms per frame|.*minutes")
+UNTIMED_FACTS = ("judged", "broken_rollouts", "data_digest", "made_with", "model", "budget")
 
 
 def sweep_command(data: Path, jobs: int) -> list[str]:
@@ -118,9 +116,9 @@ def records_of(folder: Path) -> dict[str, dict[str, Any]]:
     for run in read_runs(folder / "results" / SWEEPS / SWEEP):
         said = asdict(run)
         del said["ended_at"]
-        said["headline"] = said["facts"].pop("headline", {})
-        for part, names in TIMED.items():
-            said[part] = {name: value for name, value in said[part].items() if name not in names}
+        said["training"].pop("seconds", None)
+        said["figures"] = {name: value for name, value in run.figures.items() if not TIMED_FIGURE.match(name)}
+        said["facts"] = {name: text for name, text in run.facts.items() if name in UNTIMED_FACTS}
         records[run.run] = said
     return records
 

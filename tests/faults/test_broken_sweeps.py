@@ -10,14 +10,15 @@ import pytest
 from omegaconf import DictConfig
 from sweeps import statuses, stored, sweep_command
 
-from gran_bench.compose import PlannedJob, Source, changed_in, checked_config, described_jobs
+from gran_bench.compose import Source, changed_in, checked_config, described_jobs
 from gran_bench.config import TrainConfig
 from gran_bench.config.override_errors import explain
 from gran_bench.run import experiment
-from gran_bench.run.run_file import read_runs
-from gran_bench.sweep.job import Job
 from gran_bench.sweep.jobs import Sweep
 from gran_bench.sweep.opening import open_sweep
+from gran_bench.sweep.runs import read_runs
+from gran_bench.sweep.sweep_file import SweepJob
+from gran_bench.sweep.task import Task
 from gran_bench.tracking import TrackingError
 
 
@@ -28,18 +29,19 @@ def described(place: Path, root: Path, *more: str) -> list[tuple[list[str], Dict
     return described_jobs(Source("train"), [*lines, "+experiment=smoke"], multirun=True).jobs
 
 
-def planned(place: Path, root: Path, *more: str) -> list[PlannedJob]:
+def planned(place: Path, root: Path, *more: str) -> list[SweepJob]:
     """The two jobs of a quick sweep."""
     jobs = []
     for overrides, composed in described(place, root, *more):
         config = checked_config(composed, TrainConfig)
         radius = next(line.partition("=")[2] for line in overrides if line.startswith("model.radius"))
         config.tracking.folder = f"R{radius}"
-        jobs.append(PlannedJob(f"R{radius}", dict(x.partition("=")[::2] for x in changed_in(overrides)), config))
+        choices = dict(line.partition("=")[::2] for line in changed_in(overrides))
+        jobs.append(SweepJob(f"R{radius}", choices, config.seed, config=config))
     return jobs
 
 
-def do(sweep: Sweep, jobs: list[PlannedJob], number: int) -> None:
+def do(sweep: Sweep, jobs: list[SweepJob], number: int) -> None:
     """What a job of the sweep does, but for its log."""
     if number not in sweep.done:
         jobs[number].config.tracking.parent = sweep.parent
@@ -89,8 +91,8 @@ def test_a_run_is_finished_in_the_table_though_the_store_failed_at_its_end(place
 
     def first_life() -> None:
         with open_sweep(planned(place, root), "kills") as sweep:
-            job = Job(experiment.run_experiment, Source("train"), TrainConfig, ["python"], sweep)
-            assert not job.apart(overrides, 0)  # the exit code says that something went wrong
+            task = Task(experiment.run_experiment, Source("train"), TrainConfig, ["python"], sweep)
+            assert not task.apart(overrides, 0)  # the exit code says that something went wrong
 
     with pytest.raises(TrackingError):
         first_life()
@@ -148,12 +150,13 @@ def test_a_run_that_any_sweep_has_recorded_is_not_done_again_and_the_store_learn
     jobs = planned(place, here, "tracking.enabled=false")
     with open_sweep(jobs, "mine") as sweep:
         do(sweep, jobs, 0)
-    # Another machine has the committed small files, and nothing else.
-    shutil.copytree(here / "sweeps" / "kills" / "runs", there / "sweeps" / "committed" / "runs")
+    # Another machine has the committed table, and nothing else.
+    (there / "sweeps" / "committed").mkdir(parents=True)
+    shutil.copy(here / "sweeps" / "kills" / "runs.csv", there / "sweeps" / "committed")
     jobs = planned(place, there)
     with open_sweep(jobs, "mine") as sweep:
         assert list(sweep.done) == [0]
-        assert "its record is" in sweep.done[0]
+        assert "its row is in" in sweep.done[0]
     assert not list(there.glob("runs/R0.06-*"))
     assert statuses(there) == ["FINISHED", "SCHEDULED"]
     assert [run.run for run in read_runs(there / "sweeps" / "kills")] == ["R0.06"]
@@ -163,8 +166,8 @@ def test_a_run_that_any_sweep_has_recorded_is_not_done_again_and_the_store_learn
     assert "headline/speed W1 m per s" in keys
     # Where the run was made, not where it was recorded again.
     (kept,) = read_runs(there / "sweeps" / "kills")
-    assert kept.facts["copied_from"].startswith("committed/runs/R0.06-")
-    assert tags["commit"] == kept.facts["provenance"]["commit"]
+    assert kept.facts["copied_from"] == "committed, R0.06"
+    assert tags["commit"] == kept.facts["commit"]
     assert "made elsewhere" in tags["folder"]
 
 

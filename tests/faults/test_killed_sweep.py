@@ -23,7 +23,7 @@ from sweeps import (
     sweep_command,
 )
 
-from gran_bench.run.run_file import read_runs
+from gran_bench.sweep.runs import read_runs
 
 JOBS = 4
 

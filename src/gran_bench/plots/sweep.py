@@ -13,12 +13,12 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from gran_bench.plots.style import BASELINE, DEM, FURTHER, QUIET, SURROGATE, drawing, say
 
 PANELS = (
-    ("angle_error_floors", "angle error, noise floors"),
-    ("com_angle_error_floors", "centre-of-mass angle, floors"),
-    ("speed_w1_floors", "speed W1, noise floors"),
-    ("position_error_10_frames_mm", "position error after 10 frames, mm"),
-    ("ms_per_frame", "time for a frame, ms"),
-    ("updates", "updates in the time given"),
+    ("headline/angle error floors", "angle error, noise floors"),
+    ("headline/com angle error floors", "centre-of-mass angle, floors"),
+    ("headline/speed W1 floors", "speed W1, noise floors"),
+    ("headline/position error 10 frames mm", "position error after 10 frames, mm"),
+    ("headline/rollout ms per frame", "time for a frame, ms"),
+    ("training.steps", "updates in the time given"),
 )
 LOG_FROM = 15.0  # largest over smallest figure from which a panel is logarithmic
 CROWDED = 4  # numbers below an axis from which on they would touch

@@ -14,12 +14,12 @@ from gran_bench.benchmark.claims import Entry, EqualAccuracy, equal_accuracy, fr
 from gran_bench.benchmark.results import entries, read_all
 from gran_bench.benchmark.sentences import softened
 from gran_bench.provenance import read_table
-from gran_bench.run.run_file import FAILED as RUN_FAILED
-from gran_bench.run.run_file import SWEEPS
 from gran_bench.run.summary import missed_requirements, read_summary
 from gran_bench.stress.expectation import FAILED
 from gran_bench.stress.page import TABLE, count, early_ends
+from gran_bench.sweep.runs import FAILED as RUN_FAILED
 from gran_bench.sweep.standing import read_standing
+from gran_bench.sweep.sweep_file import SWEEPS
 from gran_bench.verification.report import JSON
 
 # What is committed. A reader's own runs and sweeps lie beside these and are not on the page.
@@ -113,7 +113,7 @@ def failures_table(root: Path) -> Iterator[str]:
         yield _failures("[benchmark](benchmark/README.md)", last, words)
     runs = [run for name in SHIPPED_SWEEPS for run in read_standing(root / SWEEPS / name).counted]
     if runs:
-        lost = sum(bool(run.facts.get("broken_rollouts")) for run in runs)
+        lost = sum("broken_rollouts" in run.facts for run in runs)
         words = f"{sum(run.status == RUN_FAILED for run in runs)} of {len(runs)} runs; {lost} broke down in a rollout"
         yield _failures("[sweeps](sweeps/README.md)", {"day": max(run.ended_at for run in runs)[:10]}, words)
 

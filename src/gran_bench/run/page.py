@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -65,10 +65,15 @@ def record_judgement(run: tracking.Run, summary: dict[str, Any], folder: Path, f
     kept = list(figures)
     for figure in kept:
         run.log_artifact(figure, FIGURES)
-    tags = {"model": summary["model"]["name"], "judged": f"{summary['judged_as']}, {summary['judged_rpm']:g} rpm"}
+    tags = {"model": summary["model"]["name"], "judged": judged_words(summary)}
     for name, value in tags.items():
         run.set_tag(name, value)
     run.set_tag("mlflow.note.content", description(summary, folder, [path.name for path in kept], run.run_id))
+
+
+def judged_words(summary: Mapping[str, Any]) -> str:
+    """On which speed a run was judged: ``validation, 35 rpm``."""
+    return f"{summary['judged_as']}, {summary['judged_rpm']:g} rpm"
 
 
 def description(summary: dict[str, Any], folder: Path, figures: Sequence[str], run_id: str | None) -> str:

@@ -20,7 +20,6 @@ from gran_bench.files import locked, write_atomically, write_text
 from gran_bench.provenance import command, provenance
 from gran_bench.run.identity import RunIdentity
 from gran_bench.run.page import FIGURES, params_of, record_judgement
-from gran_bench.run.run_file import read_run
 from gran_bench.run.summary import read_summary, summary_table, write_summary
 from gran_bench.surrogate.checkpoint import MODEL
 
@@ -125,21 +124,20 @@ class RunRecord:
             record_judgement(run, summary, folder, sorted((folder / FIGURES).glob("*")))
             run.log_artifact(write_summary(folder / TRACKED, summary))
 
-    def record_file(self, path: Path) -> None:
-        """Put a run into a tracking store that does not know it, of which nothing is here but a sweep's small file.
+    def record_row(self, figures: Mapping[str, float], made: Mapping[str, str], source: Path) -> None:
+        """Put a run into a tracking store that does not know it, of which nothing is here but a row of a sweep's table.
 
         Args:
-            path: of the file.
+            figures: by their names in the store.
+            made: provenance.
+            source: folder of the sweep.
 
         Raises:
             TrackingError: the store does not take it.
         """
-        kept = read_run(path)
-        with self.opened(kept.facts["provenance"]) as run:
-            run.set_tag("folder", f"made elsewhere; what is here of it: {path}")
-            figures = {f"{tracking.HEADLINE}{name}": value for name, value in kept.facts["headline"].items()}
+        with self.opened(made) as run:
+            run.set_tag("folder", f"made elsewhere; what is here of it: a row in {source}")
             run.log_metrics(figures, supersede=True)
-            run.log_artifact(path)
 
 
 def finished_summary(identity: RunIdentity) -> dict[str, Any] | None:

@@ -47,7 +47,7 @@ def headline(summary: dict[str, Any]) -> dict[str, float]:
         "rollout ms per frame": rollout["ms_per_frame_median"],
         "training minutes": summary["training"]["seconds"] / 60.0,
         "requirements failed": float(len(missed_requirements(summary))),
-        "rollouts failed": float(len(_broken_rollouts(summary))),
+        "rollouts failed": float(len(broken_rollouts(summary))),
     }
     return {name: float(value) for name, value in found.items() if value is not None}
 
@@ -64,10 +64,10 @@ def missed_requirements(summary: dict[str, Any]) -> list[str]:
         if not row["is_own"]:
             nearest = "nothing" if row["nearest_rpm"] is None else f"{row['nearest_rpm']:g} rpm"
             missed.append(f"rolled out at {name}, nearest to {nearest}")
-    return missed + [f"rollout {name} broke down at frame {k}" for name, k in _broken_rollouts(summary).items()]
+    return missed + [f"rollout {name} broke down at frame {k}" for name, k in broken_rollouts(summary).items()]
 
 
-def _broken_rollouts(summary: dict[str, Any]) -> dict[str, int]:
+def broken_rollouts(summary: dict[str, Any]) -> dict[str, int]:
     """The frame at which each rollout that broke down did so, by the rollout's name."""
     frames = {name: row["failed_frame"] for name, row in summary["rollouts"].items()}
     return {name: frame for name, frame in frames.items() if frame is not None}
@@ -163,7 +163,7 @@ def summary_table(summary: dict[str, Any]) -> str:
         nearest = "undefined" if row["nearest_rpm"] is None else f"{row['nearest_rpm']:g} rpm"
         alone = "  [the only speed, so there is none to be told from]" if len(summary["nearest_case"]) == 1 else ""
         lines.append(f"  {name:<56}{nearest:>16}  {'pass' if row['is_own'] else 'fail'}{alone}")
-    for name, frame in _broken_rollouts(summary).items():
+    for name, frame in broken_rollouts(summary).items():
         lines.append(f"  {'rollout ' + name:<56}{f'failed at frame {frame}':>16}  fail")
     lines += [f"  {line}" for line in rollout_warnings(summary)]
     errors = summary["position_error"].values()
@@ -183,8 +183,13 @@ def summary_table(summary: dict[str, Any]) -> str:
 
 def verdict(summary: dict[str, Any]) -> str:
     """Whether the requirements are met, and how many of the figures that none of them is about are unlike the DEM's."""
-    missed, unlike = len(missed_requirements(summary)), sum(
-        row["inside_interval"] is False for judged in summary["judged"].values() for row in judged["figures"].values()
+    missed, unlike = (
+        len(missed_requirements(summary)),
+        sum(
+            row["inside_interval"] is False
+            for judged in summary["judged"].values()
+            for row in judged["figures"].values()
+        ),
     )
     words = f"{counted(missed, 'requirement')} NOT met" if missed else "all requirements met"
     further = "lies" if unlike == 1 else "lie"

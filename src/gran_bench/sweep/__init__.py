@@ -1,1 +1,1 @@
-"""What a sweep keeps and says: a small file a run, a table of its choices, a figure of each axis, what failed."""
+"""What a sweep keeps and says: a table of its runs and of its choices, a figure of each axis, what failed."""

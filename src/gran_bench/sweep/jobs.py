@@ -6,15 +6,13 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
 from gran_bench.provenance import command
-from gran_bench.run.identity import RunIdentity, run_place
 from gran_bench.run.record import finished_summary, tell
-from gran_bench.run.run_file import MADE, RunFile, failed_run, finished_run, now
-from gran_bench.run.summary import headline
+from gran_bench.sweep.runs import SweepRun, failed_run, finished_run, now
 from gran_bench.sweep.sweep_file import SweepJob
 
 
@@ -28,7 +26,6 @@ class Sweep:
         parent: id of the parent run; None without tracking.
         done: why a job has nothing to do, by number.
         hashes: of the source that the sweep began with.
-        made_with: model, code and budget, by number: what tells runs that may stand in one table.
     """
 
     folder: Path
@@ -36,7 +33,6 @@ class Sweep:
     parent: str | None = None
     done: dict[int, str] = field(default_factory=dict)
     hashes: dict[str, str] = field(default_factory=dict)
-    made_with: tuple[dict[str, Any], ...] = ()
 
     def title(self, number: int) -> str:
         """A job for people."""
@@ -72,17 +68,19 @@ class Sweep:
                     os.dup2(saved, descriptor)
                     os.close(saved)
 
-    def finished(self, number: int, summary: dict[str, Any]) -> RunFile:
+    def finished(self, number: int, summary: dict[str, Any]) -> SweepRun:
         """Keep what a job found."""
-        left = finished_file(self.jobs[number], summary, self.made_with[number])
+        left = finished_run(self.jobs[number], summary)
         left.write(self.folder)
         return left
 
-    def finished_unrecorded(self, number: int) -> RunFile | None:
-        """Keep what a job found whose record the tracking store did not take; None where it found nothing."""
-        job, root = self.jobs[number], self.folder.parent.parent
-        summary = finished_summary(RunIdentity(run_place(root, job.run, job.key), job.key, job.judged_by, ""))
-        return None if summary is None else self.finished(number, summary)
+    def finished_unrecorded(self, number: int) -> bool:
+        """Keep what a job found whose record the tracking store did not take; whether it found anything."""
+        identity = self.jobs[number].identity
+        summary = None if identity is None else finished_summary(identity)
+        if summary is not None:
+            self.finished(number, summary)
+        return summary is not None
 
     def failed(self, number: int, reason: str, into_log: bool = False) -> None:
         """Keep why a job failed.
@@ -96,10 +94,8 @@ class Sweep:
         if into_log:
             with suppress(OSError), open(self.folder / job.log_name, "a", encoding="utf-8") as log:
                 log.write(f"error: {reason}\n")
-        facts = {"log": job.log_name, MADE: self.made_with[number]}
-        left = failed_run(job.run, job.key, job.judged_by, job.choices, job.seed, reason, facts)
         try:
-            left.write(self.folder)
+            failed_run(job, reason).write(self.folder)
         except OSError as error:  # of a full disk, say: the reason stands on the terminal and in the log
             tell(f"{self.title(number)}: its failure could not be kept in {self.folder}: {error}")
 
@@ -117,16 +113,3 @@ class _Both:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._terminal, name)
-
-
-def finished_file(job: SweepJob, summary: dict[str, Any], made_with: dict[str, Any]) -> RunFile:
-    """What a finished job keeps.
-
-    Args:
-        job: that is finished.
-        summary: of its run.
-        made_with: model, code and budget.
-    """
-    figures = headline(summary)
-    left = finished_run(job.run, job.key, job.choices, job.seed, summary, figures["requirements failed"])
-    return replace(left, facts=left.facts | {"headline": figures, "log": job.log_name, MADE: made_with})

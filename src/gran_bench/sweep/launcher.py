@@ -27,7 +27,7 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
 from gran_bench.compose import LAUNCHER
-from gran_bench.sweep.job import Job
+from gran_bench.sweep.task import Task
 
 SAID = 3  # exit code of a job's process that failed and said so; Python itself ends with 1
 LOST = 255  # what `multiprocessing` gives for a job whose fork server, which would know its exit code, is gone
@@ -43,12 +43,12 @@ class ProcessLauncher(Launcher):
 
     def __init__(self, n_jobs: int = 2) -> None:
         self.n_jobs = max(1, n_jobs)
-        self.job: Job | None = None
+        self.task: Task | None = None
         self.sweep_dir = Path()
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         """Remember what to run; Hydra calls this first."""
-        self.job, self.sweep_dir = task_function, Path(str(config.hydra.sweep.dir))
+        self.task, self.sweep_dir = task_function, Path(str(config.hydra.sweep.dir))
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Run jobs and wait for all of them.
@@ -70,10 +70,10 @@ class ProcessLauncher(Launcher):
             while waiting or running:
                 while waiting and len(running) < self.n_jobs:
                     number, overrides = waiting.pop(0)
-                    if (reason := self.job.nothing_to_do(number)) is not None:
+                    if (reason := self.task.nothing_to_do(number)) is not None:
                         print(reason, file=sys.stderr, flush=True)
                         continue
-                    running[number] = _started(self.job, overrides, number)
+                    running[number] = _started(self.task, overrides, number)
                 if not running:  # none of the rest had anything to do, and no end of theirs would come
                     break
                 connection.wait([process.sentinel for process in running.values()])
@@ -83,7 +83,7 @@ class ProcessLauncher(Launcher):
                     if code == LOST:
                         _end_lost(process.pid)
                     if code not in (0, SAID):
-                        self.job.died(number, _last_words(code))
+                        self.task.died(number, _last_words(code))
                     failed += code != 0
         if failed:
             raise JobError(f"{failed} of {len(results)} jobs failed")
@@ -107,18 +107,18 @@ def load_ahead(modules: Sequence[str]) -> None:
     forkserver.ensure_running()
 
 
-def _started(job: Job, overrides: list[str], number: int) -> ForkServerProcess:
+def _started(task: Task, overrides: list[str], number: int) -> ForkServerProcess:
     context = multiprocessing.get_context("forkserver")
-    process = context.Process(target=_run, args=(job, overrides, number), name=f"job {number}")
+    process = context.Process(target=_run, args=(task, overrides, number), name=f"job {number}")
     process.start()
     return process
 
 
-def _run(job: Job, overrides: list[str], number: int) -> None:
+def _run(task: Task, overrides: list[str], number: int) -> None:
     """The whole life of a job's process."""
     threading.Thread(target=_stop_with, args=(multiprocessing.parent_process(),), daemon=True).start()
     try:
-        code = 0 if job.apart(overrides, number) else SAID
+        code = 0 if task.apart(overrides, number) else SAID
     except KeyboardInterrupt as stop:
         code = 128 + getattr(signal.Signals, str(stop), signal.SIGINT)
     sys.stdout.flush()

@@ -5,66 +5,63 @@ The jobs themselves may run anywhere: what they need of their sweep is plain dat
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from gran_bench import tracking
-from gran_bench.compose import PlannedJob
 from gran_bench.config import TrackingConfig, TrainConfig
 from gran_bench.config.identity import telling_keys
 from gran_bench.config.reading import validate
 from gran_bench.config.rules import ConfigError
-from gran_bench.dataset import DatasetError
+from gran_bench.dataset import CaseSpec, DatasetError, ensure_cases
 from gran_bench.files import locked
 from gran_bench.processes import stop_on_signals
 from gran_bench.provenance import command, commit
 from gran_bench.provenance.source_digest import MODELS, judging_code, taken_hashes, training_code
-from gran_bench.run.identity import RunIdentity, hash_of, identify, judged_by, judging_plan, wants_more
-from gran_bench.run.record import finished_summary, tell
-from gran_bench.run.run_file import RUNS, SWEEPS, copied_run, read_run, recorded_runs
-from gran_bench.sweep.data import make_data
-from gran_bench.sweep.jobs import Sweep, finished_file
-from gran_bench.sweep.records import schedule_jobs, settle_runs
-from gran_bench.sweep.sweep_file import SweepFile, SweepJob
+from gran_bench.run.identity import all_cases, hash_of, identify, judged_by, judging_plan, wants_more
+from gran_bench.run.record import Clock, RunRecord, finished_summary, tell
+from gran_bench.sweep.jobs import Sweep
+from gran_bench.sweep.runs import SweepRun, budget_of, copied_run, finished_run, fold_runs, recorded_runs
+from gran_bench.sweep.sweep_file import SWEEPS, SweepFile, SweepJob
 from gran_bench.sweep.sweep_report import SweepReport, log_report, report_sweep
 
 
 @contextmanager
-def open_sweep(planned: Sequence[PlannedJob], name: str) -> Iterator[Sweep]:
+def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
     """Prepare a sweep, let its jobs run in the block, and report.
 
     Args:
-        planned: its jobs, in the order of their numbers.
+        planned: its jobs with their configs, in the order of their numbers.
         name: of its folder, unless the config names one.
 
     Raises:
         ConfigError: two jobs are the same run, or a value that none can have.
         TrackingError: the store cannot be opened; or, at the end, something could not be recorded.
-        SweepFileError: a file of an earlier sweep is damaged.
+        SweepFileError: a file of the folder is damaged.
     """
     for job in planned:
         validate(job.config)
     _refuse_twins(planned)
     config: TrackingConfig = planned[0].config.tracking
-    root = Path(config.root).resolve()
-    folder = root / SWEEPS / (config.sweep or name)
+    folder = Path(config.root).resolve() / SWEEPS / (config.sweep or name)
     with stop_on_signals(), locked(folder / ".lock", lambda: tell(f"another process runs {folder}; waiting for it")):
         tell(f"sweep of {len(planned)} jobs in {folder}")
+        fold_runs(folder)  # what a life that was killed has left
         make_data([job.config for job in planned])
-        identities = [_identity(job.config) for job in planned]
-        jobs = tuple(_sweep_job(*pair) for pair in zip(planned, identities, strict=True))
+        jobs = tuple(_identified(job) for job in planned)
         key = hash_of("sweep", folder.name)  # all commands of a folder share its table, so they share its parent
         SweepFile(folder.name, key, command(), config.experiment, list(jobs)).write(folder)
-        summaries = _finished_here(planned, identities)
-        done = _done(root, folder, planned, identities, jobs, summaries)
-        made_with = tuple(_made_with(job.config) for job in planned)
-        sweep = Sweep(folder, jobs, done=done, hashes=taken_hashes(), made_with=made_with)
+        summaries, rows = _finished(folder, jobs)
+        done = {number: f"finished before; its row is in {source}" for number, (source, _) in rows.items()}
+        done |= {n: f"finished before; its figures and summary are in {jobs[n].identity.folder}" for n in summaries}
+        sweep = Sweep(folder, jobs, done=done, hashes=taken_hashes())
         with tracking.open_run(config, folder.name, key, _axes(planned), _tags(folder)) as parent:
             sweep = replace(sweep, parent=parent.run_id)
-            schedule_jobs(sweep, planned, identities, summaries)
+            _schedule(sweep, summaries, rows)
             try:
                 yield sweep
             finally:
@@ -76,9 +73,9 @@ def open_sweep(planned: Sequence[PlannedJob], name: str) -> Iterator[Sweep]:
 # ---- before the jobs -------------------------------------------------------------------------------------
 
 
-def _refuse_twins(planned: Sequence[PlannedJob]) -> None:
+def _refuse_twins(planned: Sequence[SweepJob]) -> None:
     """Refuse two jobs that would train the same weights, before any data is made: one run cannot be two rows."""
-    first: dict[str, PlannedJob] = {}
+    first: dict[str, SweepJob] = {}
     for job in planned:
         # Which data a run is trained on follows from its config too.
         twin = first.setdefault(hash_of(telling_keys(job.config)), job)
@@ -96,70 +93,70 @@ def _refuse_twins(planned: Sequence[PlannedJob]) -> None:
         raise ConfigError(f"{one} and {other}: two jobs of the sweep ({job.run}) would be the same run, because {why}")
 
 
-def _identity(config: TrainConfig) -> RunIdentity | None:
-    """Who a run is; None where its data are not there, which its job will say."""
+def make_data(configs: Sequence[TrainConfig]) -> None:
+    """Make every run of the DEM that the jobs need and that is not there, so that no two jobs wait for each other.
+
+    What cannot be made is told and left to the jobs that need it: they fail, the others go on.
+
+    Args:
+        configs: of the jobs, checked.
+    """
+    wanted: dict[tuple[str, int], list[CaseSpec]] = defaultdict(list)
+    for config in configs:
+        wanted[config.dataset.root, config.dataset.workers] += all_cases(config)
+    for (root, workers), specs in wanted.items():
+        by_path = {spec.path(root): spec for spec in specs}
+        tell(f"data of all jobs: {len(by_path)} cases in {root}")
+        try:
+            ensure_cases(by_path.values(), root, workers)
+        except DatasetError as error:
+            tell(f"the jobs that need it will fail: {error}")
+
+
+def _identified(job: SweepJob) -> SweepJob:
+    """A job with who its run is; without, where its data are not there, which the job will say."""
     try:
-        return identify(config)
+        identity = identify(job.config)
     except DatasetError:
-        return None
+        return job
+    # The code of every model counts, so that runs of two commands, one for each model, stand in one table.
+    code = {model: training_code(model) for model in MODELS}
+    made_with = hash_of(code, judging_code(), budget_of(job.config), identity.judged_by, identity.data_digest)
+    return replace(job, key=identity.key, judged_by=identity.judged_by, made_with=made_with, identity=identity)
 
 
-def _sweep_job(planned: PlannedJob, identity: RunIdentity | None) -> SweepJob:
-    key, judge = (identity.key, identity.judged_by) if identity else ("", "")
-    return SweepJob(planned.run, key, judge, planned.choices, planned.config.seed)
+def _finished(
+    folder: Path, jobs: Sequence[SweepJob]
+) -> tuple[dict[int, dict[str, Any]], dict[int, tuple[Path, SweepRun]]]:
+    """What is finished, by number of the job: summaries in this results folder, and rows of any sweep in it.
 
-
-def _finished_here(
-    planned: Sequence[PlannedJob], identities: Sequence[RunIdentity | None]
-) -> dict[int, dict[str, Any]]:
-    """Summaries of the runs that are finished in this results folder, by number."""
-    found = {}
-    for number, (job, identity) in enumerate(zip(planned, identities, strict=True)):
-        summary = finished_summary(identity) if identity else None
-        if summary is not None and not wants_more(job.config, summary["training"]):
-            found[number] = summary
-    return found
-
-
-def _done(
-    root: Path,
-    folder: Path,
-    planned: Sequence[PlannedJob],
-    identities: Sequence[RunIdentity | None],
-    jobs: Sequence[SweepJob],
-    summaries: dict[int, dict[str, Any]],
-) -> dict[int, str]:
-    """Jobs with nothing to do: finished in this results folder, or recorded by any sweep in it. Each has its file."""
-    recorded, damaged = recorded_runs(root)
+    Each has a row of this sweep afterwards.
+    """
+    recorded, damaged = recorded_runs(folder.parent.parent)
     for error in damaged:
         tell(f"not looked at: {error}")
-    done = {}
-    for number, (job, identity) in enumerate(zip(jobs, identities, strict=True)):
-        own, files = folder / RUNS / job.file_name, recorded.get((job.key, job.judged_by), [])
-        if number in summaries:
-            done[number] = f"finished before; its figures and summary are in {identity.folder}"
-            if own not in files:
-                finished_file(job, summaries[number], _made_with(planned[number].config)).write(folder)
-        elif files and not wants_more(planned[number].config, read_run(files[-1]).training):
-            path = own if own in files else files[-1]
-            done[number] = f"finished before; its record is {path}"
-            if own not in files:
-                copied_run(read_run(path), job.run, job.choices, path).write(folder)
-    return done
+    summaries, rows = {}, {}
+    for number, job in enumerate(jobs):
+        if job.identity is None:
+            continue
+        known = recorded.get((job.key, job.judged_by), [])
+        own = next((run for source, run in known if source == folder and run.run == job.run), None)
+        summary = finished_summary(job.identity)
+        if summary is not None and not wants_more(job.config, summary["training"]):
+            summaries[number] = summary
+            left = own or finished_run(job, summary)
+        elif known and not wants_more(job.config, known[-1][1].training):
+            source, run = rows[number] = known[-1]
+            left = own or copied_run(run, job, source)
+        else:
+            continue
+        # Code that decides nothing here may have changed: by now the run is made with what the others are.
+        if own is None or own.facts.get("made_with") != job.made_with:
+            replace(left, facts=left.facts | {"made_with": job.made_with}).write(folder)
+    return summaries, rows
 
 
-def _made_with(config: TrainConfig) -> dict[str, Any]:
-    """What has to be the same for runs to stand in one table; the code of every model, for runs of other commands."""
-    training, time = config.trainer, config.trainer.budget == "time"
-    return {
-        "model": config.model.name,
-        "training_code": {model: training_code(model) for model in MODELS},
-        "judging_code": judging_code(),
-        "budget": f"{training.minutes:g} min" if time else f"{training.steps} updates",
-    }
-
-
-def _axes(planned: Sequence[PlannedJob]) -> dict[str, Any]:
+def _axes(planned: Sequence[SweepJob]) -> dict[str, Any]:
     """Parameters of the parent run: the values of each swept key."""
     keys = sorted({key for job in planned for key in job.choices})
     values = {key: list(dict.fromkeys(job.choices.get(key, "default") for job in planned)) for key in keys}
@@ -170,13 +167,42 @@ def _tags(folder: Path) -> dict[str, str]:
     return {"command": command(), "commit": commit(), tracking.SWEEP_TAG: folder.name}
 
 
+def _schedule(sweep: Sweep, summaries: Mapping[int, dict[str, Any]], rows: Mapping[int, tuple[Path, SweepRun]]) -> None:
+    """A run in the store for each job; one that is finished is recorded where the store does not know it.
+
+    Raises:
+        TrackingError: the store does not take it.
+    """
+    known = {number: job for number, job in enumerate(sweep.jobs) if job.identity is not None}
+    children = [tracking.Child(job.identity.name, job.key, number in sweep.done) for number, job in known.items()]
+    missing = tracking.schedule_children(sweep.jobs[0].config.tracking, sweep.parent, children)
+    for number, job in known.items():
+        if number not in sweep.done or job.key not in missing:
+            continue
+        job.config.tracking.parent = sweep.parent
+        record = RunRecord(job.identity, job.config, job.config.scene.name, Clock())
+        if number in summaries:
+            record.record_again(summaries[number])
+        else:
+            source, run = rows[number]
+            record.record_row(run.figures, run.facts, source)
+
+
 # ---- after the jobs --------------------------------------------------------------------------------------
 
 
 def _report(sweep: Sweep, config: TrackingConfig) -> SweepReport:
-    """Write and print the report, and close the runs whose own process could not."""
+    """Write the table, write and print the report, and close the runs whose own process could not.
+
+    A store that does not answer is told: the report matters more.
+    """
+    fold_runs(sweep.folder)
     report = report_sweep(sweep.folder)
-    settle_runs(config, sweep.parent, report.failed)
+    for run in report.failed:
+        try:
+            tracking.end_child(config, run.key, run.reason)
+        except tracking.TrackingError as error:
+            tell(f"{run.run} is not closed in the store: {error}")
     print(report.text, flush=True)
     tell(f"table and figures of the sweep are in {sweep.folder}{tracking.how_to_compare(config)}")
     return report

@@ -12,20 +12,13 @@ import numpy as np
 import pandas as pd
 
 from gran_bench.files import write_part
-from gran_bench.run.run_file import FINISHED, SWEEPS, RunFile
+from gran_bench.sweep.runs import FINISHED, SweepRun
 from gran_bench.sweep.standing import read_standing
-from gran_bench.sweep.sweep_file import sweep_folders
+from gran_bench.sweep.sweep_file import SWEEPS, sweep_folders
 from gran_bench.sweep.sweep_report import body, figure_paths
 from gran_bench.sweep.table import COLUMNS, TIME, axes_of, changes_work, runs_frame
 
 OVERVIEW = "README.md"
-ERRORS = (
-    "angle_error_floors",
-    "com_angle_error_floors",
-    "speed_w1_floors",
-    "position_error_10_frames_mm",
-    "ms_per_frame",
-)
 CHANCE = 0.05  # share of rows without any effect whose ratio chance alone brings above what a page calls chance
 
 
@@ -67,7 +60,7 @@ class Reach:
         return not self.one_seed and self.factor > self.chance
 
 
-def reaches(runs: Sequence[RunFile]) -> Iterator[Reach]:
+def reaches(runs: Sequence[SweepRun]) -> Iterator[Reach]:
     """For each swept key, each choice of the others and each error: how far that key moves it.
 
     The time of a frame is a figure only of keys that change its work.
@@ -76,19 +69,18 @@ def reaches(runs: Sequence[RunFile]) -> Iterator[Reach]:
         runs: of one sweep, each choice and seed once.
     """
     axes, frame = axes_of(runs), runs_frame(runs)
-    headings = {column.name: column.heading for column in COLUMNS}
     for axis in axes:
         others = [other for other in axes if other != axis]
         groups = frame.groupby(others, sort=False) if others else [((), frame)]
         for values, group in groups:
             values = values if isinstance(values, tuple) else (values,)
             beside = ", ".join(f"{other}={value}" for other, value in zip(others, values, strict=True))
-            for name in ERRORS:
-                if name == TIME and not changes_work(axis):
+            for column in COLUMNS:
+                if not column.ranked or (column.name == TIME and not changes_work(axis)):
                     continue
-                found = _reach(group, axis, name)
+                found = _reach(group, axis, column.name)
                 if found is not None:
-                    yield Reach(axis, beside, headings[name], *found)
+                    yield Reach(axis, beside, column.heading, *found)
 
 
 def _reach(

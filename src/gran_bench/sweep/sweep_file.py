@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from gran_bench.files import write_text
-from gran_bench.run.run_file import RUNS, SWEEPS, SweepFileError
 
+if TYPE_CHECKING:
+    from gran_bench.config import TrainConfig
+    from gran_bench.run.identity import RunIdentity
+
+SWEEPS = "sweeps"  # folder below the results
 SWEEP = "sweep.json"
+TABLE = "runs.csv"  # of the runs that have ended
+RUNS = "runs"  # folder below a sweep's: what jobs leave until the table has it
 LOGS = "logs"  # folder below a sweep's
+KEPT = ("run", "key", "judged_by", "made_with", "choices", "seed")  # of a job, in sweep.json
+
+
+class SweepFileError(RuntimeError):
+    """A file of a sweep that cannot be read; the message names it and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -19,21 +31,27 @@ class SweepJob:
 
     Attributes:
         run: name of its run, without the key.
-        key: hash of what determines its result; empty where its data could not be made.
-        judged_by: hash of what determines its judgement; empty likewise.
         choices: what the command line changed, by key.
         seed: of the run.
+        key: hash of what determines its result; empty where its data could not be made.
+        judged_by: hash of what determines its judgement; empty likewise.
+        made_with: hash of code, data, judge and budget: runs that share it may stand in one table.
+        config: checked; None where the job was read from a file.
+        identity: of its run; None where the data could not be made.
     """
 
     run: str
-    key: str
-    judged_by: str
     choices: dict[str, str]
     seed: int
+    key: str = ""
+    judged_by: str = ""
+    made_with: str = ""
+    config: TrainConfig | None = None
+    identity: RunIdentity | None = None
 
     @property
     def file_name(self) -> str:
-        """Of the file that it leaves."""
+        """Of the small file that it leaves."""
         return f"{self.run}-{self.key[:8]}.json"
 
     @property
@@ -48,7 +66,7 @@ class SweepFile:
 
     Attributes:
         name: of the folder.
-        key: hash of what its jobs are; its identity in the tracking store.
+        key: its identity in the tracking store.
         command: that goes on with it.
         experiment: MLflow experiment that its parent run is in.
         jobs: in the order of their numbers.
@@ -62,7 +80,9 @@ class SweepFile:
 
     def write(self, folder: Path) -> Path:
         """Write ``sweep.json``, whole or not at all."""
-        write_text(folder / SWEEP, json.dumps(asdict(self), indent=1, ensure_ascii=False) + "\n")
+        jobs = [{name: getattr(job, name) for name in KEPT} for job in self.jobs]
+        values: dict[str, Any] = vars(self) | {"jobs": jobs}
+        write_text(folder / SWEEP, json.dumps(values, indent=1, ensure_ascii=False) + "\n")
         return folder / SWEEP
 
 
@@ -84,4 +104,5 @@ def read_sweep(folder: Path) -> SweepFile | None:
 
 def sweep_folders(root: Path) -> list[Path]:
     """The folders of all sweeps below a results folder."""
-    return sorted(path for path in (root / SWEEPS).glob("*") if (path / RUNS).is_dir() or (path / SWEEP).exists())
+    folders = sorted((root / SWEEPS).glob("*"))
+    return [folder for folder in folders if any((folder / name).exists() for name in (SWEEP, TABLE, RUNS))]

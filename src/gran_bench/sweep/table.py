@@ -9,11 +9,14 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from gran_bench.run.run_file import FINISHED, RunFile
+from gran_bench.sweep.runs import FINISHED, SweepRun
+from gran_bench.sweep.sweep_file import SweepJob
+from gran_bench.tracking import HEADLINE
 
 SEED = "seed"
 NOT_CHOSEN = "default"  # of a key that one run changed and another left as it was
-TIME = "ms_per_frame"
+TIME = f"{HEADLINE}rollout ms per frame"
+UPDATES = "training.steps"
 # Sections of the config that change the work of a frame. Under other keys networks are the same, and times scatter.
 WORK = ("experiment", "model", "boundary", "scene", "threads", "device")
 
@@ -23,12 +26,11 @@ class Column:
     """A figure of the table.
 
     Attributes:
-        name: in a run's file.
+        name: of the column in ``runs.csv``.
         label: for people.
         unit: for people.
         digits: behind the point.
         ranked: whether the choice with the smallest mean is worth naming.
-        shown: whether a page has it; the CSV has all.
     """
 
     name: str
@@ -36,7 +38,6 @@ class Column:
     unit: str
     digits: int
     ranked: bool = True
-    shown: bool = True
 
     @property
     def heading(self) -> str:
@@ -45,30 +46,31 @@ class Column:
 
 
 COLUMNS = (
-    Column("angle_error_deg", "angle error", "°", 2, shown=False),
-    Column("angle_error_floors", "angle error", "floors", 2),
-    Column("com_angle_error_deg", "centre-of-mass angle error", "°", 2, shown=False),
-    Column("com_angle_error_floors", "centre-of-mass angle error", "floors", 2),
-    Column("speed_w1_m_s", "speed W1", "m/s", 4, shown=False),
-    Column("speed_w1_floors", "speed W1", "floors", 2),
-    Column("position_error_10_frames_mm", "position error, 10 frames", "mm", 2),
+    Column(f"{HEADLINE}angle error floors", "angle error", "floors", 2),
+    Column(f"{HEADLINE}com angle error floors", "centre-of-mass angle error", "floors", 2),
+    Column(f"{HEADLINE}speed W1 floors", "speed W1", "floors", 2),
+    Column(f"{HEADLINE}position error 10 frames mm", "position error, 10 frames", "mm", 2),
     Column(TIME, "a frame", "ms", 2),
-    Column("updates", "updates", "", 0, ranked=False),
-    Column("training_minutes", "training, wall clock", "min", 2, ranked=False, shown=False),
-    Column("requirements_failed", "requirements failed", "", 1, ranked=False),
+    Column(UPDATES, "updates", "", 0, ranked=False),
+    Column(f"{HEADLINE}requirements failed", "requirements failed", "", 1, ranked=False),
 )
 
 
-def newest(runs: Sequence[RunFile]) -> tuple[list[RunFile], list[RunFile]]:
+def choice_of(one: SweepRun | SweepJob) -> tuple[object, ...]:
+    """What tells a run from the others of its sweep."""
+    return tuple(sorted(one.choices.items())), one.seed
+
+
+def newest(runs: Sequence[SweepRun]) -> tuple[list[SweepRun], list[SweepRun]]:
     """The runs that count, and those that a later one took the place of: the same choices with other code or data."""
-    latest: dict[tuple, RunFile] = {}
+    latest: dict[tuple, SweepRun] = {}
     for run in sorted(runs, key=lambda run: run.ended_at):
-        latest[tuple(sorted(run.choices.items())), run.seed] = run
+        latest[choice_of(run)] = run
     counted = sorted(latest.values(), key=lambda run: run.run)
     return counted, [run for run in runs if run not in counted]
 
 
-def axes_of(runs: Sequence[RunFile]) -> list[str]:
+def axes_of(runs: Sequence[SweepRun]) -> list[str]:
     """The keys whose values differ among runs, but for the seed."""
     keys = sorted({key for run in runs for key in run.choices} - {SEED})
     return [key for key in keys if len({run.choices.get(key, NOT_CHOSEN) for run in runs}) > 1]
@@ -79,26 +81,18 @@ def changes_work(axis: str) -> bool:
     return any(axis.lstrip("+") == key or axis.lstrip("+").startswith((f"{key}.", f"{key}/")) for key in WORK)
 
 
-def runs_frame(runs: Sequence[RunFile]) -> pd.DataFrame:
-    """One row a run: choices, seed, status, every headline figure, errors of both packings, reason of a failure."""
-    axes = axes_of(runs)
-    rows = []
+def runs_frame(runs: Sequence[SweepRun]) -> pd.DataFrame:
+    """One row a run: choices, seed, status and the figure of each column; None where it is undefined."""
+    axes, rows = axes_of(runs), []
     for run in runs:
-        row = {axis: run.choices.get(axis, NOT_CHOSEN) for axis in axes}
-        row |= {"seed": run.seed, "status": run.status}
-        row |= {column.name: _figure(run, column.name) for column in COLUMNS}
-        for packing, judged in run.packings.items():
-            for name, error in judged["errors"].items():
-                row[f"{packing}_{name}_{error['unit'] or '1'}"] = error["value"]
-                row[f"{packing}_{name}_floors"] = error["multiple_of_floor"]
-        row |= {"parameters": run.training.get("parameters")}
-        row |= {"reason": run.reason, "run": run.run, "key": run.key, "ended_at": run.ended_at}
-        rows.append(row)
+        row = {axis: run.choices.get(axis, NOT_CHOSEN) for axis in axes} | {"seed": run.seed, "status": run.status}
+        row |= {column.name: run.figures.get(column.name) for column in COLUMNS}
+        rows.append(row | {UPDATES: run.training.get("steps")})
     frame = pd.DataFrame(rows)
     return frame.sort_values([*axes, "seed"], key=_in_order, ignore_index=True) if rows else frame
 
 
-def choices_frame(runs: Sequence[RunFile]) -> pd.DataFrame:
+def choices_frame(runs: Sequence[SweepRun]) -> pd.DataFrame:
     """One row a choice: its keys, ``n`` runs that finished, ``failed`` ones, mean and spread of each figure.
 
     The spread is the sample standard deviation over seeds; NaN for a single one. A figure that is undefined in one of
@@ -123,15 +117,14 @@ def choices_frame(runs: Sequence[RunFile]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def shown_table(runs: Sequence[RunFile]) -> str:
+def shown_table(runs: Sequence[SweepRun]) -> str:
     """The table of choices in Markdown, legible on a terminal too."""
     axes, frame = axes_of(runs), choices_frame(runs)
-    columns = [column for column in COLUMNS if column.shown]
-    headings = [*axes, "runs", "failed", *(column.heading for column in columns)]
+    headings = [*axes, "runs", "failed", *(column.heading for column in COLUMNS)]
     rows = [headings]
     for _, row in frame.iterrows():
         rows.append([*(str(row[axis]) for axis in axes), str(row["n"]), str(row["failed"])])
-        rows[-1] += [_shown(row, column) for column in columns]
+        rows[-1] += [_shown(row, column) for column in COLUMNS]
     widths = [max(len(row[i]) for row in rows) for i in range(len(headings))]
     padded = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows]
     lines = [f"| {' | '.join(row)} |" for row in padded]
@@ -139,8 +132,8 @@ def shown_table(runs: Sequence[RunFile]) -> str:
     return "\n".join(lines)
 
 
-def best_choices(runs: Sequence[RunFile]) -> dict[str, tuple[str, float]]:
-    """For each error, and the time of a frame, the choice with the smallest mean: its words and the mean.
+def best_choices(runs: Sequence[SweepRun]) -> dict[str, tuple[str, float]]:
+    """For each error, and the time of a frame, the choice with the smallest mean: its words and the mean, by name.
 
     A choice with a failed or undefined run is no candidate. The time is left out where a swept key does not change it:
     the smallest of equal times is chance.
@@ -153,18 +146,11 @@ def best_choices(runs: Sequence[RunFile]) -> dict[str, tuple[str, float]]:
         candidates = frame[(frame["failed"] == 0) & frame[column.name].notna()]
         if len(candidates):
             row = candidates.loc[candidates[column.name].idxmin()]
-            found[column.name] = (", ".join(f"{axis}={row[axis]}" for axis in axes) or "the one", row[column.name])
+            found[column.name.removeprefix(HEADLINE)] = (
+                ", ".join(f"{axis}={row[axis]}" for axis in axes) or "the one",
+                row[column.name],
+            )
     return found
-
-
-def _figure(run: RunFile, name: str) -> float | None:
-    """A figure of a run: a headline one, its updates, or what its record says of the centre of mass."""
-    if name == "updates":
-        return run.training.get("steps")
-    if name.startswith("com_angle_error_"):
-        error = run.packings.get("shared", {}).get("errors", {}).get("com_angle", {})
-        return error.get("value" if name.endswith("_deg") else "multiple_of_floor")
-    return run.figures.get(name)
 
 
 def _shown(row: pd.Series, column: Column) -> str:

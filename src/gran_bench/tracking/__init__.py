@@ -4,7 +4,6 @@ from gran_bench.tracking.address import has_store
 from gran_bench.tracking.names import HEADLINE, HEADLINE_FIGURES, how_to_compare, shown_name, ui_command
 from gran_bench.tracking.opening import Child, end_child, open_run, reopen_ended, schedule_children
 from gran_bench.tracking.run import Run
-from gran_bench.tracking.stand_in import fill_stand_ins
 from gran_bench.tracking.store import SWEEP_TAG, Store, TrackingError
 from gran_bench.tracking.user_interface import ui
 
@@ -17,7 +16,6 @@ __all__ = [
     "Store",
     "TrackingError",
     "end_child",
-    "fill_stand_ins",
     "has_store",
     "how_to_compare",
     "open_run",

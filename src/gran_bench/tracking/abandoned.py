@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from gran_bench.tracking.stand_in import STANDS_FOR
-
 if TYPE_CHECKING:
     from gran_bench.tracking.store import Store
 
@@ -41,18 +39,17 @@ def close_abandoned(store: Store) -> list[str]:
     Returns:
         Names, with their machines, of the runs of other machines: whether those go on is not known here.
     """
-    closed, elsewhere, running = {}, [], store.running()
-    for run in running:
+    closed, elsewhere = {}, []
+    for run in store.running():
         process = _process_of(run.data.tags)
         if process is None:
-            if STANDS_FOR not in run.data.tags:
-                elsewhere.append(f"{run.info.run_name} (machine unknown)")
+            elsewhere.append(f"{run.info.run_name} (machine unknown)")
         elif process["machine"] != _machine():
             elsewhere.append(f"{run.info.run_name} ({process['host']})")
         # Its process may have ended it after it was found here, so it is looked at again.
         elif _is_gone(process) and store.status_of(run.info.run_id) == "RUNNING":
             closed[run.info.run_id] = run.info.run_name
-    for run_id in [*closed, *(run.info.run_id for run in running if run.data.tags.get(STANDS_FOR) in closed)]:
+    for run_id in closed:
         store.add_tags(run_id, {ENDED_TAG: GONE})
         store.close_run(run_id, "KILLED")
     if closed:

@@ -15,7 +15,6 @@ from gran_bench.tracking.abandoned import ENDED_TAG, GONE, PROCESS_TAG, close_ab
 from gran_bench.tracking.address import said_place
 from gran_bench.tracking.names import shown_name
 from gran_bench.tracking.run import Run, StoredRun, send_kept
-from gran_bench.tracking.stand_in import dismiss_stand_ins, let_stand_in
 from gran_bench.tracking.store import SWEEP_TAG, Store, TrackingError
 
 
@@ -72,20 +71,18 @@ class Child:
         name: for people.
         key: hash of what determines the result.
         finished: whether its result is there already.
-        called: its name in this sweep, where another command gave it ``name``; empty where they are the same.
     """
 
     name: str
     key: str
     finished: bool = False
-    called: str = ""
 
 
 def schedule_children(config: TrackingConfig, parent: str | None, children: Iterable[Child]) -> set[str]:
     """Make a run ``SCHEDULED`` for each child that has none, and hang all of them under their parent.
 
     A child that has a run already keeps it: one that is finished stays as it is, any other waits to start again. One
-    that hangs under another sweep stays there, and has a stand-in here (`stand_in`).
+    that hangs under another sweep stays there, and names both sweeps in its tag.
 
     Args:
         config: where, or that nothing is recorded.
@@ -108,10 +105,7 @@ def schedule_children(config: TrackingConfig, parent: str | None, children: Iter
                 store.create_run(shown_name(child.name), child.key, parent, "SCHEDULED")
                 status = "SCHEDULED"
             else:
-                if store.adopt_run(run_id, parent):
-                    dismiss_stand_ins(store, run_id, parent)
-                else:
-                    let_stand_in(store, run_id, parent, child.called or child.name)
+                store.adopt_run(run_id, parent)
                 status = store.status_of(run_id)
             if child.finished and status != "FINISHED":
                 missing.add(child.key)

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 KEY_TAG = "gran_bench.key"
 UNSENT = "unsent"  # folder below the store's root
 PARENT_TAG = "mlflow.parentRunId"
-SWEEP_TAG = "sweep"  # folder of the sweep; a child has its parent's, so that the UI can group and search by it
+SWEEP_TAG = "sweep"  # folder of the sweep; a child names all that have it, so that the UI can search by it
+SWEEP_SEPARATOR = ", "
 
 # MLflow reads these when it is imported. Nobody is told of its use, and the terminal belongs to the run.
 QUIET = {
@@ -131,12 +132,6 @@ class Store:
         except OSError as error:
             raise TrackingError(self._complaint(error.strerror or str(error))) from error
 
-    @contextmanager
-    def answering(self) -> Iterator[MlflowClient]:
-        """MLflow's own client, whose errors become clear ones."""
-        with self._answers():
-            yield self._client
-
     # ---- runs ------------------------------------------------------------------------------------------------
 
     def run_of(self, key: str) -> str | None:
@@ -177,16 +172,18 @@ class Store:
                 self._client.update_run(run_id, status=status)
         return run_id
 
-    def adopt_run(self, run_id: str, parent: str) -> bool:
-        """Hang a run under a parent, unless it has another one that is there; whether it hangs there now."""
+    def adopt_run(self, run_id: str, parent: str) -> None:
+        """Hang a run under a parent, unless it has another one that is there; its tag names all its sweeps."""
         with self._answers():
-            present = self._client.get_run(run_id).data.tags.get(PARENT_TAG)
-            if present != parent and present is not None and self._has_run(present):
-                return False
-            if present != parent:
-                for name, value in self.tags_of_child(parent).items():
+            there = self._client.get_run(run_id).data.tags
+            tags, present = self.tags_of_child(parent), there.get(PARENT_TAG)
+            if present is not None and self._has_run(present):
+                tags[PARENT_TAG] = present
+            sweeps = [*there.get(SWEEP_TAG, "").split(SWEEP_SEPARATOR), tags.get(SWEEP_TAG, "")]
+            tags[SWEEP_TAG] = SWEEP_SEPARATOR.join(dict.fromkeys(filter(None, sweeps)))
+            for name, value in tags.items():
+                if value and there.get(name) != value:
                     self._client.set_tag(run_id, name, value)
-        return True
 
     def reopen_run(self, run_id: str, name: str, without_tag: str, status: str = "RUNNING") -> None:
         """Mark a run as running again, or as waiting to, and remove the tag that says how it ended."""

@@ -1,4 +1,4 @@
-"""One job of a command: its config checked, its task done, its errors said, here or in a process of its own."""
+"""What a command does once a job: config checked, work done, errors said, here or in a process of its own."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gran_bench.config.rules import ConfigError
 from gran_bench.provenance import remember_command
 from gran_bench.provenance.source_digest import go_by
 from gran_bench.scene import SceneError
-from gran_bench.tracking import TrackingError
+from gran_bench.tracking import HEADLINE, TrackingError
 
 if TYPE_CHECKING:
     from gran_bench.sweep.jobs import Sweep
@@ -28,11 +28,11 @@ FAILED, REFUSED = 1, 2  # exit codes
 
 
 @dataclass
-class Job:
+class Task:
     """What runs once, or with ``--multirun`` once a job; plain data, so that it can travel to another process.
 
     Attributes:
-        task: called with the checked config.
+        function: called with the checked config.
         source: of the configs.
         schema: the dataclass that a config must fit.
         typed: first words of the command line.
@@ -40,7 +40,7 @@ class Job:
         failures: of jobs in this process, for whoever started them.
     """
 
-    task: Callable[[Any], object]
+    function: Callable[[Any], object]
     source: Source
     schema: type
     typed: list[str]
@@ -91,7 +91,7 @@ class Job:
             return
         remember_command([*self.typed, *overrides])
         if self.sweep is None:
-            self.task(self._config(composed, overrides, number))
+            self.function(self._config(composed, overrides, number))
             return
         sweep, title = self.sweep, self.sweep.title(number)
         go_by(sweep.hashes)
@@ -99,17 +99,17 @@ class Job:
         try:
             with sweep.logged(number, apart):
                 try:
-                    summary = self.task(self._config(composed, overrides, number))
+                    summary = self.function(self._config(composed, overrides, number))
                 except Exception as error:
                     complain(error, self.schema)  # into the log; the terminal hears it from whoever called
                     raise
         except Exception as error:
-            if not isinstance(error, TrackingError) or sweep.finished_unrecorded(number) is None:
+            if not isinstance(error, TrackingError) or not sweep.finished_unrecorded(number):
                 sweep.failed(number, explain(error, self.schema) or f"{type(error).__name__}: {error}")
             raise
-        left = sweep.finished(number, summary)
-        found = ", ".join(f"{name} {value:.3g}" for name, value in left.figures.items() if value is not None)
-        print(f"{title} finished: {found}", file=sys.stderr, flush=True)
+        figures = sweep.finished(number, summary).figures
+        found = (f"{name[len(HEADLINE) :]} {figures[name]:.3g}" for name in figures if name.startswith(HEADLINE))
+        print(f"{title} finished: {', '.join(found)}", file=sys.stderr, flush=True)
 
     def _config(self, composed: DictConfig, overrides: Sequence[str], number: int) -> Any:
         config = checked_config(composed, self.schema)
