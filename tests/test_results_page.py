@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from test_comparison_page import found  # noqa: F401  a fixture
+from test_benchmark_page import found  # noqa: F401  a fixture
 from test_run_summary import SCENE, broken, flowing, summary_of
 from test_sweep import lost, run
 

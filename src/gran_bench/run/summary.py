@@ -183,8 +183,13 @@ def summary_table(summary: dict[str, Any]) -> str:
 
 def verdict(summary: dict[str, Any]) -> str:
     """Whether the requirements are met, and how many of the figures that none of them is about are unlike the DEM's."""
-    missed, unlike = len(missed_requirements(summary)), sum(
-        row["inside_interval"] is False for judged in summary["judged"].values() for row in judged["figures"].values()
+    missed, unlike = (
+        len(missed_requirements(summary)),
+        sum(
+            row["inside_interval"] is False
+            for judged in summary["judged"].values()
+            for row in judged["figures"].values()
+        ),
     )
     words = f"{counted(missed, 'requirement')} NOT met" if missed else "all requirements met"
     further = "lies" if unlike == 1 else "lie"
