@@ -121,6 +121,6 @@ def _start(bed: ParticleState, nudge_seed: int) -> ParticleState:
 
 
 def _cut(scene: Scene, bed: ParticleState, frames: int) -> Scene:
-    """The scene with so many frames after the state."""
+    """The scene, ended ``frames`` frames after the state of the bed."""
     end = bed.time + frames * scene.frame_interval
     return scene if np.isclose(end, scene.end_time) else replace(scene, end_time=end)

@@ -183,7 +183,7 @@ def read_results(path: Path) -> dict[str, Any]:
 
 
 def read_all(root: Path) -> dict[str, dict[str, Any]]:
-    """All results below a folder by ``profile/scene``; a scene's full results stand for it where there are some.
+    """All results below a folder by ``profile/scene``; a scene with full results has these alone.
 
     Raises:
         ResultsError: results of another format.

@@ -24,7 +24,7 @@ BUSY = 0.05  # share of the time that methods waited for the processor, from whi
 
 
 def winner(found: dict[str, Any]) -> str:
-    """Who gives an answer of the DEM's own accuracy in the least time; all whose times are not told apart."""
+    """The fastest method of the DEM's own accuracy, and all methods whose times cannot be told from it."""
     every, accepted = entries(found), found["reference"]["accepted"]
     if accepted is None:
         return f"Who wins is not known: {why_no_accuracy(found)}."

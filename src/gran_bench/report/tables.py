@@ -85,7 +85,7 @@ def scenes_table(root: Path) -> Iterator[str]:
 
 
 def failures_table(root: Path) -> Iterator[str]:
-    """What failed, by record, with the day on which the record was made."""
+    """What failed: a row for each record, with the day of the record."""
     yield "| record | of the day | failed |"
     yield "|---|---|---|"
     for name in RUNS:
