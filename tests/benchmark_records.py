@@ -34,6 +34,7 @@ def found() -> dict:
             "replicas": 5,
             "noise": 1.3,
             "accepted": 1.3,
+            "judged_runs": 5,
             "ranked": [{"key": "speed_w1", "label": "speeds, W1 a frame", "unit": "m/s"}],
         },
         "methods": [

@@ -148,7 +148,7 @@ def described_jobs(source: Source, overrides: Sequence[str], multirun: bool) -> 
 
 
 def _refuse_nested_sweeps(source: Source, jobs: Sequence[list[str]], axes: Collection[str]) -> None:
-    """Refuse recipes among the jobs that are sweeps themselves: Hydra would run each once and forget its axes.
+    """Refuse a job whose recipe is a sweep: Hydra would run it once and forget its axes.
 
     Raises:
         ConfigError: names the recipe and the remedy.

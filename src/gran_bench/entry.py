@@ -120,7 +120,7 @@ def _run(
 
 
 def _run_in_hydra(task: Task, config_name: str) -> None:
-    """Let Hydra compose and launch; failures of jobs, which have been said, are in ``task.failures`` afterwards."""
+    """Let Hydra compose and launch; afterwards ``task.failures`` holds the failed jobs, which were reported already."""
     decorate = hydra.main(config_path=f"pkg://{CONFIG_MODULE}", config_name=config_name, version_base=VERSION_BASE)
     try:
         decorate(task)()
@@ -132,7 +132,7 @@ def _run_in_hydra(task: Task, config_name: str) -> None:
 
 
 def _planned(described: Described, configs: Sequence[Any]) -> list[SweepJob]:
-    """The jobs of a sweep, each with the name of its run, which has every swept key in it."""
+    """The jobs of a sweep, each with the name of its run; the name holds every swept key."""
     swept, planned = swept_keys([overrides for overrides, _ in described.jobs]), []
     for (overrides, _), config in zip(described.jobs, configs, strict=True):
         run_name = config.tracking.folder or run_folder(config.experiment, overrides, swept)

@@ -26,9 +26,7 @@ from typing import Any
 import gran_bench
 
 WATCH_SECONDS = 0.2  # between two looks whether the parent is still there
-ONE_THREAD = {
-    name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-}
+ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 
 
 class MissingProgramError(RuntimeError):

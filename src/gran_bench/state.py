@@ -81,7 +81,7 @@ class Held(NamedTuple):
 
 @dataclass(frozen=True)
 class Continuation:
-    """What a run left beside its last state, so that another goes on bit for bit.
+    """What a run keeps beside its last state, so that a further run goes on bit for bit.
 
     Attributes:
         key: of the state, the physics, the walls and the time step that it holds for; for others it is not looked at.

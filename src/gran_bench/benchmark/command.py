@@ -24,7 +24,7 @@ from gran_bench.benchmark.results import (
     untimed,
     write_results,
 )
-from gran_bench.benchmark.sentences import softened, verdicts, winner
+from gran_bench.benchmark.sentences import busy_sentences, softened, verdicts, winner
 from gran_bench.benchmark.turns import Record, take_turns
 from gran_bench.config import BenchmarkConfig
 from gran_bench.config.reading import validate
@@ -103,9 +103,7 @@ def summary(found: dict[str, Any]) -> str:
         error = "failed" if row["failed"] else "-" if row["floors"] is None else f"{row['floors']:.2f}"
         lines.append(f"{row['name']:<42}{wall['median']:>9.3g} {span:>17} {error:>7}")
     lines += ["", winner(found).replace("**", ""), *(line.replace("**", "") for line in verdicts(found))]
-    if found["waited"] > 0.05:
-        lines.append(f"The machine had other work: methods waited {100 * found['waited']:.0f} % of their time.")
-    return "\n".join(lines)
+    return "\n".join([*lines, *busy_sentences(found)])
 
 
 def draw(found: dict[str, Any], folder: Path) -> None:
@@ -213,8 +211,7 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
 
 def _kept(contest: Contest, folder: Path, reference: Reference) -> dict[str, Any]:
     config, kept = contest.config, read_results(folder / RESULTS)
-    runs = kept["reference"].get("judged_runs", min(config.profile.judged_rounds, kept["rounds"]))
-    return judged_anew(kept, reference, config.dataset.replicas, runs)
+    return judged_anew(kept, reference, config.dataset.replicas)
 
 
 def _reference(contest: Contest) -> Reference:

@@ -10,13 +10,13 @@ from typing import Any
 from gran_bench.baselines import neighbouring_speeds
 from gran_bench.benchmark.jobs import BASELINES, with_modulus
 from gran_bench.benchmark.method import Method
-from gran_bench.benchmark.suitability import why_unfit
-from gran_bench.config import BenchmarkConfig, DemConfig
+from gran_bench.config import BenchmarkConfig, DemConfig, SceneConfig
+from gran_bench.config.reading import read_config
 from gran_bench.dataset import CaseSpec, half_step, read_attributes, replicas, to_document
 from gran_bench.dem.simulate import choose_time_step, dividing_step
 from gran_bench.dem.time_step import ERROR_FRACTION, contact_times
 from gran_bench.scene import Scene, build_scene
-from gran_bench.surrogate.checkpoint import file_digest, load_card
+from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card
 
 AUTOMATIC = "DEM"  # first word of the method that all times are held against: this engine, this step
 
@@ -222,6 +222,38 @@ class Contest:
             )
             found[count] = CaseSpec(scene.at_speed(self.rpm), self.config.dem, self.config.dataset.unseen_packing_seed)
         return found
+
+
+def why_unfit(card: ModelCard, scene: Scene, packing_seed: int) -> str:
+    """Why a trained model cannot answer for a scene, or may not; empty where it can.
+
+    Args:
+        card: of the model.
+        scene: with its motion.
+        packing_seed: of the bed that it would start from.
+    """
+    home = build_scene(read_config(SceneConfig, card.scene))
+    if scene.needs.polydispersity:
+        return "it knows spheres of one size alone"
+    if len(scene.materials) > 1:
+        return "it knows one material alone"
+    same = {
+        "diameter": (2.0 * scene.filling.largest_radius, 2.0 * home.filling.largest_radius),
+        "frame interval": (scene.frame_interval, home.frame_interval),
+        "gravity": (scene.gravity, home.gravity),
+        "material": (scene.material, home.material),
+        "wall material": (scene.wall_material, home.wall_material),
+    }
+    for what, (here, there) in same.items():
+        if here != there:
+            return f"it was trained with another {what}"
+    # The other sense of rotation is the mirror image.
+    speeds = set(map(abs, scene.rotation.speeds_rpm))
+    if scene.takes_speeds and speeds & set(map(abs, card.origin.get("training_speeds_rpm", ()))):
+        return f"it was trained at {max(speeds):g} rpm"
+    if scene.takes_speeds and card.origin.get("packing_seed") == packing_seed:
+        return f"it was trained on packing {packing_seed}"
+    return ""
 
 
 def largest_allowed_step(scene: Scene) -> float:

@@ -18,7 +18,7 @@ SHUTDOWN = 10.0  # s that a process is given to end, once it has closed its pipe
 
 @contextmanager
 def crew() -> Iterator[Callable[[], subprocess.Popen]]:
-    """Hires processes, and ends all of them when the block ends in any way."""
+    """Start processes on request, and end all of them when the block ends in any way."""
     hired: list[subprocess.Popen] = []
 
     def hire() -> subprocess.Popen:

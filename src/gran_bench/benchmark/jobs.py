@@ -47,16 +47,9 @@ def prepare(job: dict[str, Any]) -> Run:
 
     Args:
         job: ``does`` names the method; the rest is what it needs, as plain data.
-
-    Raises:
-        ValueError: a method that nobody knows.
     """
     makers = {"dem": _dem, "surrogate": _surrogate, "interpolation": _interpolation}
-    if job["does"] in BASELINES:
-        return _baseline(job)
-    if job["does"] not in makers:
-        raise ValueError(f"does={job['does']!r}; choose one of {', '.join([*makers, *BASELINES])}")
-    return makers[job["does"]](job)
+    return (makers | dict.fromkeys(BASELINES, _baseline))[job["does"]](job)
 
 
 def with_modulus(scene: Scene, modulus: float) -> Scene:
@@ -128,6 +121,6 @@ def _start(bed: ParticleState, nudge_seed: int) -> ParticleState:
 
 
 def _cut(scene: Scene, bed: ParticleState, frames: int) -> Scene:
-    """The scene with so many frames after the state."""
+    """The scene, ended ``frames`` frames after the state of the bed."""
     end = bed.time + frames * scene.frame_interval
     return scene if np.isclose(end, scene.end_time) else replace(scene, end_time=end)

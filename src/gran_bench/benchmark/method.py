@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-KINDS = ("dem", "surrogate", "baseline")
 _FILES = ("bed", "model", "cases")  # of a job: files whose names or digests say what they hold
 
 
@@ -36,10 +35,6 @@ class Method:
     training_seconds: float = 0.0
     judged: bool = True
     unfit_because: str = ""
-
-    def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ValueError(f"kind={self.kind!r} of {self.name!r}; choose one of {', '.join(KINDS)}")
 
     def key(self, *conditions: str) -> str:
         """A readable name of the method's files, with a hash of the job, how long it is, and under which conditions.

@@ -11,7 +11,14 @@ import pandas as pd
 
 from gran_bench.benchmark.claims import equal_accuracy, frontier, paid_back
 from gran_bench.benchmark.results import entries, read_all
-from gran_bench.benchmark.sentences import count_sentences, stiffness_sentences, verdicts, why_no_accuracy, winner
+from gran_bench.benchmark.sentences import (
+    busy_sentences,
+    count_sentences,
+    stiffness_sentences,
+    verdicts,
+    why_no_accuracy,
+    winner,
+)
 from gran_bench.files import write_atomically, write_part
 from gran_bench.provenance import stamp
 
@@ -21,8 +28,6 @@ FIGURES = {
     "stiffness": "Cost against stiffness.",
     "counts": "Cost against the number of spheres.",
 }
-BUSY = 0.05  # share of the time that methods waited for the processor, from which on a page says so
-
 TITLE = "Run time against error"
 
 
@@ -109,8 +114,7 @@ def _part(place: str, found: dict[str, Any]) -> Iterator[str]:
         if figure == "time_error" or found[figure]:
             yield f"![{FIGURES[figure]}]({place}/{figure}.png)"
     yield ""
-    busy = f" Methods waited {100 * found['waited']:.0f} % of their time for the processor: the machine had other work."
-    busy = busy if found["waited"] > BUSY else ""
+    busy = "".join(f" {sentence}" for sentence in busy_sentences(found))
     yield f"{stamp(made)}{busy} [CSV]({place}/{TABLE}), [JSON]({place}/benchmark.json)."
 
 
@@ -118,10 +122,7 @@ def _noise(found: dict[str, Any]) -> str:
     reference = found["reference"]
     if reference["accepted"] is None:
         return f"Noise: undefined, {why_no_accuracy(found)}."
-    said = f"Noise: {reference['noise']:.2f} floors; the DEM's own accuracy: {reference['accepted']:.2f} floors."
-    # Results of before runs and replicas were compared by their means.
-    older = " (By an older rule: the bound for a single replica. `measure=false` gives today's.)"
-    return said if "judged_runs" in reference else said + older
+    return f"Noise: {reference['noise']:.2f} floors; the DEM's own accuracy: {reference['accepted']:.2f} floors."
 
 
 def _table(found: dict[str, Any]) -> Iterator[str]:

@@ -109,12 +109,12 @@ def reference_facts(reference: Reference, replicas: int, runs: int, automatic: f
     }
 
 
-def judged_anew(found: dict[str, Any], reference: Reference, replicas: int, runs: int) -> dict[str, Any]:
+def judged_anew(found: dict[str, Any], reference: Reference, replicas: int) -> dict[str, Any]:
     """Kept results with the DEM's own accuracy by today's rule: nothing is measured, and no method's error changes.
 
     Args:
         found: as it was kept.
-        reference, replicas, runs: as in `reference_facts`.
+        reference, replicas: as in `reference_facts`.
 
     Raises:
         ResultsError: the methods were held against other replicas.
@@ -131,6 +131,7 @@ def judged_anew(found: dict[str, Any], reference: Reference, replicas: int, runs
                     f"{floor:.6g}); give the command that measured it, or measure=true"
                 )
     automatic = next((row["floors"] for row in found["methods"] if row["name"] == found["automatic"]), None)
+    runs = found["reference"]["judged_runs"]
     return found | {"reference": reference_facts(reference, replicas, runs, automatic)}
 
 
@@ -182,7 +183,7 @@ def read_results(path: Path) -> dict[str, Any]:
 
 
 def read_all(root: Path) -> dict[str, dict[str, Any]]:
-    """All results below a folder by ``profile/scene``; a scene's full results stand for it where there are some.
+    """All results below a folder by ``profile/scene``; a scene with full results has these alone.
 
     Raises:
         ResultsError: results of another format.

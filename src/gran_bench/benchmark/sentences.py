@@ -20,9 +20,11 @@ from gran_bench.benchmark.claims import (
 )
 from gran_bench.benchmark.results import entries, succeeded
 
+BUSY = 0.05  # share of the time that methods waited for the processor, from which on pages say so
+
 
 def winner(found: dict[str, Any]) -> str:
-    """Who gives an answer of the DEM's own accuracy in the least time; all whose times are not told apart."""
+    """The fastest method of the DEM's own accuracy, and all methods whose times cannot be told from it."""
     every, accepted = entries(found), found["reference"]["accepted"]
     if accepted is None:
         return f"Who wins is not known: {why_no_accuracy(found)}."
@@ -186,6 +188,25 @@ def _failed_points(study: dict[str, Any], names: dict[str, str], words: Callable
 
 def _modulus(modulus: float) -> str:
     return f"E = {modulus:.1e} Pa"
+
+
+def busy_sentences(found: dict[str, Any]) -> Iterator[str]:
+    """That the machine had other work, where methods waited for the processor more than a share of their time."""
+    if found["waited"] > BUSY:
+        share = f"{100 * found['waited']:.0f} % of their time"
+        yield f"Methods waited {share} for the processor: the machine had other work."
+
+
+def equal_accuracy_words(beside: EqualAccuracy) -> str:
+    """Who is faster at equal accuracy, in a cell of a table."""
+    rival = beside.rival or beside.lenient
+    if rival is None:
+        return "no DEM is as exact"
+    if beside.faster in ("undecided", "neither"):
+        return "neither is faster" if beside.faster == "neither" else "undecided"
+    ratio = speed_up(beside.entry, rival).middle
+    who, times = (rival.name, 1 / ratio) if ratio < 1.0 else ("the surrogate", ratio)
+    return f"{who} is {times:.2g} times as fast"
 
 
 def softened(found: dict[str, Any]) -> Entry | None:

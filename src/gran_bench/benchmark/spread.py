@@ -28,16 +28,6 @@ class Spread:
     expected_low: float | None
     expected_high: float | None
 
-    def overlaps(self, other: Spread) -> bool:
-        """Whether two benchmarks agree: what each expects of the other has values in common.
-
-        Raises:
-            ValueError: a single round expects nothing.
-        """
-        if None in (self.expected_low, other.expected_low):
-            raise ValueError("a single round has no spread; take two or more")
-        return self.expected_low <= other.expected_high and other.expected_low <= self.expected_high
-
 
 def spread(values: Sequence[float]) -> Spread:
     """The spread of positive values, one a round.

@@ -61,9 +61,7 @@ def _require(holds: bool, message: str) -> None:
 def _check_scene(scene: SceneConfig) -> None:
     filling = scene.filling
     _require(len(scene.gravity) == 3, f"scene.gravity={scene.gravity} is no vector; give three components")
-    check_schedule(
-        scene.rotation.times, scene.rotation.speeds_rpm, "scene.rotation.speeds_rpm", "scene.rotation.times"
-    )
+    check_schedule(scene.rotation.times, scene.rotation.speeds_rpm, "scene.rotation.speeds_rpm", "scene.rotation.times")
     check_end(scene)
     check_frames(scene)
     check_filling(filling)

@@ -168,7 +168,7 @@ def _filled(dtype: type, room: int, fill: Callable[..., int]) -> tuple[np.ndarra
 
 
 def _enlarged(array: np.ndarray, room: int, kept: int) -> np.ndarray:
-    """More room; what is never touched costs nothing, however much a crowded cell asks for."""
+    """A larger array; memory that is never written to costs nothing."""
     larger = np.empty(room, array.dtype)
     larger[:kept] = array[:kept]
     return larger
@@ -267,7 +267,7 @@ def _any_between(order, run_begin, run_end, begin, end):
 
 @entry
 def find_neighbors(point, place, rank_of, reach, period, order, start, cell_of_rank, cells, progress, query, source):
-    """Goes on filling query and source index of every hit of Q + S points of which the first Q ask.
+    """Fill in query and source index of each pair: the first Q of the Q + S points ask for their neighbours.
 
     Returns the room that it lacks, 0 once all are found.
 

@@ -17,7 +17,7 @@ kernel = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=Tru
 
 
 def cached(*rooms: Path, **options) -> Callable[[Callable], Callable]:
-    """Jits a function and keeps it on disk under the digest of everything that it may be compiled from.
+    """Compile a function and keep it on disk, named by a digest of all source that it may depend on.
 
     Numba keys its cache by the file of the function alone; a kernel of another file that changed would be found under
     the old key. The function's name is part of the name of the cache.

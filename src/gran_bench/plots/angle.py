@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from gran_bench.metrics.measured import Series
 from gran_bench.metrics.summary import STEADY_FROM, TrajectorySummary
-from gran_bench.plots.style import BAND, DEM, FURTHER, SURROGATE, drawing, say
+from gran_bench.plots.style import BAND, DEM, coloured, drawing, mark_place, say
 
 PANELS = (("surface_angle", "Surface angle of repose"), ("com_angle", "Angle of the centre of mass"))
 
@@ -42,7 +42,7 @@ def angle_of_repose(
                 say(axes, f"undefined: {refusal}")
                 continue
             draw_band(axes, [run.series[name] for run in replicas])
-            for (label, run), colour in zip(candidates.items(), (SURROGATE, *FURTHER), strict=False):
+            for (label, run), colour in coloured(candidates.items()):
                 draw_series(axes, run.series[name], label, colour)
             mark_steady_part(axes, replicas[0])
         if panels[0].get_legend_handles_labels()[0]:
@@ -75,13 +75,4 @@ def draw_series(axes: Axes, series: Series, label: str, colour: str, scale: floa
 def mark_steady_part(axes: Axes, run: TrajectorySummary) -> None:
     """A line where steady means begin, where there are any."""
     if not run.steady_undefined_because:
-        axes.axvline(STEADY_FROM, color="#777777", linewidth=0.8, linestyle=(0, (4, 3)))
-        axes.annotate(
-            "steady",
-            (STEADY_FROM, 0.02),
-            xycoords=("data", "axes fraction"),
-            xytext=(4, 0),
-            textcoords="offset points",
-            fontsize=8.5,
-            color="#777777",
-        )
+        mark_place(axes, STEADY_FROM, "steady")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gran_bench.metrics.summary import TrajectorySummary
-from gran_bench.plots.style import BAND, DEM, FURTHER, SURROGATE, drawing, say
+from gran_bench.plots.style import BAND, DEM, coloured, drawing, say
 
 
 def speed_by_depth(
@@ -42,7 +42,7 @@ def speed_by_depth(
             label = f"DEM, range of {len(truth)} replicas"
             axes.fill_betweenx(depth, values.min(axis=0), values.max(axis=0), color=BAND, linewidth=0, label=label)
         axes.plot(values.mean(axis=0), depth, color=DEM, linewidth=1.3, marker="o", markersize=3, label="DEM, mean")
-        for (name, run), colour in zip(candidates.items(), (SURROGATE, *FURTHER), strict=False):
+        for (name, run), colour in coloured(candidates.items()):
             found = np.full(len(layers), np.nan)
             known = layers < len(run.layer_velocity)
             found[known] = run.layer_velocity[layers[known]]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gran_bench.metrics.summary import TrajectorySummary
 from gran_bench.plots.angle import draw_band, draw_series
-from gran_bench.plots.style import FURTHER, SURROGATE, drawing, say
+from gran_bench.plots.style import coloured, drawing, say
 
 # Name of the series, title, label of the axis, and the axis' unit over the series' one.
 PANELS = (
@@ -42,7 +42,7 @@ def diagnostics(
                 say(axes, f"undefined:\n{refusal}")
                 continue
             draw_band(axes, [run.series[name] for run in replicas], scale)
-            for (who, run), colour in zip(candidates.items(), (SURROGATE, *FURTHER), strict=False):
+            for (who, run), colour in coloured(candidates.items()):
                 series = run.series[name]
                 draw_series(axes, series, series.undefined_because or who, colour, scale)
             axes.set_ylim(bottom=0.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.axes import Axes
 
-from gran_bench.plots.style import BASELINE, DEM, FURTHER, QUIET, SURROGATE, drawing, say
+from gran_bench.plots.style import BASELINE, DEM, SURROGATE, coloured, drawing, mark_place, say
 
 _SHOWN_ELSEWHERE = ("step", "loss", "learning_rate", "frames_ahead", "gradient_norm", "seconds", "minutes")
 
@@ -37,7 +37,7 @@ def loss_curves(losses: pd.DataFrame, path: Path | str) -> Path:
         label = "loss" if window == 1 else f"loss, running median of {window}"
         upper.plot(step, _smooth(losses["loss"], window), color=SURROGATE, label=label)
         terms = [name for name in losses.columns if name not in _SHOWN_ELSEWHERE]
-        for name, colour in zip(terms, (BASELINE, *FURTHER), strict=False):
+        for name, colour in coloured(terms, (BASELINE,)):
             upper.plot(
                 step, _smooth(losses[name], window), color=colour, linewidth=1.1, label=name.removeprefix("term/")
             )
@@ -61,13 +61,4 @@ def _mark_longer_windows(axes: Axes, losses: pd.DataFrame) -> None:
         return
     frames = losses["frames_ahead"]
     for i in losses.index[1:][frames.diff().iloc[1:] != 0]:
-        axes.axvline(losses["step"][i], color=QUIET, linewidth=0.9, linestyle=(0, (4, 3)))
-        axes.annotate(
-            f"{int(frames[i])} frames ahead",
-            (losses["step"][i], 0.03),
-            xycoords=("data", "axes fraction"),
-            xytext=(4, 0),
-            textcoords="offset points",
-            fontsize=8.5,
-            color="#555555",
-        )
+        mark_place(axes, losses["step"][i], f"{int(frames[i])} frames ahead")

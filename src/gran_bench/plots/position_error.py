@@ -9,7 +9,7 @@ import numpy as np
 
 from gran_bench.metrics.position_error import DIVERGED, divergence_horizon, mean_spread, separation
 from gran_bench.metrics.summary import TrajectorySummary
-from gran_bench.plots.style import DEM, FURTHER, QUIET, SURROGATE, drawing
+from gran_bench.plots.style import DEM, coloured, drawing, mark_place
 from gran_bench.state import FloatArray
 
 USUAL = (1e-4, 30.0)  # d; the axis of every run that stays within, so that figures can be compared
@@ -31,7 +31,7 @@ def position_error(
     diameter, period, frames = replicas[0].diameter, replicas[0].period, len(replicas[0].time)
     with drawing(path, 7.6, 4.3) as figure:
         axes, drawn = figure.subplots(), []
-        for (name, run), colour in zip(candidates.items(), (SURROGATE, *FURTHER), strict=False):
+        for (name, run), colour in coloured(candidates.items()):
             if run.position is None:
                 continue
             shared = min(len(run.time), frames)
@@ -51,19 +51,9 @@ def position_error(
             horizon = divergence_horizon(spread, diameter)
             if horizon is not None:
                 axes.axvspan(horizon, frames, color="#f2f2f2", zorder=0)
-                axes.axvline(horizon, color=QUIET, linewidth=1.0, linestyle=(0, (4, 3)))
                 late = horizon > frames**0.7  # on a logarithmic axis; there is no room to its right
-                axes.annotate(
-                    f"frame {horizon}:\nreplicas {DIVERGED:g} d apart,\nbeyond it only\nstatistics compare",
-                    (horizon, 0.03),
-                    xycoords=("data", "axes fraction"),
-                    annotation_clip=True,
-                    xytext=(-6 if late else 6, 0),
-                    ha="right" if late else "left",
-                    textcoords="offset points",
-                    fontsize=8.5,
-                    color="#555555",
-                )
+                words = f"frame {horizon}:\nreplicas {DIVERGED:g} d apart,\nbeyond it only\nstatistics compare"
+                mark_place(axes, horizon, words, ha="right" if late else "left")
         axes.set_yscale("log")
         axes.set_ylim(*_range(drawn))
         axes.set_xlim(1, frames - 1)

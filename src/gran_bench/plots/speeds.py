@@ -10,7 +10,7 @@ import numpy as np
 from gran_bench.metrics.measured import frame_at
 from gran_bench.metrics.speeds import speed_histogram
 from gran_bench.metrics.summary import PATTERN_TIME, TrajectorySummary
-from gran_bench.plots.style import BAND, DEM, FURTHER, SURROGATE, drawing, speed_label
+from gran_bench.plots.style import BAND, DEM, coloured, drawing, speed_label
 
 CLASS = 0.1  # m/s
 WIDEST = 10.0  # times the speeds of the DEM: a wild model would leave no room for it
@@ -53,7 +53,7 @@ def speed_distribution(
                     label=f"DEM, range of {len(truth)} replicas",
                 )
             axes.stairs(shares.mean(axis=0), edges, color=DEM, linewidth=1.4, label="DEM, mean")
-        for (name, speed), colour in zip(found.items(), (SURROGATE, *FURTHER), strict=False):
+        for (name, speed), colour in coloured(found.items()):
             if speed is None:
                 axes.plot([], [], color=colour, label=f"{name}: not finite at {time:g} s")
                 continue

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter
 
-from gran_bench.plots.style import BAND, BASELINE, DEM, FURTHER, QUIET, SURROGATE, drawing, say
+from gran_bench.plots.style import BAND, BASELINE, DEM, FURTHER, QUIET, SURROGATE, drawing, plain_numbers, say
 
 ROUND = tuple(digit * 10.0**power for power in range(-3, 4) for digit in (1, 2, 5))
 TRAINED = (20.0, 60.0)  # rpm, the range of the training speeds of the shipped model
@@ -87,8 +87,7 @@ def draw_dem_step(curves: Mapping[str, Sequence[float]], path: Path | str) -> Pa
         right.set_yticks([t for t in ROUND if cost[alive].min() / 2 < t < 2 * cost[alive].max()])
         left.set_yticks([t for t in ROUND if 0.2 * min([*error[shown], floor]) < t < highest])
         for axes in (left, right):
-            axes.yaxis.set_major_formatter("{x:g}")
-            axes.yaxis.set_minor_formatter(NullFormatter())
+            plain_numbers(axes.yaxis)
         for axes, name in ((left, "error"), (right, "cost")):
             axes.set_title(f"{name} against step")
             _contact_fractions(axes, contact)

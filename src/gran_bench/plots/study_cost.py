@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator
 
-from gran_bench.plots.style import DEM, FURTHER, QUIET, SURROGATE, drawing
+from gran_bench.plots.style import DEM, FURTHER, QUIET, SURROGATE, drawing, plain_numbers
 
 LARGEST_IN_FULL = 1e6  # numbers up to which the measured places are the ticks
 
@@ -59,13 +59,11 @@ def cost_against(
         if level is not None:
             axes.axhline(level[1], color=FURTHER[0], linestyle=(0, (5, 3)), linewidth=1.4, label=level[0])
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter(NullFormatter())
+        plain_numbers(axes.yaxis)
         places = sorted({place for line in lines for place in line.at})
         if places and places[-1] < LARGEST_IN_FULL:
             axes.set_xticks(places)
-            axes.xaxis.set_major_formatter("{x:g}")
-            axes.xaxis.set_minor_formatter(NullFormatter())
+            plain_numbers(axes.xaxis)
         axes.set_xlabel(quantity)
         axes.set_ylabel("wall time of a simulated second, s")
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2)

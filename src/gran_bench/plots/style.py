@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from itertools import cycle
 from pathlib import Path
+from typing import TypeVar
 
 import matplotlib
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from gran_bench.files import whole_file
+
+Thing = TypeVar("Thing")
 
 # Okabe & Ito's colours, told apart with every kind of colour vision.
 DEM = "#000000"
@@ -88,6 +94,25 @@ def say(axes: Axes, text: str) -> None:
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color="#555555")
     axes.set_yticks([])
     axes.grid(False)
+
+
+def coloured(things: Iterable[Thing], first: Sequence[str] = (SURROGATE,)) -> Iterator[tuple[Thing, str]]:
+    """Each thing with a colour: of ``first``, then further ones, then all again, so that none is left out."""
+    return zip(things, cycle((*first, *FURTHER)), strict=False)
+
+
+def mark_place(axes: Axes, x: float, text: str, ha: str = "left") -> None:
+    """A dashed line across a panel at ``x``, with words at its foot, to its right or (``ha="right"``) to its left."""
+    axes.axvline(x, color=QUIET, linewidth=0.9, linestyle=(0, (4, 3)))
+    axes.annotate(text, (x, 0.03), xycoords=("data", "axes fraction"), xytext=(-5 if ha == "right" else 5, 0),
+                  textcoords="offset points", ha=ha, fontsize=8.5, color="#555555", annotation_clip=True)  # fmt: skip
+
+
+def plain_numbers(*logarithmic: Axis) -> None:
+    """Let the ticks of logarithmic axes read 0.5 and 20 instead of powers of ten."""
+    for axis in logarithmic:
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
 
 
 def speed_label(velocity_kind: str) -> str:

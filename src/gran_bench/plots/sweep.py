@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator
 
-from gran_bench.plots.style import BASELINE, DEM, FURTHER, QUIET, SURROGATE, drawing, say
+from gran_bench.plots.style import BASELINE, DEM, FURTHER, QUIET, SURROGATE, drawing, plain_numbers, say
 
 PANELS = (
     ("headline/angle error floors", "angle error, noise floors"),
@@ -103,8 +103,7 @@ def _points(axes: Axes, series: list, axis: str, name: str, place: dict[str, flo
     if found.min() > 0 and found.max() > LOG_FROM * found.min():
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axes.yaxis.set_minor_formatter(NullFormatter())
+        plain_numbers(axes.yaxis)
     else:
         axes.set_ylim(0.0, 1.08 * found.max() if found.max() > 0 else 1.0)
 

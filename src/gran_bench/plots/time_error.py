@@ -10,15 +10,13 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
-from matplotlib.ticker import NullFormatter
 from matplotlib.transforms import Bbox
 
-from gran_bench.plots.style import BASELINE, DEM, FURTHER, QUIET, SURROGATE, drawing
+from gran_bench.plots.style import BASELINE, DEM, QUIET, SURROGATE, drawing, plain_numbers
 
 KINDS = {
     "dem": ("DEM", DEM, "o"),
     "surrogate": ("surrogate", SURROGATE, "D"),
-    "hybrid": ("hybrid or corrected", FURTHER[0], "s"),
     "baseline": ("baseline", BASELINE, "^"),
 }
 
@@ -38,7 +36,7 @@ class Contender:
 
     Attributes:
         name: that stands beside its mark.
-        kind: ``dem``, ``surrogate``, ``hybrid`` or ``baseline``.
+        kind: ``dem``, ``surrogate`` or ``baseline``.
         seconds: wall time of a simulated second, s.
         floors: error in noise floors; None for a run that failed.
         low, high: range of the error, in floors.
@@ -89,11 +87,10 @@ def time_against_error(
         axes = figure.subplots()
         axes.set_xscale("log")
         axes.set_yscale("log")
-        axes.xaxis.set_major_formatter("{x:g}")
         near = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1e3, 1e4, 1e5)
         axes.set_yticks([tick for tick in near if lowest / 2 < tick < 3 * highest])
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter(NullFormatter())
+        plain_numbers(axes.yaxis)
+        axes.xaxis.set_major_formatter("{x:g}")
         times = [c.seconds for c in contenders] or [1.0]
         axes.set_xlim(0.5 * min(times), 4.0 * max(times))
         axes.set_ylim(0.6 * lowest, 2.8 * highest)

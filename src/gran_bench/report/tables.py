@@ -10,9 +10,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from gran_bench.benchmark.claims import Entry, EqualAccuracy, equal_accuracy, frontier, speed_up
+from gran_bench.benchmark.claims import Entry, equal_accuracy, frontier
 from gran_bench.benchmark.results import entries, read_all
-from gran_bench.benchmark.sentences import softened
+from gran_bench.benchmark.sentences import equal_accuracy_words, softened
 from gran_bench.provenance import read_table
 from gran_bench.run.summary import missed_requirements, read_summary
 from gran_bench.stress.expectation import FAILED
@@ -73,19 +73,19 @@ def scenes_table(root: Path) -> Iterator[str]:
     yield "| scene | spheres | fastest DEM of the DEM's accuracy | surrogate | at equal accuracy |"
     yield "|---|---:|---|---|---|"
     for found in read_all(root / "benchmark").values():
-        every, best = entries(found), softened(found)
+        every, best, accepted = entries(found), softened(found), found["reference"]["accepted"]
         link = f"[{found['scene']}](benchmark/README.md#{found['scene']})"
         for row in found["methods"]:
             if row["kind"] == "surrogate":
                 entry = next((one for one in every if one.name == row["name"] and one.floors is not None), None)
                 said = row["unfit_because"] or row["failure"] if entry is None else _numbers(entry)
-                beside = "" if entry is None else _who(equal_accuracy(entry, every, found["reference"]["accepted"]))
+                beside = "" if entry is None else equal_accuracy_words(equal_accuracy(entry, every, accepted))
                 dem = "none" if best is None else f"{best.name}: {_numbers(best)}"
                 yield f"| {link} | {found['spheres']} | {dem} | {row['name']}: {said} | {beside} |"
 
 
 def failures_table(root: Path) -> Iterator[str]:
-    """What failed, by record, with the day on which the record was made."""
+    """What failed: a row for each record, with the day of the record."""
     yield "| record | of the day | failed |"
     yield "|---|---|---|"
     for name in RUNS:
@@ -140,17 +140,6 @@ def _row(name: str, seconds: float | None, relative: float | None, errors: Mappi
 
 def _numbers(entry: Entry) -> str:
     return f"{entry.seconds:.3g} s, {entry.floors:.3g} floors"
-
-
-def _who(beside: EqualAccuracy) -> str:
-    rival = beside.rival or beside.lenient
-    if rival is None:
-        return "no DEM is as exact"
-    if beside.faster in ("undecided", "neither"):
-        return f"{beside.faster} is faster" if beside.faster == "neither" else "undecided"
-    ratio = speed_up(beside.entry, rival).middle
-    who, times = (rival.name, 1 / ratio) if ratio < 1.0 else ("the surrogate", ratio)
-    return f"{who} is {times:.2g} times as fast"
 
 
 def _failures(record: str, made: Mapping[str, str], words: str) -> str:

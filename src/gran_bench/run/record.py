@@ -32,7 +32,7 @@ TRACKED = "tracked"  # subfolder of the summary that the store gets; the run's o
 
 @dataclass(frozen=True)
 class RunRecord:
-    """A run that is to be done, or was: who it is, what its command says, and its clock.
+    """A planned or finished run: its identity, the config of its command, and its times.
 
     Attributes:
         identity: its folder, and what determines it; the key is its identity in the tracking store.

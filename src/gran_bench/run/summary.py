@@ -74,7 +74,7 @@ def broken_rollouts(summary: dict[str, Any]) -> dict[str, int]:
 
 
 def rollout_warnings(summary: dict[str, Any]) -> list[str]:
-    """A line for each thing in which a rollout is unlike what its model was trained for."""
+    """A line for each difference between a rollout and the training of its model."""
     rollouts = summary["rollouts"].items()
     return [f"rollout {name} is an extrapolation: {line}" for name, row in rollouts for line in row.get("warnings", ())]
 

@@ -81,7 +81,7 @@ def run(draw: Draw, words: Sequence[str] | None = None, cases: Sequence[Case] = 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=" ".join(program()),
-        description="Verify the DEM against theory; exit code 0 where all is within tolerance, 1 where it is not."
+        description="Verify the DEM against theory; exit code 0 where all is within tolerance, 1 where it is not.",
     )
     parser.add_argument(
         "--output", type=Path, metavar="FOLDER",

@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 
 from gran_bench.benchmark.command import model_files
-from gran_bench.benchmark.contest import Contest, largest_allowed_step
-from gran_bench.benchmark.suitability import why_unfit
+from gran_bench.benchmark.contest import Contest, largest_allowed_step, why_unfit
 from gran_bench.config import BenchmarkConfig
 from gran_bench.config.rules import ConfigError
 from gran_bench.dem.simulate import TimeStepError, choose_time_step
