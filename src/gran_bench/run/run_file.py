@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from gran_bench.config.registry import METRICS
 from gran_bench.files import write_text
 
 SWEEPS = "sweeps"  # folder below the results
@@ -107,6 +108,11 @@ def finished_run(
             "ms_per_frame": rollout["ms_per_frame_median"],
             "training_minutes": training["seconds"] / 60.0,
             "requirements_failed": requirements_failed,
+            **{
+                f"{name}_floors": shared["errors"][name]["multiple_of_floor"]
+                for name in METRICS
+                if name in shared["errors"]
+            },
         },
         packings={name: _packing(judged) for name, judged in summary["judged"].items()},
         training={name: training[name] for name in TRAINING if name in training},
@@ -156,8 +162,9 @@ def copied_run(run: RunFile, name: str, choices: Mapping[str, str], source: Path
 
 def _packing(judged: Mapping[str, Any]) -> dict[str, Any]:
     names = ("value", "unit", "floor", "multiple_of_floor", "note")
+    kept = (*ERRORS, *(name for name in METRICS if name in judged["errors"]))
     return {
-        "errors": {row: {name: judged["errors"][row][name] for name in names} for row in ERRORS},
+        "errors": {row: {name: judged["errors"][row][name] for name in names} for row in kept},
         "requirements": {row["label"]: row["verdict"] for row in judged["requirements"].values()},
         "failures": judged["failures"],
     }

@@ -1,6 +1,6 @@
 """A scene: walls and their motion, materials, gravity and filling, and what of the physics it needs."""
 
-from gran_bench.scene.build import build_scene
+from gran_bench.scene.build import Container, build_scene
 from gran_bench.scene.errors import SceneError
 from gran_bench.scene.filling import Filling, Room
 from gran_bench.scene.material import Material, PairCoefficients
@@ -13,6 +13,7 @@ from gran_bench.scene.walls import Cone, Cylinder, Disc, Outlet, Plane, Wall, bo
 __all__ = [
     "RADIANS_PER_SECOND_PER_RPM",
     "Cone",
+    "Container",
     "Cylinder",
     "Disc",
     "Filling",

@@ -14,6 +14,8 @@ from typing import Any
 from gran_bench import tracking
 from gran_bench.compose import PlannedJob
 from gran_bench.config import TrackingConfig, TrainConfig
+from gran_bench.config.choices import weighed_terms
+from gran_bench.config.registry import MODELS
 from gran_bench.config.identity import telling_keys
 from gran_bench.config.reading import validate
 from gran_bench.config.rules import ConfigError
@@ -21,7 +23,7 @@ from gran_bench.dataset import DatasetError
 from gran_bench.files import locked
 from gran_bench.processes import stop_on_signals
 from gran_bench.provenance import command, commit
-from gran_bench.provenance.source_digest import MODELS, judging_code, taken_hashes, training_code
+from gran_bench.provenance.source_digest import judging_code, taken_hashes, training_code
 from gran_bench.run.identity import RunIdentity, hash_of, identify, judged_by, judging_plan, wants_more
 from gran_bench.run.record import finished_summary, tell
 from gran_bench.run.run_file import RUNS, SWEEPS, copied_run, read_run, recorded_runs
@@ -153,7 +155,7 @@ def _made_with(config: TrainConfig) -> dict[str, Any]:
     training, time = config.trainer, config.trainer.budget == "time"
     return {
         "model": config.model.name,
-        "training_code": {model: training_code(model) for model in MODELS},
+        "training_code": {model: training_code(model, weighed_terms(config.loss)) for model in MODELS},
         "judging_code": judging_code(),
         "budget": f"{training.minutes:g} min" if time else f"{training.steps} updates",
     }
