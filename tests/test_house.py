@@ -85,7 +85,9 @@ def test_an_init_only_hands_names_on(path):
     for node in ast.parse(path.read_text("utf-8")).body:
         names = isinstance(node, ast.Import | ast.ImportFrom | ast.Assign)
         docstring = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-        assert names or docstring, f"{path}:{node.lineno} is logic"
+        # The package's own hands its names on when they are asked for.
+        lazy = path.parent == SOURCE and getattr(node, "name", "") in ("__getattr__", "__dir__")
+        assert names or docstring or lazy, f"{path}:{node.lineno} is logic"
 
 
 @pytest.mark.parametrize("path", [*(SOURCE / f"{entry}.py" for entry in ENTRIES), *SOURCE.glob("*/__main__.py")])

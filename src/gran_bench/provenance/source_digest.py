@@ -100,7 +100,7 @@ def package_digest(package: str) -> str:
     folders, file = getattr(module, "__path__", ()), getattr(module, "__file__", None)
     files = [path for folder in map(Path, folders) for path in sorted(folder.rglob("*.py"))] or [Path(file or "")]
     if not files[0].is_file():
-        raise ConfigError(f"{package} registered something and has no source file to know it by; write it into a module")
+        raise ConfigError(f"{package} registered something and has no source file to know it by; write a module")
     digest = hashlib.sha256(package.encode())
     for path in files:
         digest.update(f"{path.name}\n{bare_code(path.read_text('utf-8'))}\n".encode())

@@ -8,7 +8,7 @@ from gran_bench.scene.motion import RADIANS_PER_SECOND_PER_RPM, Motion, Rotation
 from gran_bench.scene.needs import Needs
 from gran_bench.scene.scene import Scene
 from gran_bench.scene.sizes import Sizes
-from gran_bench.scene.walls import Cone, Cylinder, Disc, Outlet, Plane, Wall, box
+from gran_bench.scene.walls import Cone, Cylinder, Disc, Outlet, Plane, Wall, box, surface_of_revolution
 
 __all__ = [
     "RADIANS_PER_SECOND_PER_RPM",
@@ -34,4 +34,5 @@ __all__ = [
     "Wall",
     "box",
     "build_scene",
+    "surface_of_revolution",
 ]

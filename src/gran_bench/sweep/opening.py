@@ -15,9 +15,9 @@ from gran_bench import tracking
 from gran_bench.compose import PlannedJob
 from gran_bench.config import TrackingConfig, TrainConfig
 from gran_bench.config.choices import weighed_terms
-from gran_bench.config.registry import MODELS
 from gran_bench.config.identity import telling_keys
 from gran_bench.config.reading import validate
+from gran_bench.config.registry import MODELS
 from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import DatasetError
 from gran_bench.files import locked

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from gran_bench.config.registry import METRICS
 from gran_bench.run.run_file import FINISHED, RunFile
 
 SEED = "seed"
@@ -59,6 +60,13 @@ COLUMNS = (
 )
 
 
+def columns_of(runs: Sequence[RunFile]) -> tuple[Column, ...]:
+    """The house's columns, then one for each registered metric that a run has."""
+    registered = {f"{name}_floors": metric.label for name, metric in METRICS.items()}
+    there = [name for name in registered if any(name in run.figures for run in runs)]
+    return COLUMNS + tuple(Column(name, registered[name], "floors", 2) for name in there)
+
+
 def newest(runs: Sequence[RunFile]) -> tuple[list[RunFile], list[RunFile]]:
     """The runs that count, and those that a later one took the place of: the same choices with other code or data."""
     latest: dict[tuple, RunFile] = {}
@@ -86,7 +94,7 @@ def runs_frame(runs: Sequence[RunFile]) -> pd.DataFrame:
     for run in runs:
         row = {axis: run.choices.get(axis, NOT_CHOSEN) for axis in axes}
         row |= {"seed": run.seed, "status": run.status}
-        row |= {column.name: _figure(run, column.name) for column in COLUMNS}
+        row |= {column.name: _figure(run, column.name) for column in columns_of(runs)}
         for packing, judged in run.packings.items():
             for name, error in judged["errors"].items():
                 row[f"{packing}_{name}_{error['unit'] or '1'}"] = error["value"]
@@ -113,7 +121,7 @@ def choices_frame(runs: Sequence[RunFile]) -> pd.DataFrame:
         done = group[group["status"] == FINISHED]
         row = dict(zip(axes, values if isinstance(values, tuple) else (values,), strict=True))
         row |= {"n": len(done), "failed": len(group) - len(done)}
-        for column in COLUMNS:
+        for column in columns_of(runs):
             figures = pd.to_numeric(done[column.name], errors="coerce").astype(float)
             undefined = int(figures.isna().sum())
             row[column.name] = math.nan if undefined or done.empty else figures.mean()
@@ -126,7 +134,7 @@ def choices_frame(runs: Sequence[RunFile]) -> pd.DataFrame:
 def shown_table(runs: Sequence[RunFile]) -> str:
     """The table of choices in Markdown, legible on a terminal too."""
     axes, frame = axes_of(runs), choices_frame(runs)
-    columns = [column for column in COLUMNS if column.shown]
+    columns = [column for column in columns_of(runs) if column.shown]
     headings = [*axes, "runs", "failed", *(column.heading for column in columns)]
     rows = [headings]
     for _, row in frame.iterrows():
@@ -147,7 +155,7 @@ def best_choices(runs: Sequence[RunFile]) -> dict[str, tuple[str, float]]:
     """
     axes, frame = axes_of(runs), choices_frame(runs)
     found = {}
-    for column in COLUMNS if not frame.empty else ():
+    for column in columns_of(runs) if not frame.empty else ():
         if not column.ranked or (column.name == TIME and not all(map(changes_work, axes))):
             continue
         candidates = frame[(frame["failed"] == 0) & frame[column.name].notna()]
