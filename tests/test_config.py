@@ -14,7 +14,6 @@ import gran_bench.conf
 from gran_bench import config as schemas
 from gran_bench.compose import checked_config, compose
 from gran_bench.config import (
-    MODEL_SCHEMAS,
     BenchmarkConfig,
     BoundaryConfig,
     CconvModelConfig,
@@ -29,6 +28,7 @@ from gran_bench.config import choices as config_choices
 from gran_bench.config import consistency as config_consistency
 from gran_bench.config.identity import UNDECIDING, deciding_keys
 from gran_bench.config.reading import dotted_keys, nearest_key, read_config, validate
+from gran_bench.config.registry import MODELS
 from gran_bench.config.rules import ConfigError, Name, OneOf, Range, Section
 from gran_bench.dem.initial_checks import check_initial_state
 from gran_bench.metrics.position_error import HORIZONS
@@ -56,12 +56,12 @@ def test_the_commands_compose_without_any_choice():
 
 
 @pytest.mark.parametrize("recipe", RECIPES)
-@pytest.mark.parametrize("model", sorted(MODEL_SCHEMAS))
+@pytest.mark.parametrize("model", sorted(MODELS))
 def test_one_word_swaps_the_model_of_every_recipe(recipe, model):
     config = train_config(f"+experiment={recipe}", f"model={model}")
     assert config.experiment == recipe
     assert config.model.name == model
-    assert isinstance(config.model, MODEL_SCHEMAS[model])
+    assert isinstance(config.model, MODELS[model].config)
 
 
 @pytest.mark.parametrize("group", [g.name for g in GROUPS if g.name not in ("experiment", "scene", "profile")])
@@ -172,7 +172,7 @@ def test_the_yaml_gives_every_key_of_the_schema_so_that_nothing_is_hidden():
             elif is_dataclass(value) and values[entry.name] is not None:
                 yield from absent(value, values[entry.name], f"{path}{entry.name}.")
 
-    for model in MODEL_SCHEMAS:
+    for model in MODELS:
         composed = compose("train", [f"model={model}"])
         assert list(absent(checked_config(composed, TrainConfig), composed)) == []
     assert list(absent(GenerateConfig(), compose("generate", []))) == []

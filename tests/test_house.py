@@ -30,10 +30,10 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "gran_bench"
 MODULES = sorted(path for path in SOURCE.rglob("*.py") if path.name != "__init__.py")
 
-# A module may import from rooms before its own. The first four know nothing of granular flow.
+# A module may import from rooms before its own.
 ROOMS = [
-    *("cache_folders", "files", "provenance", "processes"),
-    *("config", "state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses", "rollout"),
+    *("cache_folders", "files", "config", "provenance", "processes"),
+    *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses", "rollout"),
     *("metrics", "baselines", "trainer", "evaluation", "plots", "export", "tracking", "run", "compose", "sweep"),
     *("shipped", "entry", "benchmark", "stress", "report"),
 ]
@@ -105,7 +105,9 @@ def test_an_init_only_hands_names_on(path):
     for node in ast.parse(path.read_text("utf-8")).body:
         names = isinstance(node, ast.Import | ast.ImportFrom | ast.Assign)
         docstring = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-        assert names or docstring, f"{path}:{node.lineno} is logic"
+        # The package's own hands its names on when they are asked for.
+        lazy = path.parent == SOURCE and getattr(node, "name", "") in ("__getattr__", "__dir__")
+        assert names or docstring or lazy, f"{path}:{node.lineno} is logic"
 
 
 @pytest.mark.parametrize("path", [*(SOURCE / f"{entry}.py" for entry in ENTRIES), *SOURCE.glob("*/__main__.py")])

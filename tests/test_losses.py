@@ -9,7 +9,8 @@ import torch
 
 from gran_bench.config import LossConfig, SceneConfig
 from gran_bench.config.choices import loss_terms
-from gran_bench.losses import TERMS, FrameAhead, LossError, Target, WindowLoss, contact_overlaps, frame_weights
+from gran_bench.config.registry import LOSS_TERMS
+from gran_bench.losses import FrameAhead, LossError, Target, WindowLoss, contact_overlaps, frame_weights
 from gran_bench.losses.particles import HUBER_WIDTH
 from gran_bench.scene import Cone, Disc, Outlet, Plane, Scene, Translation, build_scene
 from gran_bench.surrogate.step import FrameState
@@ -39,15 +40,15 @@ def moved(ahead: FrameAhead, **fields: torch.Tensor) -> FrameAhead:
 
 
 def value(name: str, ahead: FrameAhead) -> float:
-    return TERMS[name](ahead).item()
+    return LOSS_TERMS[name](ahead).item()
 
 
 def test_every_key_of_the_config_that_is_a_weight_has_a_term_and_no_term_lacks_a_key():
-    assert sorted(loss_terms()) == sorted(TERMS)
+    assert sorted(loss_terms()) == sorted(LOSS_TERMS)
 
 
 @pytest.mark.parametrize("scene", [SCENE, PERIODIC], ids=["drum", "periodic"])
-@pytest.mark.parametrize("name", TERMS)
+@pytest.mark.parametrize("name", LOSS_TERMS)
 def test_a_perfect_prediction_costs_nothing(name, scene):
     assert value(name, perfect(scene)) == pytest.approx(0.0, abs=1e-9)
 
@@ -248,19 +249,19 @@ def with_leaves(ahead: FrameAhead) -> tuple[FrameAhead, list[torch.Tensor]]:
 
 
 @pytest.mark.parametrize("pushes", ["balanced", "none"])
-@pytest.mark.parametrize("name", TERMS)
+@pytest.mark.parametrize("name", LOSS_TERMS)
 def test_gradients_are_finite_even_at_zero_error(name, pushes):
     ahead = perfect()
     if pushes == "none":
         ahead = moved(ahead, pair_acceleration=torch.zeros_like(ahead.predicted.position))
     ahead, leaves = with_leaves(ahead)
-    TERMS[name](ahead).backward()
+    LOSS_TERMS[name](ahead).backward()
     assert all(leaf.grad is None or torch.isfinite(leaf.grad).all() for leaf in leaves)
     assert any(leaf.grad is not None for leaf in leaves)
 
 
 @pytest.mark.parametrize("scene", [SCENE, PERIODIC], ids=["drum", "periodic"])
-@pytest.mark.parametrize("name", TERMS)
+@pytest.mark.parametrize("name", LOSS_TERMS)
 def test_gradients_are_those_of_finite_differences(name, scene):
     ahead = perfect(scene)
     state, far = ahead.predicted, {"huber": 2e-4}.get(name, 0.005)
@@ -276,7 +277,7 @@ def test_gradients_are_those_of_finite_differences(name, scene):
 
     def of(*parts: torch.Tensor) -> torch.Tensor:
         names = ("position", "velocity", "angular_velocity", "pair_acceleration")
-        return TERMS[name](moved(ahead, **dict(zip(names, parts, strict=True))))
+        return LOSS_TERMS[name](moved(ahead, **dict(zip(names, parts, strict=True))))
 
     assert of(*leaves).item() > 1e-4
     gradients = torch.autograd.grad(of(*leaves), leaves, allow_unused=True)
@@ -285,13 +286,13 @@ def test_gradients_are_those_of_finite_differences(name, scene):
 
 
 @pytest.mark.parametrize("broken", [np.nan, np.inf])
-@pytest.mark.parametrize("name", TERMS)
+@pytest.mark.parametrize("name", LOSS_TERMS)
 def test_what_is_not_finite_is_not_finite_in_the_loss_and_no_crash(name, broken):
     ahead = perfect()
     for part in ("position", "velocity", "angular_velocity", "pair_acceleration"):
         getattr(ahead.predicted, part)[3, 1] = broken
     ahead, _ = with_leaves(ahead)
-    found = TERMS[name](ahead)
+    found = LOSS_TERMS[name](ahead)
     assert not torch.isfinite(found)
     found.backward()  # attached to the graph
 
@@ -335,4 +336,4 @@ def test_a_loss_of_nothing_and_terms_without_what_they_look_at_are_refused():
     ahead = moved(perfect(replace(SCENE, gravity=(0.0, 0.0, 0.0))), angular_velocity=None, pair_acceleration=None)
     for name in ("spin", "momentum", "energy", "speed_distribution"):
         with pytest.raises(LossError, match=rf"loss\.{name}=0"):
-            TERMS[name](ahead)
+            LOSS_TERMS[name](ahead)

@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 
 import gran_bench
-from gran_bench.config import MODEL_SCHEMAS
+from gran_bench.config.registry import MODELS
 from gran_bench.provenance import source_digest
 from gran_bench.provenance.source_digest import (
     COMPARING,
     JUDGING,
-    MODELS,
     TRAINING,
     comparing_code,
     files_of,
@@ -83,14 +82,14 @@ def test_comments_and_docstrings_make_nothing_anew(edit):
 
 
 def test_every_model_has_its_modules_and_a_new_module_of_surrogates_counts_for_all(edit):
-    assert set(MODELS) == set(MODEL_SCHEMAS)
+    assert all(model.code for model in MODELS.values())
     (Path(gran_bench.__file__).parent / "surrogate/new.py").write_text("")
     assert edit("surrogate/new.py", "NEW = 1") == {*TRAININGS, "judge", "compare"}
 
 
 @pytest.mark.parametrize(
     ("rooms", "elsewhere"),
-    [*(((*TRAINING, *MODELS[model]), DATA) for model in MODELS), (JUDGING, DATA), (COMPARING, DATA)],
+    [*(((*TRAINING, *MODELS[model].code), DATA) for model in MODELS), (JUDGING, DATA), (COMPARING, DATA)],
     ids=[*(f"train {model}" for model in MODELS), "judge", "compare"],
 )
 def test_a_list_holds_all_that_its_files_import(rooms, elsewhere):

@@ -29,6 +29,7 @@ from gran_bench.compose import (
     swept_keys,
 )
 from gran_bench.config.override_errors import explain
+from gran_bench.config.registry import load_plugins
 from gran_bench.config.rules import ConfigError
 from gran_bench.processes import quiet_without_reader
 from gran_bench.provenance import program
@@ -81,6 +82,7 @@ def _run(
     described, configs = Described(), []
     try:
         if _starts_work(arguments):
+            load_plugins()  # before Hydra: what it cannot compose is explained by what is registered
             described = described_jobs(source, arguments.overrides, multirun)
             configs = [checked_config(composed, schema) for _, composed in described.jobs]
             _refuse_lonely_sweep(configs, multirun)

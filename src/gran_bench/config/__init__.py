@@ -2,10 +2,8 @@
 
 from gran_bench.config.schema import (
     BACKEND,
-    CONTAINER_SCHEMAS,
     FRACTION,
     FRAME_WEIGHTS,
-    MODEL_SCHEMAS,
     RESTITUTION,
     SEED,
     BenchmarkConfig,
@@ -39,10 +37,8 @@ from gran_bench.config.schema import (
 
 __all__ = [
     "BACKEND",
-    "CONTAINER_SCHEMAS",
     "FRACTION",
     "FRAME_WEIGHTS",
-    "MODEL_SCHEMAS",
     "RESTITUTION",
     "SEED",
     "BenchmarkConfig",

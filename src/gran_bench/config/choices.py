@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from dataclasses import fields
 
 from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig, LossConfig, TrainConfig
-from gran_bench.config.rules import ConfigError
+from gran_bench.config.registry import MODELS
+from gran_bench.config.rules import ConfigError, Section
 
 PAIR_FADE = 0.1  # of a diameter: the last part of the contact network's reach, over which an answer fades
 
@@ -29,6 +30,8 @@ def check_choices(config: TrainConfig) -> None:
     scene = config.scene
     period = scene.container.length if getattr(scene.container, "periodic_axis", False) else 0.0
     check_radius(config.model, scene.filling.diameter, period)
+    if (check := getattr(config.model, "check", None)) is not None:
+        check(scene)
     for complaint in (*_of_boundary(config), *_of_loss(config), *_of_rollout(config)):
         raise ConfigError(complaint)
 
@@ -38,19 +41,26 @@ def loss_terms() -> list[str]:
     return [entry.name for entry in fields(LossConfig) if entry.type == "float" and entry.name != "discount"]
 
 
-def check_radius(model: ContactModelConfig | CconvModelConfig, diameter: float, period: float) -> None:
+def weighed_terms(loss: LossConfig) -> list[str]:
+    """The terms that have a weight."""
+    return [term for term in loss_terms() if getattr(loss, term) > 0]
+
+
+def check_radius(model: Section, diameter: float, period: float) -> None:
     """Hold a model's radius against the spheres that it is for.
 
     Args:
-        model: what is trained.
+        model: what is trained; one that is not the house's has a `check` of its own.
         diameter: of the spheres, m.
         period: length of the periodic axis, m; 0 for none.
 
     Raises:
         ConfigError: a radius that reaches too little or too far.
     """
+    if not isinstance(model, ContactModelConfig | CconvModelConfig):
+        return
     given = f"model.radius={model.radius:g}"
-    if not isinstance(model, ContactModelConfig):
+    if isinstance(model, CconvModelConfig):
         if model.radius <= diameter:
             raise ConfigError(f"{given} reaches no neighbour; choose more than the particle diameter, {diameter:g} m")
         return
@@ -69,7 +79,7 @@ def check_radius(model: ContactModelConfig | CconvModelConfig, diameter: float, 
 
 def _of_boundary(config: TrainConfig) -> Iterator[str]:
     model, boundary = config.model.name, config.boundary
-    if isinstance(config.model, ContactModelConfig) != (boundary.kind == "own"):
+    if MODELS[model].own_walls != (boundary.kind == "own"):
         if boundary.kind == "own":
             yield (
                 f"boundary.kind=own is how the contact network sees walls, and model={model} does not; choose "
@@ -78,7 +88,7 @@ def _of_boundary(config: TrainConfig) -> Iterator[str]:
         else:
             yield (
                 f"boundary.kind={boundary.kind} changes nothing for model={model}, which has walls of its own; leave "
-                f"boundary as it is (boundary={model}), or choose model=radial or model=ccnn"
+                f"boundary as it is (boundary=contact), or choose model=radial or model=ccnn"
             )
     for entry in fields(BoundaryConfig):
         value = getattr(boundary, entry.name)
@@ -94,15 +104,14 @@ def _of_boundary(config: TrainConfig) -> Iterator[str]:
 
 def _of_loss(config: TrainConfig) -> Iterator[str]:
     loss, model, terms = config.loss, config.model.name, loss_terms()
-    if not any(getattr(loss, term) > 0 for term in terms):
+    if not weighed_terms(loss):
         yield f"loss.{terms[0]}=0 and every other term is 0 too; give one of {', '.join(terms)} a weight"
-    contact = isinstance(config.model, ContactModelConfig)
-    if loss.spin > 0 and not contact:
+    if loss.spin > 0 and not MODELS[model].spin:
         yield (
             f"loss.spin={loss.spin:g} needs a model that predicts spin, and model={model} does not; choose "
             "loss.spin=0 or model=contact"
         )
-    if loss.momentum > 0 and contact:
+    if loss.momentum > 0 and MODELS[model].conserves_momentum:
         yield (
             f"loss.momentum={loss.momentum:g} has nothing to teach model={model}, whose pairs conserve momentum "
             "exactly; choose loss.momentum=0, or model=radial or model=ccnn"

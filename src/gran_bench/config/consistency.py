@@ -19,7 +19,8 @@ from gran_bench.config import (
     TrainConfig,
 )
 from gran_bench.config.choices import check_choices
-from gran_bench.config.rules import ConfigError, shown
+from gran_bench.config.registry import HOUSE, WALLS
+from gran_bench.config.rules import ConfigError, Section, shown
 
 # What rooms further on can do, said here because a config is refused before they are loaded; a test holds them equal.
 FUSED_SIZES = (16, 4)  # model.hidden and model.channels that the contact network's kernel is compiled for
@@ -65,7 +66,7 @@ def _check_scene(scene: SceneConfig) -> None:
     check_end(scene)
     check_frames(scene)
     check_filling(filling)
-    if scene.container.kind != "none":
+    if scene.container.kind != "none" and WALLS.owner(scene.container.kind) == HOUSE:
         for name in ("diameter", "width", "length", "height", "orifice"):
             room = getattr(scene.container, name, filling.diameter * 2.0)
             _require(
@@ -188,7 +189,7 @@ def _check_trainable(scene: SceneConfig) -> None:
         "to train on; choose a drum",
     )
     _require(
-        kind == "drum",
+        WALLS[kind].drum,
         f"scene.container.kind={kind} does not turn, so it makes one case and no data set to train on; choose a drum "
         "(python -m gran_bench.generate makes the case)",
     )
@@ -215,7 +216,7 @@ def _check_trainable(scene: SceneConfig) -> None:
 
 
 def _check_speeds(scene: SceneConfig, dataset: DatasetConfig) -> None:
-    takes_speeds = scene.container.kind == "drum" and len(set(scene.rotation.speeds_rpm)) == 1
+    takes_speeds = WALLS[scene.container.kind].drum and len(set(scene.rotation.speeds_rpm)) == 1
     _require(
         len(dataset.training_speeds_rpm) > 0 or not takes_speeds,
         "dataset.training_speeds_rpm=[] leaves nothing to train on; give at least one speed",
@@ -297,8 +298,8 @@ def _check_device(device: str) -> None:
     )
 
 
-def check_model(model: ContactModelConfig | CconvModelConfig) -> None:
-    """Hold the values of a model against each other.
+def check_model(model: Section) -> None:
+    """Hold the values of a model of the house against each other.
 
     Raises:
         ConfigError: names a key, its value, what it contradicts and the remedy.
@@ -311,7 +312,7 @@ def check_model(model: ContactModelConfig | CconvModelConfig) -> None:
             f"model.kernel={model.kernel} is not the kernel of model={model.name}; choose model={other}",
         )
         _require(model.width % 2 == 0, f"model.width={model.width} cannot be split in two halves; choose an even width")
-    else:
+    if isinstance(model, ContactModelConfig):
         _require(
             model.backend != "fused" or (model.hidden, model.channels) == FUSED_SIZES,
             f"model.hidden={model.hidden} with model.channels={model.channels} is not what model.backend=fused is "

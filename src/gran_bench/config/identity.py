@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from gran_bench.config import TrainConfig
+from gran_bench.config.registry import ADDED_TERMS, MODELS
 
 # Sections and dotted keys that say where, when, how often or against what, and leave every bit of the weights as it is.
 # ``device`` is not among them: a GPU adds in another order. Nor is ``threads``: with a budget of time they decide how
@@ -38,11 +39,13 @@ SWITCHED_OFF: dict[str, Callable[[TrainConfig], bool]] = {
 def deciding_keys(config: TrainConfig) -> dict[str, Any]:
     """The config as nested plain values, without what does not decide the trained weights.
 
-    The contact network has walls of its own, so ``boundary`` decides nothing there. A cap of minutes only says when to
+    A model with walls of its own looks at no ``boundary``, and a plugin's term without weight is as if its package were
+    not installed. A cap of minutes only says when to
     pause; a budget of minutes sets the pace of the schedule.
     """
     values = asdict(config)
-    undeciding = UNDECIDING | ({"boundary"} if config.model.name == "contact" else set())
+    undeciding = UNDECIDING | ({"boundary"} if MODELS[config.model.name].own_walls else set())
+    undeciding |= {f"loss.{term}" for term in ADDED_TERMS if values["loss"].get(term) == 0}
     for key in undeciding - ({"trainer.minutes"} if config.trainer.budget == "time" else set()):
         section, _, name = key.rpartition(".")
         del (values[section] if section else values)[name]

@@ -13,10 +13,17 @@ from difflib import SequenceMatcher
 from typing import Any, TypeVar
 
 from gran_bench.config.consistency import check_consistency
+from gran_bench.config.registry import ADDED_TERMS, MODELS, WALLS, Registry, load_plugins
 from gran_bench.config.rules import ConfigError, checked, hints_of, is_optional, recheck, sections_of, shown
-from gran_bench.config.schema import CONTAINER_SCHEMAS, MISSING, MODEL_SCHEMAS, SceneConfig
+from gran_bench.config.schema import MISSING, SceneConfig
 
 Config = TypeVar("Config")
+
+# Sections whose class a key of theirs chooses: the registry, the key, what it is called, and the usual choice.
+CHOSEN: dict[str, tuple[Registry, str, str, str | None]] = {
+    "model.": (MODELS, "name", "model", None),
+    "scene.container.": (WALLS, "kind", "container", "drum"),
+}
 
 
 def read_config(schema: type[Config], values: Mapping[str, Any]) -> Config:
@@ -29,6 +36,7 @@ def read_config(schema: type[Config], values: Mapping[str, Any]) -> Config:
     Raises:
         ConfigError: an unknown key (with the nearest right one), a wrong type, a missing or an illegal value.
     """
+    load_plugins()
     config = _read_section(schema, values, schema.place, schema)
     validate(config)
     return config
@@ -90,14 +98,13 @@ def unknown_key(key: str, value: Any, schema: type, present: list[str] | None = 
     keys = everywhere if present is None else present
     given = key if isinstance(value, Mapping) else f"{key}={value}"  # a section, such as a whole scene, is too long
     place, _, name = key.rpartition(".")
-    for section, choice, schemas in (
-        ("model", "model", MODEL_SCHEMAS),
-        ("scene.container", "scene.container.kind", CONTAINER_SCHEMAS),
-    ):
-        if place == section and key in everywhere:
-            owners = " or ".join(owner for owner, its in schemas.items() if name in hints_of(its))
-            what = section.rpartition(".")[2]
-            return ConfigError(f"{given}: the chosen {what} has no such key; it belongs to {choice}={owners}")
+    if f"{place}." in CHOSEN and key in everywhere:
+        registry, chooser, what, _ = CHOSEN[f"{place}."]
+        owners = " or ".join(owner for owner, its in registry.items() if name in hints_of(its.config))
+        choice = place if place == what else f"{place}.{chooser}"
+        return ConfigError(f"{given}: the chosen {what} has no such key; it belongs to {choice}={owners}")
+    if place == "loss" and name in ADDED_TERMS:
+        return ConfigError(f"{given}: a registered term is added to the chosen loss; write +{given}")
     if key in everywhere:
         return ConfigError(f"{given}: {key.rpartition('.')[0]} is null here; write +{given}")
     guess = nearest_key(key, keys) or nearest_key(key, everywhere)
@@ -150,13 +157,10 @@ def _section_of(sections: list[type], value: Any, key: str) -> type:
     """The dataclass that ``value`` is of: the only one there is, or the one that its name or kind selects."""
     if len(sections) == 1:
         return sections[0]
-    if set(sections) <= set(CONTAINER_SCHEMAS.values()):
-        schemas, chooser, what, default = CONTAINER_SCHEMAS, "kind", "container", "drum"
-    else:
-        schemas, chooser, what, default = MODEL_SCHEMAS, "name", "model", None
+    registry, chooser, what, default = CHOSEN[sections[0].place]
     name = value.get(chooser, default) if isinstance(value, Mapping) else value
-    if name not in schemas:
-        guess = nearest_key(str(name), list(schemas))
-        meant = f"did you mean {guess}?" if guess else f"choose {' or '.join(schemas)}"
+    if name not in registry:
+        guess = nearest_key(str(name), list(registry))
+        meant = f"did you mean {guess}?" if guess else f"choose {' or '.join(registry)}"
         raise ConfigError(f"{key}.{chooser}={name}: no such {what}; {meant}")
-    return schemas[name]
+    return registry[name].config

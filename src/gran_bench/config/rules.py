@@ -11,6 +11,7 @@ import os
 import re
 import sys
 import types
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -129,6 +130,32 @@ class Section:
         object.__setattr__(self, name, checked(type(self), name, value))
 
 
+def stand_at(section: type[Section], place: str) -> None:
+    """Let a section's class be one of those that stand at a place of a whole config, such as ``model``."""
+    section.place = f"{place}."
+    _standing[section.place] = list(dict.fromkeys([*_standing[section.place], section]))
+
+
+def add_key(section: type[Section], name: str, hint: str, entry: Any) -> None:
+    """Give a section's class one more key, the last one.
+
+    Args:
+        section: a dataclass.
+        name: of the key.
+        hint: its type, as an annotation has it.
+        entry: as `key` gives it.
+    """
+    for known in fields(section):  # dataclass() reads its fields from the class again
+        again = field(default=known.default, default_factory=known.default_factory, metadata=known.metadata)
+        setattr(section, known.name, again)
+    section.__annotations__[name] = hint
+    setattr(section, name, entry)
+    for made in ("__init__", "__repr__", "__eq__"):
+        delattr(section, made)
+    dataclass(section)
+    hints_of.cache_clear()
+
+
 def checked(schema: type[Section], name: str, value: Any, place: str | None = None) -> Any:
     """``value`` as the key ``name`` of a section holds it.
 
@@ -165,7 +192,7 @@ def checked_value(hint: Any, rule: Rule | None, value: Any, dotted: str) -> Any:
     if value is None and is_optional(hint):
         return None
     or_null = ", or null" if is_optional(hint) else ""
-    kinds = tuple(member for member in members_of(hint) if member is not type(None))
+    kinds = tuple(dict.fromkeys([*(m for m in members_of(hint) if m is not type(None)), *sections_of(hint)]))
     kind = kinds[0]
     if not _is_list(kind) and kind not in TYPE_WORDS:
         if not isinstance(value, kinds):
@@ -231,6 +258,8 @@ def recheck(config: Section) -> None:
 
 
 hints_of = functools.cache(get_type_hints)
+# Registered sections by the place where they stand.
+_standing: dict[str, list[type[Section]]] = defaultdict(list)
 
 
 def members_of(hint: Any) -> tuple[Any, ...]:
@@ -244,8 +273,10 @@ def is_optional(hint: Any) -> bool:
 
 
 def sections_of(hint: Any) -> Iterator[type[Section]]:
-    """The sections that a key of this type may hold; none where it holds values."""
-    yield from (member for member in members_of(hint) if is_dataclass(member))
+    """The sections that a key of this type may hold, registered ones included; none where it holds values."""
+    members = [member for member in members_of(hint) if is_dataclass(member)]
+    registered = [one for member in members for one in _standing.get(getattr(member, "place", ""), ())]
+    yield from dict.fromkeys([*members, *registered])
 
 
 def shown(value: Any) -> str:

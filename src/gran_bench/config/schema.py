@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from gran_bench.config.registry import register_model, register_wall
 from gran_bench.config.rules import MISSING, Name, Range, Section, at_least, between, key, one_of, positive
 
 FRACTION = Range(0.0, 1.0)
@@ -29,6 +30,8 @@ class MaterialConfig(Section, place="scene.material"):
     rolling_friction: float = key(0.0, at_least(0))  # elastic-plastic, type C; 0 switches it off
 
 
+@register_wall("none", build="gran_bench.scene.build:open_space")
+@register_wall("drum", build="gran_bench.scene.build:drum", drum=True)
 @dataclass
 class ContainerConfig(Section, place="scene.container"):
     """The analytic walls: a horizontal drum about the y axis, centred on the origin, or none."""
@@ -39,6 +42,7 @@ class ContainerConfig(Section, place="scene.container"):
     periodic_axis: bool = False  # true: no end caps, y wraps around
 
 
+@register_wall("box", build="gran_bench.scene.build:closed_box")
 @dataclass
 class BoxConfig(Section, place="scene.container"):
     """A closed box that stands on z = 0."""
@@ -49,6 +53,7 @@ class BoxConfig(Section, place="scene.container"):
     height: float = key(1.0, positive("m"))  # along z
 
 
+@register_wall("hopper", build="gran_bench.scene.build:hopper")
 @dataclass
 class HopperConfig(Section, place="scene.container"):
     """A conical hopper: an upright tube above a cone with an orifice at z = 0, closed until the scene starts."""
@@ -59,15 +64,6 @@ class HopperConfig(Section, place="scene.container"):
     half_angle_deg: float = key(45.0, between(0, 90, "degrees"))  # between the cone and the vertical
     orifice: float = key(0.2, positive("m"))  # diameter of the opening
     outlet_depth: float = key(0.1, positive("m"))  # under the orifice; a sphere beyond counts as discharged
-
-
-# The schema that a container's kind selects; a drum where none is said.
-CONTAINER_SCHEMAS: dict[str, type] = {
-    "drum": ContainerConfig,
-    "none": ContainerConfig,
-    "box": BoxConfig,
-    "hopper": HopperConfig,
-}
 
 
 @dataclass
@@ -172,6 +168,13 @@ class DatasetConfig(Section, place="dataset"):
     workers: int = key(2, at_least(1))  # cases made at a time
 
 
+@register_model(
+    "contact",
+    build="gran_bench.surrogate.contact.network:ContactNetwork",
+    spin=True,
+    conserves_momentum=True,
+    code=("surrogate/contact",),
+)
 @dataclass
 class ContactModelConfig(Section, place="model"):
     """The contact network (DESIGN: a learned solver of contacts)."""
@@ -187,6 +190,12 @@ class ContactModelConfig(Section, place="model"):
     backend: str = key("fused", BACKEND)  # fused: Numba, CPU
 
 
+@register_model(
+    *("ccnn", "radial"),
+    build="gran_bench.surrogate.convolution.ccnn:ContinuousConvolutionNetwork",
+    own_walls=False,
+    code=("surrogate/convolution",),
+)
 @dataclass
 class CconvModelConfig(Section, place="model"):
     """A continuous-convolution network: lattice (the paper's CCNN) or radial kernel basis."""
@@ -202,14 +211,6 @@ class CconvModelConfig(Section, place="model"):
     output_scale: float = key(1.0e-3, positive("m per frame²"))  # one unit of the network's output
     update: str = key("mean", one_of("mean", "trapezoid"))
     backend: str = key("fused", BACKEND)  # fused: Numba, CPU
-
-
-# The schema that a model's name selects.
-MODEL_SCHEMAS: dict[str, type] = {
-    "contact": ContactModelConfig,
-    "ccnn": CconvModelConfig,
-    "radial": CconvModelConfig,
-}
 
 
 @dataclass

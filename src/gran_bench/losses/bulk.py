@@ -9,6 +9,7 @@ import math
 import torch
 from torch import Tensor
 
+from gran_bench.config.registry import register_loss
 from gran_bench.losses.frame_ahead import FrameAhead, LossError, lengths
 from gran_bench.scene import Scene
 
@@ -16,6 +17,7 @@ CELL = 0.1  # m, edge of the cells of the cross-section in `cell_displacement`
 GYRATION = 0.4  # I / m r² of a solid sphere
 
 
+@register_loss
 def cell_displacement(ahead: FrameAhead) -> Tensor:
     """Σ_c n_c ‖⟨x̂ − x⟩_c‖ / N d over the cells c of the cross-section that the DEM's spheres lie in.
 
@@ -29,11 +31,13 @@ def cell_displacement(ahead: FrameAhead) -> Tensor:
     return lengths(summed).sum() / len(error)
 
 
+@register_loss
 def center_of_mass(ahead: FrameAhead) -> Tensor:
     """‖⟨x̂ − x⟩‖ / d over all spheres, which are of one mass."""
     return lengths(ahead.position_error.mean(dim=0))
 
 
+@register_loss
 def energy(ahead: FrameAhead) -> Tensor:
     """|Ê_k − E_k| / max(E_k, N m g d), with E_k = Σ ½ m v² + Σ ½ I ω² and I = ⅖ m r² of a solid sphere.
 
@@ -58,6 +62,7 @@ def _specific_energy(velocity: Tensor, angular_velocity: Tensor | None, scene: S
     return 0.5 * squared.mean()
 
 
+@register_loss
 def speed_distribution(ahead: FrameAhead) -> Tensor:
     """Wasserstein-1 distance of the speeds, Σ_i |ŝ_(i) − s_(i)| / N √(g d) with both sorted.
 

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gran_bench.config.registry import register_loss
 from gran_bench.dem.outlet import taking_part
 from gran_bench.losses.frame_ahead import FrameAhead, LossError
 from gran_bench.neighbors import tree_pairs
@@ -18,6 +19,7 @@ from gran_bench.surrogate.walls import closest_point, frame_walls
 SMALLEST_ACCELERATION = 1.0e-9  # d a frame², mean of a sphere: below it a bed counts as free of contact forces
 
 
+@register_loss
 def overlap(ahead: FrameAhead) -> Tensor:
     """Σ_contacts max(0, overlap − the DEM's own mean overlap of a contact) / N d, over pairs and walls.
 
@@ -52,6 +54,7 @@ def contact_overlaps(position: Tensor, scene: Scene, time: float) -> Tensor:
     return torch.cat(overlaps)
 
 
+@register_loss
 def momentum(ahead: FrameAhead) -> Tensor:
     """‖Σ m a_pp‖ / Σ ‖m a_pp‖: the share of the particle–particle accelerations that nobody answers.
 

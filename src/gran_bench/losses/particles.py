@@ -5,21 +5,25 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from gran_bench.config.registry import register_loss
 from gran_bench.losses.frame_ahead import FrameAhead, LossError, lengths
 
 HUBER_WIDTH = 0.01  # δ, particle diameters
 
 
+@register_loss
 def position_l2(ahead: FrameAhead) -> Tensor:
     """Mean ‖x̂ − x‖ / d (the paper's eq. 3)."""
     return lengths(ahead.position_error).mean()
 
 
+@register_loss
 def position_mse(ahead: FrameAhead) -> Tensor:
     """Mean ‖x̂ − x‖² / d²."""
     return ahead.position_error.square().sum(dim=1).mean()
 
 
+@register_loss
 def huber(ahead: FrameAhead) -> Tensor:
     """Mean h(e) of e = ‖x̂ − x‖ / d: h = e²/2δ up to δ = 0.01, e − δ/2 beyond.
 
@@ -34,11 +38,13 @@ def huber(ahead: FrameAhead) -> Tensor:
     return torch.where(near, squared / (2.0 * HUBER_WIDTH), far_length - 0.5 * HUBER_WIDTH).mean()
 
 
+@register_loss
 def velocity(ahead: FrameAhead) -> Tensor:
     """Mean ‖v̂ − v‖ Δt / d."""
     return lengths(ahead.per_frame(ahead.predicted.velocity - ahead.target.velocity)).mean()
 
 
+@register_loss
 def acceleration(ahead: FrameAhead) -> Tensor:
     """Mean ‖â − a‖ Δt² / d of one frame, with â = (v̂ⁿ⁺¹ − v̂ⁿ)/Δt and a = (vⁿ⁺¹ − vⁿ)/Δt.
 
@@ -52,6 +58,7 @@ def acceleration(ahead: FrameAhead) -> Tensor:
     return lengths(ahead.per_frame(gained - wanted)).mean()
 
 
+@register_loss
 def spin(ahead: FrameAhead) -> Tensor:
     """Mean ‖ω̂ − ω‖ r Δt / d.
 

@@ -7,28 +7,13 @@ which has frame weights of its own (a spin error grows faster with the horizon t
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 
 from torch import Tensor
 
 from gran_bench.config import LossConfig
-from gran_bench.losses import bulk, contacts, particles
+from gran_bench.config.choices import loss_terms, weighed_terms
+from gran_bench.config.registry import LOSS_TERMS
 from gran_bench.losses.frame_ahead import FrameAhead, LossError
-
-TERMS: dict[str, Callable[[FrameAhead], Tensor]] = {
-    "position_l2": particles.position_l2,
-    "position_mse": particles.position_mse,
-    "huber": particles.huber,
-    "velocity": particles.velocity,
-    "acceleration": particles.acceleration,
-    "spin": particles.spin,
-    "overlap": contacts.overlap,
-    "momentum": contacts.momentum,
-    "cell_displacement": bulk.cell_displacement,
-    "center_of_mass": bulk.center_of_mass,
-    "energy": bulk.energy,
-    "speed_distribution": bulk.speed_distribution,
-}
 
 
 def frame_weights(kind: str, frames: int, discount: float = 0.8) -> list[float]:
@@ -64,11 +49,11 @@ class WindowLoss:
     """
 
     def __init__(self, config: LossConfig) -> None:
-        known = {f.name for f in fields(config)}
         self.config = config
-        self.weights = {name: getattr(config, name) for name in TERMS if name in known and getattr(config, name) > 0}
+        # In the order of the keys, in which the terms are added.
+        self.weights = {name: getattr(config, name) for name in weighed_terms(config)}
         if not self.weights:
-            raise LossError(f"loss has no term with a positive weight; set one of {', '.join(TERMS)}")
+            raise LossError(f"loss has no term with a positive weight; set one of {', '.join(loss_terms())}")
 
     def weight_of(self, name: str, frame: int, frames: int) -> float:
         """Weight of a term at frame ``frame`` (1 … F) of ``frames``."""
@@ -77,4 +62,4 @@ class WindowLoss:
 
     def terms(self, ahead: FrameAhead, frame: int, frames: int) -> dict[str, Tensor]:
         """Weighted terms of frame ``frame`` (1 … F) by name; their sum is the frame's share of the loss."""
-        return {name: self.weight_of(name, frame, frames) * TERMS[name](ahead) for name in self.weights}
+        return {name: self.weight_of(name, frame, frames) * LOSS_TERMS[name](ahead) for name in self.weights}

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gran_bench.metrics.measured import LEAST_VALID_SHARE, Measured, frame_at, within
+from gran_bench.config.registry import METRICS
+from gran_bench.metrics.measured import LEAST_VALID_SHARE, Measured, Series, frame_at, within
 from gran_bench.metrics.position_error import separation_series
 from gran_bench.metrics.speeds import wasserstein, wasserstein_series
 from gran_bench.metrics.summary import PATTERN_TIME, PEAK_BEFORE, STEADY_FROM, TrajectorySummary
@@ -151,6 +152,44 @@ def over_all(name: str) -> Scalar:
 def ever(name: str) -> Scalar:
     """Largest value of a series."""
     return lambda summary: summary.series[name].largest()[0]
+
+
+def registered_figure(name: str, unit: str) -> Scalar:
+    """What a registered metric says of one trajectory; the mean of a series over all its states."""
+
+    def measure(summary: TrajectorySummary) -> Measured:
+        found = summary.registered.get(name, Measured.undefined(unit, "statistics without particles"))
+        return found.mean() if isinstance(found, Series) else found
+
+    return measure
+
+
+def registered_distance(name: str, unit: str) -> Distance:
+    """Difference of what a registered metric says of two trajectories; of series, the mean over the states."""
+
+    def distance(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
+        mine, theirs = a.registered.get(name), b.registered.get(name)
+        if isinstance(mine, Series) and isinstance(theirs, Series):
+            return mine.difference(theirs)
+        return scalar_distance(registered_figure(name, unit))(a, b)
+
+    return distance
+
+
+def comparisons() -> tuple[Comparison, ...]:
+    """Every distance of a judgement: the house's, then one for each registered metric."""
+    return COMPARISONS + tuple(
+        Comparison(name, metric.label, metric.unit, registered_distance(name, metric.unit))
+        for name, metric in METRICS.items()
+    )
+
+
+def figures() -> tuple[Figure, ...]:
+    """Every scalar of a judgement: the house's, then one for each registered metric."""
+    return FIGURES + tuple(
+        Figure(name, metric.label, metric.unit, registered_figure(name, metric.unit))
+        for name, metric in METRICS.items()
+    )
 
 
 COMPARISONS = (

@@ -8,7 +8,7 @@ import numpy as np
 
 from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.acceptance import acceptance
-from gran_bench.metrics.comparisons import COMPARISONS, FIGURES, Figure
+from gran_bench.metrics.comparisons import Figure, comparisons, figures
 from gran_bench.metrics.judgement import ErrorRow, FigureRow, Judgement
 from gran_bench.metrics.measured import Measured, mean_of, shared_states
 from gran_bench.metrics.noise_floor import noise_floor, prediction_interval, score
@@ -67,9 +67,9 @@ def judge(
                 noise_floor(row.distance, truth, row.unit),
                 {name: score(row.distance, run, truth, row.unit) for name, run in beside.items()},
             )
-            for row in COMPARISONS
+            for row in comparisons()
         ],
-        figures=[_figure_row(row, mine, truth) for row in FIGURES],
+        figures=[_figure_row(row, mine, truth) for row in figures()],
         requirements=acceptance(mine, truth),
         failures=mine.failures,
         dem_outside=_share_outside(truth),

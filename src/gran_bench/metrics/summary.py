@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gran_bench.config.rules import check_arguments
+from gran_bench.config.registry import METRICS
+from gran_bench.config.rules import ConfigError, check_arguments
 from gran_bench.metrics.angle_of_repose import angle_series
 from gran_bench.metrics.energy import rotational_energy, sphere_masses, translational_energy
-from gran_bench.metrics.measured import Series, within
+from gran_bench.metrics.measured import Measured, Series, within
 from gran_bench.metrics.mixing import mixing_entropy
 from gran_bench.metrics.outside import FailureCount, count_failures
 from gran_bench.metrics.overlap import overlap_series
@@ -42,6 +43,7 @@ class TrajectorySummary:
         period: of the y axis, m.
         position: ``(F, N, 3)`` m; None for statistics without particles.
         failures: None for statistics without particles.
+        registered: what each registered metric gave, by its name; empty for statistics without particles.
     """
 
     time: FloatArray
@@ -56,6 +58,7 @@ class TrajectorySummary:
     period: float
     position: FloatArray | None = None
     failures: FailureCount | None = field(default=None)
+    registered: dict[str, Measured | Series] = field(default_factory=dict)
 
     @property
     def count(self) -> int:
@@ -143,4 +146,22 @@ def summarise(trajectory: Trajectory, scene: Scene, velocity_kind: str | None = 
         period=scene.period,
         position=trajectory.position,
         failures=count_failures(trajectory, scene),
+        registered={name: _measured(name, trajectory, scene) for name in METRICS},
     )
+
+
+def _measured(name: str, trajectory: Trajectory, scene: Scene) -> Measured | Series:
+    """What a registered metric gives, held against what it may give.
+
+    Raises:
+        ConfigError: something else than a number, a `Measured` or a `Series` in the metric's unit.
+    """
+    metric, whose = METRICS[name], f"metric {name} of {METRICS.owner(name)}"
+    found = metric.measure(trajectory, scene)
+    if isinstance(found, bool) or not isinstance(found, Measured | Series | int | float | np.number):
+        raise ConfigError(f"{whose} gives a {type(found).__name__}; give a number, a Measured or a Series")
+    if not isinstance(found, Measured | Series):
+        return Measured.of(found, metric.unit)
+    if found.unit != metric.unit:
+        raise ConfigError(f"{whose} gives {found.unit!r} and was registered with {metric.unit!r}; give one unit")
+    return found

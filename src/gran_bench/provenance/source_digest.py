@@ -3,23 +3,23 @@
 A room is a file (``scene.py``), a folder (``dem``, with all below it) or a pattern (``metrics/*.py``) of the
 package; one with a ``-`` before it is taken out of those before it. What is in no list changes no weight and no figure:
 config (its values are in a run's key), tables, figures, tracking, sweeps. `tests/test_source_digest.py` holds the lists
-against the imports of their files.
+against the imports of their files. Of a plugin that takes part, all source of its package counts.
 """
 
 from __future__ import annotations
 
 import ast
 import hashlib
+import importlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import gran_bench
+from gran_bench.config.registry import ADDED_TERMS, HOUSE, LOSS_TERMS, METRICS, MODELS
+from gran_bench.config.rules import ConfigError
 
 # What moves the DEM's particles: a change makes every case anew.
 SOLVER = ("dem", "neighbors", "scene")
-CONTACT, CONVOLUTION = ("surrogate/contact",), ("surrogate/convolution",)
-# The modules of each model, by its name.
-MODELS = {"contact": CONTACT, "ccnn": CONVOLUTION, "radial": CONVOLUTION}
 # States, walls, pairs, stored frames, and what all models share: what training and judging read. Of the DEM they know
 # its data and its walls alone.
 _READING = (
@@ -41,28 +41,33 @@ COMPARING = (
 _taken: dict[str, str] = {}
 
 
-def training_code(model: str) -> str:
+def training_code(model: str, terms: Iterable[str] = ()) -> str:
     """Hash (12 digits) of the source that decides the weights of a model.
 
     Args:
         model: its name, as in ``model.name``.
+        terms: of the loss that have a weight.
+
+    Raises:
+        ConfigError: a plugin that takes part has no source file.
     """
-    return _hash(f"training {model}", (*TRAINING, *MODELS[model]))
+    plugins = {MODELS.owner(model), *(LOSS_TERMS.owner(term) for term in ADDED_TERMS.intersection(terms))}
+    return _hash(f"training {model}", (*TRAINING, *MODELS[model].code), plugins)
 
 
 def judging_code() -> str:
-    """Hash (12 digits) of the source that decides what a judge says of given rollouts."""
-    return _hash("judging", JUDGING)
+    """Hash (12 digits) of the source that decides what a judge says of given rollouts, every metric's included."""
+    return _hash("judging", JUDGING, METRICS.plugins())
 
 
 def model_code(model: str) -> str:
     """Hash (12 digits) of a model's own modules: what given weights do."""
-    return _hash(f"model {model}", MODELS[model])
+    return _hash(f"model {model}", MODELS[model].code, {MODELS.owner(model)})
 
 
 def comparing_code() -> str:
     """Hash (12 digits) of the source that decides what a benchmark measures of a method."""
-    return _hash("comparing", COMPARING)
+    return _hash("comparing", COMPARING, [*METRICS.plugins(), *MODELS.plugins()])
 
 
 def taken_hashes() -> dict[str, str]:
@@ -75,10 +80,31 @@ def go_by(hashes: Mapping[str, str]) -> None:
     _taken.update(hashes)
 
 
-def _hash(name: str, rooms: tuple[str, ...]) -> str:
+def _hash(name: str, rooms: tuple[str, ...], packages: Iterable[str]) -> str:
+    """The hash of rooms of the house, and of plugins' packages whole."""
+    plugins = sorted({*packages} - {HOUSE})
+    name = " with ".join([name, *plugins])
     if name not in _taken:
-        _taken[name] = source_digest(rooms)[:12]
+        sources = [source_digest(rooms), *map(package_digest, plugins)]
+        _taken[name] = (sources[0] if len(sources) == 1 else hashlib.sha256("".join(sources).encode()).hexdigest())[:12]
     return _taken[name]
+
+
+def package_digest(package: str) -> str:
+    """SHA-256 (64 hex digits) of the bare code of a plugin: its one module, or all modules of its package.
+
+    Raises:
+        ConfigError: it was registered in a session that has no file.
+    """
+    module = importlib.import_module(package)
+    folders, file = getattr(module, "__path__", ()), getattr(module, "__file__", None)
+    files = [path for folder in map(Path, folders) for path in sorted(folder.rglob("*.py"))] or [Path(file or "")]
+    if not files[0].is_file():
+        raise ConfigError(f"{package} registered something and has no source file to know it by; write a module")
+    digest = hashlib.sha256(package.encode())
+    for path in files:
+        digest.update(f"{path.name}\n{bare_code(path.read_text('utf-8'))}\n".encode())
+    return digest.hexdigest()
 
 
 def source_digest(rooms: Iterable[str]) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gran_bench.config import TrainConfig
+from gran_bench.config.choices import weighed_terms
 from gran_bench.config.identity import deciding_keys
 from gran_bench.dataset import CaseSpec, Split, dataset_digest, split_cases
 from gran_bench.dataset.case_spec import key_hash
@@ -49,7 +50,7 @@ def identify(config: TrainConfig) -> RunIdentity:
         DatasetError: a training case is missing or damaged.
     """
     digest = dataset_digest(spec.path(config.dataset.root) for spec in splits(config).training)
-    key = hash_of(deciding_keys(config), digest, training_code(config.model.name))
+    key = hash_of(deciding_keys(config), digest, training_code(config.model.name, weighed_terms(config.loss)))
     folder = run_place(Path(config.tracking.root), config.tracking.folder or config.experiment, key)
     return RunIdentity(folder, key, judged_by(judging_plan(config)), digest)
 

@@ -11,7 +11,15 @@ from urllib.parse import quote
 from gran_bench import tracking
 from gran_bench.config import EvaluateConfig, LossConfig, RolloutConfig, TrainConfig
 from gran_bench.config.choices import loss_terms
-from gran_bench.run.summary import cut_short, flat_metrics, headline, missed_requirements, rollout_warnings, verdict
+from gran_bench.run.summary import (
+    cut_short,
+    flat_metrics,
+    headline,
+    missed_requirements,
+    registered_metrics,
+    rollout_warnings,
+    verdict,
+)
 
 FIGURES = "figures"
 FIRST_FIGURES = ("flow_pattern.png", "angle_of_repose.png", "loss.png")  # in the description itself
@@ -112,8 +120,8 @@ def description(summary: dict[str, Any], folder: Path, figures: Sequence[str], r
 
 def undefined_figures(summary: dict[str, Any]) -> list[str]:
     """Names of the headline figures that have no value, because what they measure does not exist in this run."""
-    found = headline(summary)
-    return [name for name in tracking.HEADLINE_FIGURES if name not in found]
+    found, registered = headline(summary), registered_metrics(summary["judged"]["shared"])
+    return [name for name in (*tracking.HEADLINE_FIGURES, *registered) if name not in found]
 
 
 def _artifact(run_id: str, name: str) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from gran_bench.config.registry import METRICS
 from gran_bench.files import write_text
 from gran_bench.metrics.judgement import shown_multiple
 from gran_bench.metrics.outside import FailureCount, counted
@@ -49,7 +50,15 @@ def headline(summary: dict[str, Any]) -> dict[str, float]:
         "requirements failed": float(len(missed_requirements(summary))),
         "rollouts failed": float(len(broken_rollouts(summary))),
     }
+    for name in registered_metrics(shared):
+        found[name], row = shared["figures"][name]["value"], shared["errors"][name]
+        found |= {f"{name} error": row["value"], f"{name} floors": row["multiple_of_floor"]}
     return {name: float(value) for name, value in found.items() if value is not None}
+
+
+def registered_metrics(judged: Mapping[str, Any]) -> list[str]:
+    """The metrics of plugins that a judgement has."""
+    return [name for name in METRICS if name in judged["errors"]]
 
 
 def missed_requirements(summary: dict[str, Any]) -> list[str]:
@@ -144,7 +153,7 @@ def summary_table(summary: dict[str, Any]) -> str:
         for row in judged["requirements"].values():
             lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>16}  {row['verdict']}{_note(row)}")
         lines.append(f"  {'distance from the DEM':<56}{'found':>16}  noise floor")
-        for name in ("surface_angle", "com_angle", "speed_w1"):
+        for name in ("surface_angle", "com_angle", "speed_w1", *registered_metrics(judged)):
             row = judged["errors"][name]
             times = "" if row["multiple_of_floor"] is None else f" (× {shown_multiple(row['multiple_of_floor'])})"
             floor = _figure(row["floor"], row["unit"])

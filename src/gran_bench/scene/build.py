@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from gran_bench.config import BoxConfig, ContainerConfig, FillingConfig, HopperConfig, SceneConfig
+from gran_bench.config.registry import WALLS
 from gran_bench.scene.errors import SceneError
 from gran_bench.scene.filling import Filling, Room
 from gran_bench.scene.material import Material, PairCoefficients
@@ -16,12 +18,35 @@ from gran_bench.scene.walls import Cone, Cylinder, Disc, Outlet, Plane, Wall, bo
 UP, ALONG = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
 
 
+@dataclass(frozen=True)
+class Container:
+    """What a container gives a scene: its walls, and where in them the spheres start.
+
+    Attributes:
+        walls, room, outlet, drum_radius, length, periodic_axis: as in `Scene`.
+    """
+
+    walls: tuple[Wall, ...] = ()
+    room: Room | None = None
+    outlet: Outlet | None = None
+    drum_radius: float | None = None
+    length: float | None = None
+    periodic_axis: bool = False
+
+
 def build_scene(config: SceneConfig) -> Scene:
     """The scene that a config describes.
 
     Raises:
         SceneError: a value that no scene can have; the message names key, value and remedy.
     """
+    kind = config.container.kind
+    container = WALLS[kind](config.container, config)
+    if not isinstance(container, Container) or WALLS[kind].drum != (container.drum_radius is not None):
+        raise SceneError(
+            f"scene.container.kind={kind}: its function gives no Container with "
+            f"{'a' if WALLS[kind].drum else 'no'} drum_radius; let it, or change register_wall(..., drum=...)"
+        )
     material = Material.from_config(config.material)
     second = config.second_material
     mixed = PairCoefficients(0, 1, config.mixed.restitution, config.mixed.friction, config.mixed.rolling_friction)
@@ -37,7 +62,7 @@ def build_scene(config: SceneConfig) -> Scene:
         start_time=config.start_time,
         end_time=config.end_time,
         frame_interval=config.frame_interval,
-        **_container(config.container, config.start_time),
+        **vars(container),
     )
 
 
@@ -69,50 +94,40 @@ def build_filling(config: FillingConfig) -> Filling:
     )
 
 
-def _container(config: ContainerConfig | BoxConfig | HopperConfig, start_time: float) -> dict:
-    """Walls, and where in them the spheres start, as fields of a scene."""
-    if isinstance(config, BoxConfig):
-        return _box(config)
-    if isinstance(config, HopperConfig):
-        return _hopper(config, start_time)
-    return _drum(config) if config.kind == "drum" else {"walls": ()}
+def open_space(config: ContainerConfig, scene: SceneConfig) -> Container:
+    """No walls."""
+    return Container()
 
 
-def _drum(drum: ContainerConfig) -> dict:
+def drum(config: ContainerConfig, scene: SceneConfig) -> Container:
     """A horizontal drum about the y axis, with caps that turn with it unless y wraps around."""
-    walls: list[Wall] = [Cylinder((0.0, 0.0, 0.0), ALONG, 0.5 * drum.diameter)]
-    if not drum.periodic_axis:
-        walls.append(Plane((0.0, -0.5 * drum.length, 0.0), ALONG))
-        walls.append(Plane((0.0, 0.5 * drum.length, 0.0), (0.0, -1.0, 0.0)))
-    return {
-        "walls": tuple(walls),
-        "drum_radius": 0.5 * drum.diameter,
-        "length": drum.length,
-        "periodic_axis": drum.periodic_axis,
-    }
+    radius, half = 0.5 * config.diameter, 0.5 * config.length
+    walls: tuple[Wall, ...] = (Cylinder((0.0, 0.0, 0.0), ALONG, radius),)
+    if not config.periodic_axis:
+        walls += (Plane((0.0, -half, 0.0), ALONG), Plane((0.0, half, 0.0), (0.0, -1.0, 0.0)))
+    return Container(walls, drum_radius=radius, length=config.length, periodic_axis=config.periodic_axis)
 
 
-def _box(config: BoxConfig) -> dict:
+def closed_box(config: BoxConfig, scene: SceneConfig) -> Container:
     """A closed box that stands on z = 0, its middle above the origin."""
     x, y = 0.5 * config.width, 0.5 * config.length
     lower, upper = (-x, -y, 0.0), (x, y, config.height)
-    return {"walls": box(lower, upper, turns=False), "room": Room(lower, upper)}
+    return Container(box(lower, upper, turns=False), Room(lower, upper))
 
 
-def _hopper(hopper: HopperConfig, start_time: float) -> dict:
+def hopper(config: HopperConfig, scene: SceneConfig) -> Container:
     """A tube above a cone that ends in an orifice at z = 0, a lid on it until the start, and an outlet below."""
-    wide, narrow = 0.5 * hopper.diameter, 0.5 * hopper.orifice
+    wide, narrow = 0.5 * config.diameter, 0.5 * config.orifice
     if not narrow < wide:
         raise SceneError(
-            f"scene.container.orifice={hopper.orifice:g} is not narrower than scene.container.diameter="
-            f"{hopper.diameter:g}; choose less"
+            f"scene.container.orifice={config.orifice:g} is not narrower than scene.container.diameter="
+            f"{config.diameter:g}; choose less"
         )
-    cone = (wide - narrow) / math.tan(math.radians(hopper.half_angle_deg))
+    cone = (wide - narrow) / math.tan(math.radians(config.half_angle_deg))
     walls = (
-        Cylinder((0.0, 0.0, cone + 0.5 * hopper.height), UP, wide, length=hopper.height, turns=False),
+        Cylinder((0.0, 0.0, cone + 0.5 * config.height), UP, wide, length=config.height, turns=False),
         Cone((0.0, 0.0, 0.0), UP, narrow, wide, cone, turns=False),
-        Disc((0.0, 0.0, 0.0), UP, narrow, turns=False, opens=start_time),
+        Disc((0.0, 0.0, 0.0), UP, narrow, turns=False, opens=scene.start_time),
     )
-    room = Room((-wide, -wide, cone), (wide, wide, cone + hopper.height), radius=wide)
-    outlet = Outlet((0.0, 0.0, -hopper.outlet_depth), UP, radius=hopper.orifice)
-    return {"walls": walls, "room": room, "outlet": outlet}
+    room = Room((-wide, -wide, cone), (wide, wide, cone + config.height), radius=wide)
+    return Container(walls, room, Outlet((0.0, 0.0, -config.outlet_depth), UP, radius=config.orifice))

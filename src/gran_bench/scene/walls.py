@@ -8,7 +8,9 @@ may touch it from both sides and at its rims.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from gran_bench.config.rules import Range, at_least, checked_value, positive
 from gran_bench.scene.errors import SceneError, hold, hold_unit, scene_errors
@@ -186,6 +188,34 @@ def box(lower: Vector, upper: Vector, **common: object) -> tuple[Plane, ...]:
             normal = tuple(sign if k == axis else 0.0 for k in range(3))
             planes.append(Plane(corner, normal, **common))
     return tuple(planes)
+
+
+def surface_of_revolution(
+    point: Vector, axis: Vector, profile: Sequence[tuple[float, float]], **common: object
+) -> tuple[Cone | Disc, ...]:
+    """Thin walls whose meridian is a polyline: a cone for each of its segments, a disc or ring for a level one.
+
+    Args:
+        point: where the axis has s = 0, m.
+        axis: unit vector.
+        profile: (ρ, s) of each corner, m: distance from the axis, and height along it.
+        common: what all pieces have: ``turns``, ``motion``, ``opens``.
+
+    Raises:
+        SceneError: fewer than two corners, or a segment without length.
+    """
+    if len(profile) < 2:
+        raise SceneError(f"surface of revolution: profile={list(profile)} is no line; give two corners or more")
+    pieces: list[Cone | Disc] = []
+    for (rho, s), (end_rho, end_s) in pairwise(profile):
+        if s > end_s:
+            rho, s, end_rho, end_s = end_rho, end_s, rho, s
+        foot = tuple(p + s * a for p, a in zip(point, axis, strict=True))
+        if s < end_s:
+            pieces.append(Cone(foot, axis, rho, end_rho, end_s - s, **common))
+        else:
+            pieces.append(Disc(foot, axis, max(rho, end_rho), min(rho, end_rho), **common))
+    return tuple(pieces)
 
 
 @dataclass(frozen=True)

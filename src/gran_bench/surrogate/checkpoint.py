@@ -11,9 +11,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from gran_bench.config import MODEL_SCHEMAS, BoundaryConfig, SceneConfig
+from gran_bench.config import BoundaryConfig, SceneConfig
 from gran_bench.config.reading import read_config
-from gran_bench.config.rules import checked_value
+from gran_bench.config.registry import MODELS
+from gran_bench.config.rules import ConfigError, checked_value
 from gran_bench.files import write_atomically
 from gran_bench.scene import build_scene
 from gran_bench.surrogate.build import build_model
@@ -125,7 +126,9 @@ def load_model(path: str | Path, device: str = "cpu") -> tuple[Surrogate, ModelC
     card, weights = load_card(path)
     try:
         scene = build_scene(read_config(SceneConfig, card.scene))
-        schema = MODEL_SCHEMAS[card.model["name"]]
+        if (name := card.model["name"]) not in MODELS:
+            raise ConfigError(f"model {name} is not registered here: install the package that it is of")
+        schema = MODELS[name].config
         speeds = card.origin.get("training_speeds_rpm", ())
         model = build_model(read_config(schema, card.model), read_config(BoundaryConfig, card.boundary), scene, speeds)
         model.load_state_dict(weights)

@@ -14,14 +14,16 @@ from typing import Any
 
 from gran_bench import tracking
 from gran_bench.config import TrackingConfig, TrainConfig
+from gran_bench.config.choices import weighed_terms
 from gran_bench.config.identity import telling_keys
 from gran_bench.config.reading import validate
+from gran_bench.config.registry import MODELS
 from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import CaseSpec, DatasetError, ensure_cases
 from gran_bench.files import locked
 from gran_bench.processes import stop_on_signals
 from gran_bench.provenance import command, commit
-from gran_bench.provenance.source_digest import MODELS, judging_code, taken_hashes, training_code
+from gran_bench.provenance.source_digest import judging_code, taken_hashes, training_code
 from gran_bench.run.identity import all_cases, hash_of, identify, judged_by, judging_plan, wants_more
 from gran_bench.run.record import Clock, RunRecord, finished_summary, tell
 from gran_bench.sweep.jobs import Sweep
@@ -120,7 +122,7 @@ def _identified(job: SweepJob) -> SweepJob:
     except DatasetError:
         return job
     # The code of every model counts, so that runs of two commands, one for each model, stand in one table.
-    code = {model: training_code(model) for model in MODELS}
+    code = {model: training_code(model, weighed_terms(job.config.loss)) for model in MODELS}
     made_with = hash_of(code, judging_code(), budget_of(job.config), identity.judged_by, identity.data_digest)
     return replace(job, key=identity.key, judged_by=identity.judged_by, made_with=made_with, identity=identity)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from gran_bench.config.registry import METRICS
 from gran_bench.sweep.runs import FINISHED, SweepRun
 from gran_bench.sweep.sweep_file import SweepJob
 from gran_bench.tracking import HEADLINE
@@ -61,6 +62,13 @@ def choice_of(one: SweepRun | SweepJob) -> tuple[object, ...]:
     return tuple(sorted(one.choices.items())), one.seed
 
 
+def columns_of(runs: Sequence[SweepRun]) -> tuple[Column, ...]:
+    """The house's columns, then one for each registered metric that a run has."""
+    registered = {f"{HEADLINE}{name} floors": metric.label for name, metric in METRICS.items()}
+    there = [name for name in registered if any(name in run.figures for run in runs)]
+    return COLUMNS + tuple(Column(name, registered[name], "floors", 2) for name in there)
+
+
 def newest(runs: Sequence[SweepRun]) -> tuple[list[SweepRun], list[SweepRun]]:
     """The runs that count, and those that a later one took the place of: the same choices with other code or data."""
     latest: dict[tuple, SweepRun] = {}
@@ -86,7 +94,7 @@ def runs_frame(runs: Sequence[SweepRun]) -> pd.DataFrame:
     axes, rows = axes_of(runs), []
     for run in runs:
         row = {axis: run.choices.get(axis, NOT_CHOSEN) for axis in axes} | {"seed": run.seed, "status": run.status}
-        row |= {column.name: run.figures.get(column.name) for column in COLUMNS}
+        row |= {column.name: run.figures.get(column.name) for column in columns_of(runs)}
         rows.append(row | {UPDATES: run.training.get("steps")})
     frame = pd.DataFrame(rows)
     return frame.sort_values([*axes, "seed"], key=_in_order, ignore_index=True) if rows else frame
@@ -107,7 +115,7 @@ def choices_frame(runs: Sequence[SweepRun]) -> pd.DataFrame:
         done = group[group["status"] == FINISHED]
         row = dict(zip(axes, values if isinstance(values, tuple) else (values,), strict=True))
         row |= {"n": len(done), "failed": len(group) - len(done)}
-        for column in COLUMNS:
+        for column in columns_of(runs):
             figures = pd.to_numeric(done[column.name], errors="coerce").astype(float)
             undefined = int(figures.isna().sum())
             row[column.name] = math.nan if undefined or done.empty else figures.mean()
@@ -120,11 +128,12 @@ def choices_frame(runs: Sequence[SweepRun]) -> pd.DataFrame:
 def shown_table(runs: Sequence[SweepRun]) -> str:
     """The table of choices in Markdown, legible on a terminal too."""
     axes, frame = axes_of(runs), choices_frame(runs)
-    headings = [*axes, "runs", "failed", *(column.heading for column in COLUMNS)]
+    columns = columns_of(runs)
+    headings = [*axes, "runs", "failed", *(column.heading for column in columns)]
     rows = [headings]
     for _, row in frame.iterrows():
         rows.append([*(str(row[axis]) for axis in axes), str(row["n"]), str(row["failed"])])
-        rows[-1] += [_shown(row, column) for column in COLUMNS]
+        rows[-1] += [_shown(row, column) for column in columns]
     widths = [max(len(row[i]) for row in rows) for i in range(len(headings))]
     padded = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows]
     lines = [f"| {' | '.join(row)} |" for row in padded]
@@ -140,7 +149,7 @@ def best_choices(runs: Sequence[SweepRun]) -> dict[str, tuple[str, float]]:
     """
     axes, frame = axes_of(runs), choices_frame(runs)
     found = {}
-    for column in COLUMNS if not frame.empty else ():
+    for column in columns_of(runs) if not frame.empty else ():
         if not column.ranked or (column.name == TIME and not all(map(changes_work, axes))):
             continue
         candidates = frame[(frame["failed"] == 0) & frame[column.name].notna()]
