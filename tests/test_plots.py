@@ -318,6 +318,11 @@ def test_the_film_says_how_many_spheres_it_cannot_show(tmp_path):
     assert not np.array_equal(some, more)
 
 
+def test_no_curve_is_left_out_when_colours_run_out():
+    names = [f"term {k}" for k in range(9)]
+    assert [name for name, _ in style.coloured(names)] == names
+
+
 def test_a_figure_that_fails_leaves_the_old_file_as_it_was(tmp_path):
     path = tmp_path / "figure.png"
     path.write_text("old")
