@@ -53,7 +53,7 @@ def place(tmp_path_factory) -> Path:
 
 def run(place: Path, *words: str, path: Path | None = None) -> subprocess.CompletedProcess:
     """A Python with the package on its path."""
-    environment = os.environ | {"PYTHONPATH": str(path or place)}
+    environment = os.environ | {"PYTHONPATH": str(path or place), "PYTHONSAFEPATH": "1"}
     command = [sys.executable, *words]
     return subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, check=False)
 
