@@ -21,7 +21,7 @@ Entry = TypeVar("Entry")
 Config = TypeVar("Config", bound=type[Section])
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_state: dict[str, Any] = {"begun": False, "failure": None}
+_state: dict[str, Any] = {"begun": False, "failure": None, "weights": None}
 
 
 def load_plugins() -> None:
@@ -225,6 +225,12 @@ def register_wall(*names: str, build: Callable[..., Any] | str, drum: bool = Fal
     return register
 
 
+def holds_weights(section: Config) -> Config:
+    """Mark the section of a config whose keys are the weights of the loss's terms."""
+    _state["weights"] = section
+    return section
+
+
 def register_loss(term: Function) -> Function:
     """Let ``loss`` have a key of the function's name: the weight of a term, 0 unless it is given.
 
@@ -234,14 +240,13 @@ def register_loss(term: Function) -> Function:
     Raises:
         ConfigError: a name that another package, or another key of ``loss``, has.
     """
-    from gran_bench.config.schema import LossConfig  # which registers models itself
-
-    name, is_new = term.__name__, term.__name__ not in LossConfig.__dataclass_fields__
+    section, name = _state["weights"], term.__name__
+    is_new = name not in section.__dataclass_fields__
     if not is_new and term.__module__.partition(".")[0] != HOUSE and name not in ADDED_TERMS:
         raise ConfigError(f"term of the loss {name}, of {term.__module__}: loss has a key of that name; choose another")
     LOSS_TERMS.add(name, term, term.__module__)
     if is_new:
-        add_key(LossConfig, name, "float", key(0.0, at_least(0)))
+        add_key(section, name, "float", key(0.0, at_least(0)))
         ADDED_TERMS.add(name)
     return term
 

@@ -1,19 +1,17 @@
 """The schema of every config key: name, type, default, unit and bounds.
 
-The only place where a key may be declared. ``conf/`` chooses values, Hydra composes them and ``reading`` reads them
-into these classes. A section refuses what its keys cannot hold, made by a command or in Python (``rules.Section``).
+``conf/`` chooses values, Hydra composes them, ``reading`` reads them into these classes, the only place of a key.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from gran_bench.config.registry import register_model, register_wall
+from gran_bench.config.registry import holds_weights, register_model, register_wall
 from gran_bench.config.rules import MISSING, Name, Range, Section, at_least, between, key, one_of, positive
 
 FRACTION = Range(0.0, 1.0)
-RESTITUTION = Range(0.0, 1.0, open_low=True)
-SEED = at_least(0)
+RESTITUTION, SEED = Range(0.0, 1.0, open_low=True), at_least(0)
 BACKEND = one_of("fused", "torch")
 FRAME_WEIGHTS = one_of("uniform", "discounted", "inverse", "rising")
 
@@ -223,6 +221,7 @@ class BoundaryConfig(Section, place="boundary"):
     velocity: bool = True  # wall velocities among the features
 
 
+@holds_weights
 @dataclass
 class LossConfig(Section, place="loss"):
     """Weights of the terms; a term of weight 0 is not computed."""

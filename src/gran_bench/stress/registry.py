@@ -1,4 +1,7 @@
-"""Every kind of stress experiment by the name that a list gives it."""
+"""Every kind of stress experiment by the name that a list gives it.
+
+A list names a kind and its arguments; the module of the kind says what it does and which quantities it measures.
+"""
 
 from __future__ import annotations
 
