@@ -238,7 +238,7 @@ def paced(folder, seconds_a_frame, monkeypatch, **settings):
     folder.mkdir(exist_ok=True)
     with monkeypatch.context() as patch:
         patch.setattr(Trainer, "update", update)
-        patch.setattr("gran_bench.trainer.time", SimpleNamespace(monotonic=lambda: now[0]))
+        patch.setattr("gran_bench.trainer.trainer.time", SimpleNamespace(monotonic=lambda: now[0]))
         trainer = Trainer(
             Network(), FakeWindows(), config(**settings), folder, warn=lambda line: said.append((trainer.step, line))
         )
@@ -313,7 +313,7 @@ def test_a_budget_of_time_takes_the_learning_rate_to_its_end_and_a_resume_goes_o
     tmp_path, monkeypatch
 ):
     clock = Clock()
-    monkeypatch.setattr("gran_bench.trainer.time.process_time", clock)
+    monkeypatch.setattr("gran_bench.trainer.trainer.time.process_time", clock)
     optim = OptimConfig(learning_rate=1e-2, final_learning_rate=1e-4, schedule="cosine", accumulate=1)
     rollout = RolloutConfig(frames=1, final_frames=2, final_from=0.5)
 
