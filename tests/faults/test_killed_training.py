@@ -117,11 +117,14 @@ def test_kill_9_at_random_moments_of_a_training_changes_no_weight(tmp_path):
     began = time.monotonic()
     victim.finish(victim.start("training", root=str(tmp_path / "data"), folder=str(calm)))
     whole = time.monotonic() - began
-    for share in np.random.default_rng(0).uniform(0.1, 0.7, 4):
+    rng, saved = np.random.default_rng(0), wild / "checkpoint.pt"
+    for kill in range(4):
         # Of the start too, so that an update, a save and the opening are all hit.
         process = victim.launch("training", root=str(tmp_path / "data"), folder=str(wild))
-        hits += victim.kill_after(process, share * whole)
-        resumed += (wild / "checkpoint.pt").exists()
+        while kill >= 2 and process.poll() is None and not saved.exists():
+            time.sleep(0.01)
+        hits += victim.kill_after(process, rng.uniform(0.02, 0.2) * whole)
+        resumed += saved.exists()
     victim.finish(victim.start("training", root=str(tmp_path / "data"), folder=str(wild)))
     mine, theirs = (torch.load(folder / "final.pt", weights_only=True) for folder in (wild, calm))
     assert hits >= 3

@@ -71,6 +71,10 @@ def training(root: str, folder: str) -> None:
     import torch
     from tiny import tiny_trainer
 
+    from gran_bench.surrogate.contact.compiling import compile_kernels, kernels_missing
+
+    if kernels_missing("contact"):  # as every command does: a process that compiles for itself trains other bits
+        compile_kernels("contact")
     trainer = tiny_trainer(Path(root), Path(folder))
     print("begins", flush=True)
     trainer.run(progress=False)
