@@ -76,7 +76,8 @@ def find_contacts(
         exact = np.asarray(position, np.float64)
         radius = np.full(len(position), scene.filling.radius)
         near, merged = one_contact_each(walls.after, scene.surfaces, exact, radius, reached, near)
-    wall, particle = np.nonzero(np.array(near, bool).reshape(len(near), len(position)))
+    # As one array, so that both are contiguous: for strided ones the kernels would be compiled again.
+    wall, particle = np.array(np.nonzero(np.array(near, bool).reshape(len(near), len(position))))
     other = np.tile(np.arange(len(near))[:, None], len(position))
     for w, v, i in reversed(merged):  # the first of several
         other[v, i] = w
