@@ -10,8 +10,8 @@ from beds import drum, flowing
 
 from gran_bench.metrics import judge
 from gran_bench.state import Trajectory
-from gran_bench.sweep.runs import SweepRun, failed_run
-from gran_bench.sweep.sweep_file import SweepFile, SweepJob
+from gran_bench.sweep.runs import SweepFile, SweepJob, SweepRun
+from gran_bench.sweep.task import failed_run
 
 SCENE = drum(end_time=1.8)
 ANGLE, ANGLE_FLOORS = "headline/angle error deg", "headline/angle error floors"
@@ -66,7 +66,7 @@ def run(radius: str, seed: int, angle: float, w1: float = 0.1, name: str = "", *
     values = {"figures": figures, "facts": facts, "ended_at": "2025-01-01T00:00:00+00:00"}
     key = f"{radius}{seed}".replace(".", "").ljust(12, "0")
     name = name or f"r+model.radius-{radius}+seed-{seed}"
-    return SweepRun(name, key, "j", "finished", choices, seed, **values | changes)
+    return SweepRun(name, choices, seed, key, "j", **values | changes)
 
 
 def lost(radius: str, seed: int, reason: str = "the loss is not finite at update 7") -> SweepRun:

@@ -15,7 +15,7 @@ import pytest
 from beds import flowing
 from finished_runs import SCENE, broken, lost, run, summary_of
 
-from gran_bench.files import read_part, write_part
+from gran_bench.files import write_part
 from gran_bench.report.command import PAGE, renew_pages, report_command
 from gran_bench.report.result_page import ResultPageError, write_page
 from gran_bench.report.tables import drum_table, failures_table, scenes_table
@@ -32,6 +32,11 @@ found = benchmark_records.found
 def tracked() -> list[str]:
     words = ["git", "-C", str(ROOT), "ls-files", "results", "docs", "data_gen"]
     return subprocess.run(words, capture_output=True, encoding="utf-8", check=False).stdout.splitlines()
+
+
+def read_part(path: Path, part: str) -> str:
+    """What stands between the marks of a part of a page; empty where there is none."""
+    return path.read_text("utf-8").partition(f"<!-- {part} -->\n")[2].partition("<!-- end -->\n")[0].strip()
 
 
 # ---- the committed pages ---------------------------------------------------------------------------------

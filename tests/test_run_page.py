@@ -52,8 +52,8 @@ def test_the_view_shows_metrics_and_params_that_exist(summary: dict):
 
 @pytest.mark.parametrize("model", ["contact", "radial", "ccnn"])
 def test_the_views_params_exist_in_every_model(model: str):
+    from gran_bench.compose import checked_config, compose
     from gran_bench.config import TrainConfig
-    from gran_bench.entry import checked_config, compose
     from gran_bench.tracking.opening import dotted
 
     config = checked_config(compose("train", ["+experiment=smoke", f"model={model}"]), TrainConfig)

@@ -13,21 +13,21 @@ from finished_runs import ANGLE, ANGLE_FLOORS, SCENE, broken, job_of, lost, run,
 from gran_bench.config import TrainConfig
 from gran_bench.run.identity import RunIdentity
 from gran_bench.run.summary import headline
-from gran_bench.sweep.opening import _finished
+from gran_bench.sweep.opening import _done
 from gran_bench.sweep.overview import write_overview
 from gran_bench.sweep.runs import (
+    TABLE,
+    SweepFile,
+    SweepFileError,
+    SweepJob,
     SweepRun,
-    copied_run,
-    finished_run,
     fold_runs,
     read_runs,
-    recorded_runs,
-    write_runs,
+    write_table,
 )
-from gran_bench.sweep.standing import cut_short, read_standing, standing, unequal_updates
-from gran_bench.sweep.sweep_file import SweepFile, SweepFileError, SweepJob
 from gran_bench.sweep.sweep_report import report_sweep
-from gran_bench.sweep.table import axes_of, best_choices, choices_frame, newest, runs_frame, shown_table
+from gran_bench.sweep.table import axes_of, best_choices, read_standing, runs_frame, shown_table, standing
+from gran_bench.sweep.task import finished_run
 
 RESULTS = Path(__file__).parents[1] / "results"
 
@@ -41,7 +41,7 @@ def test_a_finished_run_leaves_a_few_kilobytes_that_hold_both_packings(tmp_path:
     summary |= {"judged_by": "judge", "provenance": {"commit": "abc"}}
     left = finished_run(SweepJob("name", {"seed": "0"}, 0, "0123456789ab", "judge"), summary)
     path = left.write(tmp_path)
-    assert path == tmp_path / "runs" / "name-01234567.json"
+    assert path == tmp_path / "runs" / "name-01234567.csv"
     assert path.stat().st_size < 10_000
     assert read_runs(tmp_path) == [left]
     assert left.figures.get(ANGLE) == summary["judged"]["shared"]["errors"]["surface_angle"]["value"]
@@ -77,52 +77,40 @@ def test_a_job_that_is_done_again_replaces_its_row(tmp_path: Path):
     assert read_runs(tmp_path) == [finished]
 
 
-def test_what_any_sweep_has_recorded_is_known_by_key_and_judge_but_a_failure_is_not(tmp_path: Path):
-    good, bad = run("0.08", 0, 1.0), lost("0.1", 0)
-    one, two = tmp_path / "sweeps" / "one", tmp_path / "sweeps" / "two"
-    write_runs(one, [good])  # as a clone has it
-    bad.write(two)
-    assert recorded_runs(tmp_path) == ({(good.key, "j"): [(one, good)]}, [])
+def ready(one: SweepRun, root: Path, made_with: str = "this") -> SweepJob:
+    """The job of a run whose data are there, and nothing else of it."""
+    identity = RunIdentity(root / "runs" / "nothing", one.key, one.judged_by, "")
+    return replace(job_of(one), made_with=made_with, config=TrainConfig(), identity=identity)
 
 
-def test_the_second_sweep_shows_a_run_that_it_shares_like_its_own(tmp_path: Path):
-    theirs, folder = run("0.08", 0, 1.0), tmp_path / "sweeps" / "mine"
-    job = SweepJob("mine+boundary-spheres", {"boundary": "spheres"}, 0, theirs.key, "j", "here")
-    copied_run(theirs, job, tmp_path / "sweeps" / "theirs").write(folder)
-    SweepFile("mine", "k", "train", "gran-bench", [job]).write(folder)
-    stands = read_standing(folder)
-    ((mine,), others, waiting) = stands.counted, stands.others, stands.waiting
-    assert (mine.run, mine.choices, others, waiting) == (job.run, job.choices, [], [])
-    assert mine.figures == theirs.figures
-    assert mine.facts["copied_from"] == f"theirs, {theirs.run}"
+def test_a_finished_row_of_any_sweep_is_known_whatever_else_failed_or_is_damaged(tmp_path: Path, capsys):
+    good, bad = run("0.08", 0, 1.0, training={"stopped_by": "steps"}), lost("0.1", 0)
+    theirs, mine = tmp_path / "sweeps" / "theirs", tmp_path / "sweeps" / "mine"
+    write_table(theirs / TABLE, [good])  # as a clone has it
+    bad.write(theirs)
+    damaged = [tmp_path / "sweeps" / name / file for name, file in (("one", "runs.csv"), ("two", "runs/x.csv"))]
+    for path in damaged:
+        path.parent.mkdir(parents=True)
+        path.write_text("{\n[")
+    jobs = [replace(ready(good, tmp_path), run="mine", choices={"boundary": "spheres"}), ready(bad, tmp_path)]
+    assert list(_done(mine, jobs)) == [0]
+    said = capsys.readouterr().err
+    assert all(f"not looked at: {path}" in said for path in damaged)
+    # It has a row of its own here, like a run of this sweep.
+    SweepFile("mine", "k", "train", "gran-bench", jobs).write(mine)
+    stands = read_standing(mine)
+    ((row,), others) = stands.counted, stands.others
+    assert (row.run, row.choices, row.figures, others) == ("mine", jobs[0].choices, good.figures, [])
+    assert row.facts["copied_from"] == f"theirs, {good.run}"
+    assert [job.run for job in stands.waiting] == [bad.run]
 
 
-@pytest.mark.parametrize("name", ["runs/x.json", "runs.csv"])
-def test_a_damaged_file_of_one_sweep_hides_no_run_of_another(tmp_path: Path, name: str):
-    good = run("0.08", 0, 1.0)
-    good.write(tmp_path / "sweeps" / "two")
-    damaged = tmp_path / "sweeps" / "one" / name
-    damaged.parent.mkdir(parents=True)
-    damaged.write_text("{\n[")
-    found, (complaint,) = recorded_runs(tmp_path)
-    assert found == {(good.key, "j"): [(tmp_path / "sweeps" / "two", good)]}
-    assert str(damaged) in str(complaint)
-
-
-@pytest.mark.parametrize("text", ["{", "[]", '{"run": "x"}'])
-def test_a_damaged_file_is_named(tmp_path: Path, text: str):
-    path = tmp_path / "runs" / "x.json"
-    path.parent.mkdir()
-    path.write_text(text)
-    with pytest.raises(SweepFileError, match=rf"{re.escape(str(path))}.*delete it"):
-        read_runs(tmp_path)
-
-
-@pytest.mark.parametrize("damage", ["header", "short row", "no number"])
+@pytest.mark.parametrize("damage", ["no table", "header", "short row", "no number"])
 def test_a_damaged_table_is_named(tmp_path: Path, damage: str):
-    path = write_runs(tmp_path, [run("0.08", 0, 1.0)])
+    path = write_table(tmp_path / TABLE, [run("0.08", 0, 1.0)])
     header, row = path.read_text("utf-8").splitlines()
     texts = {
+        "no table": "{\n[",
         "header": f"x{header}\n{row}\n",
         "short row": f"{header}\n{row.rpartition(',')[0]}\n",
         "no number": f"{header}\n{row.replace('80.0', 'many')}\n",
@@ -138,12 +126,9 @@ def test_a_damaged_table_is_named(tmp_path: Path, damage: str):
 def test_a_choice_has_the_mean_and_the_spread_of_its_seeds():
     runs = [run("0.08", 0, 1.0), run("0.08", 1, 3.0), run("0.1", 0, 5.0)]
     assert axes_of(runs) == ["model.radius"]
-    first, second = (row for _, row in choices_frame(runs).iterrows())
-    assert (first["model.radius"], first["n"], first["failed"]) == ("0.08", 2, 0)
-    assert first[ANGLE_FLOORS] == 4.0
-    assert first[f"{ANGLE_FLOORS}_spread"] == pytest.approx(2 * 2**0.5)
-    assert (second["n"], second[ANGLE_FLOORS]) == (1, 10.0)
-    assert "4.00 ± 2.83" in shown_table(runs)
+    _, _, first, second = shown_table(runs).splitlines()
+    assert [cell.strip() for cell in first.split("|")[1:5]] == ["0.08", "2", "0", "4.00 ± 2.83"]
+    assert [cell.strip() for cell in second.split("|")[1:5]] == ["0.1", "1", "0", "10.00"]
     assert best_choices(runs)["angle error floors"] == ("model.radius=0.08", 4.0)
 
 
@@ -152,24 +137,21 @@ def test_values_are_in_the_order_of_their_numbers():
     assert list(frame["model.radius"]) == ["0.0625", "0.08", "0.1", "1e-1"]
 
 
-def test_a_failed_run_stays_in_the_table_and_its_choice_is_not_the_best():
-    runs = [run("0.08", 0, 0.5), lost("0.08", 1), run("0.1", 0, 5.0)]
-    first, _ = (row for _, row in choices_frame(runs).iterrows())
-    assert (first["n"], first["failed"]) == (1, 1)
-    assert best_choices(runs)["angle error floors"] == ("model.radius=0.1", 10.0)
-
-
-def test_a_figure_that_is_undefined_in_one_seed_is_so_for_the_choice():
-    undefined = run("0.08", 1, 1.0)
+def test_a_failed_run_and_an_undefined_figure_stay_in_the_table_and_their_choice_is_not_the_best():
+    undefined = run("0.2", 1, 1.0)
     del undefined.figures[ANGLE_FLOORS]
-    table = shown_table([run("0.08", 0, 1.0), undefined])
-    assert "undefined in 1" in table
+    runs = [run("0.08", 0, 0.5), lost("0.08", 1), run("0.1", 0, 5.0), run("0.2", 0, 1.0), undefined]
+    _, _, failed, _, half = shown_table(runs).splitlines()
+    assert [cell.strip() for cell in failed.split("|")[1:5]] == ["0.08", "1", "1", "1.00"]
+    assert "undefined in 1" in half
+    assert best_choices(runs)["angle error floors"] == ("model.radius=0.1", 10.0)
 
 
 def test_a_newer_run_of_the_same_choices_takes_the_place_of_an_older_one():
     old = run("0.08", 0, 9.0)
     new = replace(run("0.08", 0, 1.0), key="f" * 12, ended_at="2026-01-01T00:00:00+00:00")
-    assert newest([new, old]) == ([new], [old])
+    stands = standing(None, [new, old])
+    assert (stands.counted, stands.others) == ([new], [old])
 
 
 # ---- which runs count --------------------------------------------------------------------------------------
@@ -209,11 +191,9 @@ def test_a_run_of_an_earlier_command_that_was_made_otherwise_does_not_count(earl
 
 def test_a_finished_row_of_the_table_is_made_with_what_its_command_goes_by_now(tmp_path: Path):
     folder, old = tmp_path / "sweeps" / "mine", made(run("0.1", 0, 1.0, training={"stopped_by": "steps"}), "old")
-    write_runs(folder, [old])
-    identity = RunIdentity(tmp_path / "runs" / "nothing", old.key, old.judged_by, "")
-    job = replace(job_of(old), made_with="new", config=TrainConfig(), identity=identity)
-    summaries, rows = _finished(folder, [job])
-    assert (summaries, rows) == ({}, {0: (folder, old)})
+    write_table(folder / TABLE, [old])
+    ((reason, _),) = _done(folder, [ready(old, tmp_path, "new")]).values()
+    assert reason == f"finished before; its row is in {folder}"
     assert read_runs(folder) == [made(old, "new")]
 
 
@@ -261,7 +241,8 @@ def test_the_page_says_where_equal_time_bought_unequal_updates_of_one_model(tmp_
     assert "Equal processor time bought `contact` 1000 to 1501 updates: compare with care." in text
     assert "`radial` 200" not in text
     assert "| updates" in text
-    assert unequal_updates([trained("contact", 0, 10, "steps"), trained("contact", 1, 90, "steps")]) == []
+    sweep_in(tmp_path / "steps", trained("contact", 0, 10, "steps"), trained("contact", 1, 90, "steps"))
+    assert "Equal processor time" not in report_sweep(tmp_path / "steps").text
 
 
 def test_the_page_lists_what_does_not_count(tmp_path: Path):
@@ -283,4 +264,5 @@ def test_the_page_says_where_the_clock_has_cut_budgets_of_steps(tmp_path: Path):
     text = report_sweep(tmp_path).text
     assert "The clock has cut the training of 2 of 3 runs, one after 25% of its updates: compare with care." in text
     assert "Equal processor time" not in text
-    assert cut_short([trained(0, 4000, 4000), trained(1, 700, None)]) == []
+    sweep_in(tmp_path / "whole", trained(0, 4000, 4000), trained(1, 700, None))
+    assert "has cut" not in report_sweep(tmp_path / "whole").text

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +12,7 @@ from finished_runs import lost, run, sweep_in
 
 from gran_bench.report.command import report_command
 from gran_bench.sweep.overview import chance_ratio, reaches, write_overview
-from gran_bench.sweep.runs import SweepRun, fold_runs
-from gran_bench.sweep.sweep_file import read_sweep
+from gran_bench.sweep.runs import SweepRun, fold_runs, read_sweep
 from gran_bench.sweep.sweep_report import report_sweep
 from gran_bench.sweep.table import best_choices
 
@@ -57,16 +55,11 @@ def test_sweeps_are_reported_at_any_time_from_their_files_alone(tmp_path: Path, 
     said = capsys.readouterr()
     assert "# one" in said.out
     assert "# two" in said.out
-    (tmp_path / "results" / "sweeps" / "one" / "runs" / "x.json").write_text("{")
+    (tmp_path / "results" / "sweeps" / "one" / "runs" / "x.csv").write_text("{")
     assert report_command(["results/sweeps/one", "results/sweeps/two"]) == 1
     said = capsys.readouterr()
-    assert "x.json is no file of a sweep's run" in said.err
+    assert "x.csv is no table of a sweep's runs" in said.err
     assert "# two" in said.out
-
-
-def test_a_runs_file_is_plain_json(tmp_path: Path):
-    path = run("0.08", 0, 1.0).write(tmp_path)
-    assert json.loads(path.read_text("utf-8"))["choices"] == {"model.radius": "0.08", "seed": "0"}
 
 
 # ---- over all sweeps -------------------------------------------------------------------------------------

@@ -5,13 +5,12 @@ A config that cannot be is refused before Hydra starts a job, so that nothing is
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import hydra
 from hydra._internal.utils import get_args_parser
@@ -23,7 +22,6 @@ from gran_bench.compose import (
     Source,
     changed_in,
     checked_config,
-    compose,
     described_jobs,
     run_folder,
     swept_keys,
@@ -34,18 +32,14 @@ from gran_bench.config.rules import ConfigError
 from gran_bench.processes import quiet_without_reader
 from gran_bench.provenance import program
 from gran_bench.sweep.launcher import JobError, load_ahead, register_launcher
-from gran_bench.sweep.sweep_file import SweepJob
-from gran_bench.sweep.task import FAILED, REFUSED, Task, complain
-
-if TYPE_CHECKING:
-    from gran_bench.sweep.jobs import Sweep
-
-__all__ = ["FAILED", "REFUSED", "checked_config", "complain", "compose", "run", "run_folder"]
+from gran_bench.sweep.runs import SweepJob
+from gran_bench.sweep.task import FAILED, REFUSED, Sweep, Task, complain
 
 # Called with the jobs of a multirun and the name of its folder; what the block gets goes to each job.
-OpenSweep = Callable[[Sequence[SweepJob], str], AbstractContextManager["Sweep"]]
+OpenSweep = Callable[[Sequence[SweepJob], str], AbstractContextManager[Sweep]]
 
 
+@quiet_without_reader()
 def run(
     task: Callable[[Any], object],
     config_name: str,
@@ -66,26 +60,21 @@ def run(
         sweep: what a multirun does around its jobs; None for nothing.
         loads: modules that a job needs, loaded ahead where jobs get processes of their own.
     """
-    with quiet_without_reader():
-        _run(task, config_name, schema, sweep, loads)
-
-
-def _run(
-    task: Callable[[Any], object], config_name: str, schema: type, sweep: OpenSweep | None, loads: Sequence[str]
-) -> NoReturn:
     # Makes Hydra raise its errors instead of printing them, also in the processes that a launcher starts.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     register_launcher()
     arguments = get_args_parser().parse_args()
     multirun = arguments.multirun or "hydra.mode=MULTIRUN" in arguments.overrides
     source = Source(arguments.config_name or config_name, arguments.config_dir, arguments.config_path)
+    shows = (arguments.help, arguments.hydra_help, arguments.cfg, arguments.info is not None)
     described, configs = Described(), []
     try:
-        if _starts_work(arguments):
+        if not any((*shows, arguments.shell_completion, arguments.experimental_rerun)):
             load_plugins()  # before Hydra: what it cannot compose is explained by what is registered
             described = described_jobs(source, arguments.overrides, multirun)
             configs = [checked_config(composed, schema) for _, composed in described.jobs]
-            _refuse_lonely_sweep(configs, multirun)
+            if not multirun and (name := getattr(getattr(configs[0], "tracking", None), "sweep", None)) is not None:
+                raise ConfigError(f"tracking.sweep={name} names the folder of a sweep; add -m (--multirun)")
     except Exception as error:
         complain(error, schema)
         sys.exit(FAILED if explain(error, schema) is None else REFUSED)
@@ -99,8 +88,11 @@ def _run(
                 load_ahead(loads)
             if sweep is not None and described.complete:
                 swept = swept_keys([overrides for overrides, _ in described.jobs])
-                name = run_folder(configs[0].experiment, arguments.overrides, swept)
-                around = sweep(_planned(described, configs), name)
+                planned = [
+                    _planned(overrides, config, swept)
+                    for (overrides, _), config in zip(described.jobs, configs, strict=True)
+                ]
+                around = sweep(planned, run_folder(configs[0].experiment, arguments.overrides, swept))
         with around as each.sweep:
             _run_in_hydra(each, config_name)
     except KeyboardInterrupt as stop:
@@ -133,25 +125,8 @@ def _run_in_hydra(task: Task, config_name: str) -> None:
             raise
 
 
-def _planned(described: Described, configs: Sequence[Any]) -> list[SweepJob]:
-    """The jobs of a sweep, each with the name of its run; the name holds every swept key."""
-    swept, planned = swept_keys([overrides for overrides, _ in described.jobs]), []
-    for (overrides, _), config in zip(described.jobs, configs, strict=True):
-        run_name = config.tracking.folder or run_folder(config.experiment, overrides, swept)
-        config.tracking.folder = run_name
-        choices = dict(line.partition("=")[::2] for line in changed_in(overrides, swept))
-        planned.append(SweepJob(run_name, choices, config.seed, config=config))
-    return planned
-
-
-def _refuse_lonely_sweep(configs: Sequence[Any], multirun: bool) -> None:
-    for config in configs:
-        tracking = getattr(config, "tracking", None)
-        if tracking is not None and tracking.sweep is not None and not multirun:
-            raise ConfigError(f"tracking.sweep={tracking.sweep} names the folder of a sweep; add -m (--multirun)")
-
-
-def _starts_work(arguments: argparse.Namespace) -> bool:
-    """Whether the command runs jobs, instead of showing something about them."""
-    shows = (arguments.help, arguments.hydra_help, arguments.cfg, arguments.info is not None)
-    return not any((*shows, arguments.shell_completion, arguments.experimental_rerun))
+def _planned(overrides: Sequence[str], config: Any, swept: frozenset[str]) -> SweepJob:
+    """A job of a sweep with the name of its run, which holds every swept key."""
+    config.tracking.folder = config.tracking.folder or run_folder(config.experiment, overrides, swept)
+    choices = dict(line.partition("=")[::2] for line in changed_in(overrides, swept))
+    return SweepJob(config.tracking.folder, choices, config.seed, config=config)

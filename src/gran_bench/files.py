@@ -14,22 +14,17 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-_TEMPORARY = ".tmp"
-
 
 @contextmanager
 def whole_file(path: Path | str) -> Iterator[Path]:
     """Yield a temporary name to write to; it takes the final name when the block ends well.
 
-    An exception inside the block removes the temporary file and leaves an older file of the final name as it
-    was.
-
-    Args:
-        path: final name; its folder is made where it is missing.
+    An exception inside the block removes the temporary file and leaves an older file of the final name as it was. The
+    folder is made where it is missing.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}{_TEMPORARY}")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         yield temporary
         _sync(temporary)
@@ -75,30 +70,19 @@ def write_part(path: Path, part: str, text: str, title: str = "", heading: str =
     write_text(path, before + opening + f"{text.strip()}\n" + closing + rest.partition(closing)[2])
 
 
-def read_part(path: Path, part: str) -> str:
-    """What stands between the marks of a part of a page; empty where there is none."""
-    return path.read_text("utf-8").partition(f"<!-- {part} -->\n")[2].partition("<!-- end -->\n")[0].strip()
-
-
 def remove_leftovers(path: Path | str) -> None:
-    """Remove the temporary files that killed writers of ``path`` left behind.
-
-    Only for whoever holds the lock of ``path``: nobody else may be writing it.
-    """
+    """Remove what killed writers of ``path`` left behind; only for whoever holds the lock of ``path``."""
     path = Path(path)
-    for leftover in path.parent.glob(f".{glob.escape(path.name)}.*{_TEMPORARY}"):
+    for leftover in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
         leftover.unlink(missing_ok=True)
 
 
 @contextmanager
 def locked(path: Path | str, waiting: Callable[[], None] = lambda: None) -> Iterator[None]:
-    """Hold an exclusive lock on a lock file; the operating system frees it when the process ends in any way.
+    """Hold an exclusive lock on a file; the operating system frees it when the process ends in any way.
 
-    The lock file stays: removing it would let two processes lock two files of one name.
-
-    Args:
-        path: the lock file; made where it is missing.
-        waiting: called once if another process holds the lock.
+    The lock file stays: removing it would let two processes lock two files of one name. ``waiting`` is called once if
+    another process holds the lock.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -62,10 +62,9 @@ def shipped_model(name: str = DEFAULT_MODEL) -> Path:
     checked_value(str, Name(), name, "model")
     package = Path(gran_bench.__file__).parent
     # An installed package carries the models; a clone has them where their results are.
-    places = [package / "models", package.parents[1] / "results"]
-    for place in places:
-        if (place / name / "model.pt").is_file():
-            return place / name / "model.pt"
-    there = sorted({found.parent.name for place in places for found in place.glob("*/model.pt")})
-    remedy = f"choose {' or '.join(there)}" if there else "give the file of a model of your own"
-    raise ConfigError(f"model {name}: none of that name ships with the package; {remedy}")
+    places = (package.parents[1] / "results", package / "models")
+    models = {path.parent.name: path for place in places for path in place.glob("*/model.pt")}
+    if name not in models:
+        remedy = f"choose {' or '.join(sorted(models))}" if models else "give the file of a model of your own"
+        raise ConfigError(f"model {name}: none of that name ships with the package; {remedy}")
+    return models[name]

@@ -8,7 +8,7 @@ from typing import Any
 
 from gran_bench.config import TrainConfig
 from gran_bench.entry import run
-from gran_bench.sweep.sweep_file import SweepJob
+from gran_bench.sweep.runs import SweepJob
 
 # All that decides a result, so that a job of a sweep runs what the sweep began with, whatever is edited meanwhile.
 LOADS = [

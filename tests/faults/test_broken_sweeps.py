@@ -14,11 +14,9 @@ from gran_bench.compose import Source, changed_in, checked_config, described_job
 from gran_bench.config import TrainConfig
 from gran_bench.config.override_errors import explain
 from gran_bench.run import experiment
-from gran_bench.sweep.jobs import Sweep
 from gran_bench.sweep.opening import open_sweep
-from gran_bench.sweep.runs import read_runs
-from gran_bench.sweep.sweep_file import SweepJob
-from gran_bench.sweep.task import Task
+from gran_bench.sweep.runs import SweepJob, read_runs
+from gran_bench.sweep.task import Sweep, Task
 from gran_bench.tracking import TrackingError
 
 

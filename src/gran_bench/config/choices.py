@@ -7,7 +7,7 @@ from dataclasses import fields
 
 from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig, LossConfig, TrainConfig
 from gran_bench.config.registry import MODELS
-from gran_bench.config.rules import ConfigError, Section
+from gran_bench.config.rules import Section, raising, shown
 
 PAIR_FADE = 0.1  # of a diameter: the last part of the contact network's reach, over which an answer fades
 
@@ -21,21 +21,6 @@ BOUNDARY_KEYS = {
 TERMS_OF_GRAVITY = ("energy", "speed_distribution")
 
 
-def check_choices(config: TrainConfig) -> None:
-    """Hold loss, rollout, boundary and radius against the model that is to be trained with them.
-
-    Raises:
-        ConfigError: names a dotted key, its value, what cannot use it and the remedy.
-    """
-    scene = config.scene
-    period = scene.container.length if getattr(scene.container, "periodic_axis", False) else 0.0
-    check_radius(config.model, scene.filling.diameter, period)
-    if (check := getattr(config.model, "check", None)) is not None:
-        check(scene)
-    for complaint in (*_of_boundary(config), *_of_loss(config), *_of_rollout(config)):
-        raise ConfigError(complaint)
-
-
 def loss_terms() -> list[str]:
     """Keys of ``loss`` that are weights of a term."""
     return [entry.name for entry in fields(LossConfig) if entry.type == "float" and entry.name != "discount"]
@@ -46,7 +31,8 @@ def weighed_terms(loss: LossConfig) -> list[str]:
     return [term for term in loss_terms() if getattr(loss, term) > 0]
 
 
-def check_radius(model: Section, diameter: float, period: float) -> None:
+@raising
+def check_radius(model: Section, diameter: float, period: float) -> Iterator[str]:
     """Hold a model's radius against the spheres that it is for.
 
     Args:
@@ -57,48 +43,61 @@ def check_radius(model: Section, diameter: float, period: float) -> None:
     Raises:
         ConfigError: a radius that reaches too little or too far.
     """
-    if not isinstance(model, ContactModelConfig | CconvModelConfig):
-        return
-    given = f"model.radius={model.radius:g}"
+    smallest = (1.0 + PAIR_FADE) * diameter
     if isinstance(model, CconvModelConfig):
         if model.radius <= diameter:
-            raise ConfigError(f"{given} reaches no neighbour; choose more than the particle diameter, {diameter:g} m")
-        return
-    smallest = (1.0 + PAIR_FADE) * diameter
-    if model.radius < smallest * (1.0 - 1e-9):
-        raise ConfigError(
-            f"{given} leaves no room for a contact to fade; choose at least {smallest:g} m, "
-            f"{1.0 + PAIR_FADE:g} particle diameters"
-        )
-    if period and 2.0 * model.radius > period:
-        raise ConfigError(
-            f"{given} sees a neighbour through both ends of the period, scene.container.length={period:g}; choose at "
-            f"most {0.5 * period:g} m, or model=radial"
-        )
+            yield (
+                f"model.radius={model.radius:g} reaches no neighbour; choose more than the particle diameter, "
+                f"{diameter:g} m"
+            )
+    elif isinstance(model, ContactModelConfig):
+        if model.radius < smallest * (1.0 - 1e-9):
+            yield (
+                f"model.radius={model.radius:g} leaves no room for a contact to fade; choose at least {smallest:g} m, "
+                f"{1.0 + PAIR_FADE:g} particle diameters"
+            )
+        if period and 2.0 * model.radius > period:
+            yield (
+                f"model.radius={model.radius:g} sees a neighbour through both ends of the period, "
+                f"scene.container.length={period:g}; choose at most {0.5 * period:g} m, or model=radial"
+            )
+
+
+@raising
+def check_choices(config: TrainConfig) -> Iterator[str]:
+    """Hold loss, rollout, boundary and radius against the model that is to be trained with them.
+
+    Raises:
+        ConfigError: names a dotted key, its value, what cannot use it and the remedy.
+    """
+    scene = config.scene
+    period = scene.container.length if getattr(scene.container, "periodic_axis", False) else 0.0
+    check_radius(config.model, scene.filling.diameter, period)
+    if (check := getattr(config.model, "check", None)) is not None:
+        check(scene)
+    yield from (*_of_boundary(config), *_of_loss(config), *_of_rollout(config))
 
 
 def _of_boundary(config: TrainConfig) -> Iterator[str]:
     model, boundary = config.model.name, config.boundary
-    if MODELS[model].own_walls != (boundary.kind == "own"):
-        if boundary.kind == "own":
-            yield (
-                f"boundary.kind=own is how the contact network sees walls, and model={model} does not; choose "
-                "boundary=spheres, boundary=analytic or boundary=none"
-            )
-        else:
-            yield (
-                f"boundary.kind={boundary.kind} changes nothing for model={model}, which has walls of its own; leave "
-                f"boundary as it is (boundary=contact), or choose model=radial or model=ccnn"
-            )
+    if MODELS[model].own_walls and boundary.kind != "own":
+        yield (
+            f"boundary.kind={boundary.kind} changes nothing for model={model}, which has walls of its own; leave "
+            "boundary as it is (boundary=contact), or choose model=radial or model=ccnn"
+        )
+    if boundary.kind == "own" and not MODELS[model].own_walls:
+        yield (
+            f"boundary.kind=own is how the contact network sees walls, and model={model} does not; choose "
+            "boundary=spheres, boundary=analytic or boundary=none"
+        )
     for entry in fields(BoundaryConfig):
         value = getattr(boundary, entry.name)
         if entry.name != "kind" and entry.name not in BOUNDARY_KEYS[boundary.kind] and value != entry.default:
-            shown, usual = (str(v).lower() if isinstance(v, bool) else f"{v:g}" for v in (value, entry.default))
             users = " or ".join(f"boundary={kind}" for kind, keys in BOUNDARY_KEYS.items() if entry.name in keys)
             wanted = f"{users} with model=radial or model=ccnn" if boundary.kind == "own" else users
             yield (
-                f"boundary.{entry.name}={shown} changes nothing for boundary.kind={boundary.kind}; leave it at "
-                f"{usual}, or choose {wanted}"
+                f"boundary.{entry.name}={shown(value)} changes nothing for boundary.kind={boundary.kind}; leave it at "
+                f"{shown(entry.default)}, or choose {wanted}"
             )
 
 
@@ -129,7 +128,7 @@ def _of_rollout(config: TrainConfig) -> Iterator[str]:
     available = round((scene.end_time - scene.start_time) / scene.frame_interval)
     for name in ("frames", "final_frames"):
         if (getattr(rollout, name) or 0) > available:
-            yield (f"rollout.{name}={getattr(rollout, name)} is longer than a case; choose at most {available} frames")
+            yield f"rollout.{name}={getattr(rollout, name)} is longer than a case; choose at most {available} frames"
     if rollout.final_frames is None and rollout.growth == "linear":
         yield "rollout.growth=linear has nothing to grow to; give rollout.final_frames, or choose rollout.growth=jump"
     if rollout.final_frames is not None and rollout.final_frames < rollout.frames:

@@ -6,13 +6,14 @@ import errno
 import re
 from difflib import get_close_matches
 from importlib import resources
-from typing import get_type_hints
 
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from gran_bench.config.reading import section_names, unknown_key
+from gran_bench.config.reading import CHOSEN, keys_of_chosen, section_names, unknown_key
+from gran_bench.config.rules import hints_of
 
 CONF = "gran_bench.conf"
 RECIPES = "experiment"  # the group that no command has chosen, so that one is added with +
@@ -25,12 +26,16 @@ def explain(error: Exception, schema: type) -> str | None:
         error: of this package, of Hydra, of OmegaConf or of a YAML file.
         schema: of the whole config, for the nearest right key.
     """
-    if isinstance(error, MissingConfigException):
-        return _missing_choice(error)
+    if isinstance(error, MissingConfigException) and error.options:
+        group, _, choice = (error.missing_cfg_file or "").rpartition("/")
+        guesses = get_close_matches(choice, error.options, n=1, cutoff=0.65)
+        listed = ", ".join(error.options)
+        meant = f"did you mean {guesses[0]}? ({listed})" if guesses else f"choose {' or '.join(error.options)}"
+        return f"{'+' if group == RECIPES else ''}{group}={choice}: no such choice; {meant}"
     if isinstance(error, OverrideParseException):
         return f"{error.override}: not KEY=VALUE as Hydra reads it; quote a value that has spaces or symbols"
     if isinstance(error, HydraException):
-        return _composition(str(error), schema)
+        return _composition(error, schema)
     if isinstance(error, OmegaConfBaseException):
         key = getattr(error, "full_key", None)
         return f"{key}: {_first_line(error)}" if key else _first_line(error)
@@ -38,10 +43,8 @@ def explain(error: Exception, schema: type) -> str | None:
         return "nobody reads the output any more; what is finished is whole"
     if is_full_disk(error):
         where = f" {error.filename}" if error.filename else ""
-        return (
-            f"the disk takes no more ({error.strerror}{where}); free space, and the same command goes on from here: "
-            "what is finished is whole"
-        )
+        remedy = "free space, and the same command goes on from here: what is finished is whole"
+        return f"the disk takes no more ({error.strerror}{where}); {remedy}"
     if isinstance(error, YAMLError) or type(error).__module__.startswith("gran_bench."):
         return " ".join(str(error).split())
     return None
@@ -52,38 +55,31 @@ def is_full_disk(error: Exception) -> bool:
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
-def _missing_choice(error: MissingConfigException) -> str:
-    """A group has no such choice, or there is no such primary config."""
-    group, _, choice = (error.missing_cfg_file or "").rpartition("/")
-    options = list(error.options or [])
-    if not options:
-        return _first_line(error)
-    guesses = get_close_matches(choice, options, n=1, cutoff=0.65)
-    listed = ", ".join(options)
-    meant = f"did you mean {guesses[0]}? ({listed})" if guesses else f"choose {' or '.join(options)}"
-    plus = "+" if group == RECIPES else ""
-    return f"{plus}{group}={choice}: no such choice; {meant}"
-
-
-def _composition(message: str, schema: type) -> str:
+def _composition(error: HydraException, schema: type) -> str:
     """Hydra could not put the config together."""
+    message = str(error)
     if found := re.search(r"(?:In '([^']+)': )?Could not override '([^']+)'\. No match in the defaults list", message):
         added = re.search(r"use \+(\S+)", message)
         return _unknown_group(found[2], added[1] if added else found[2], found[1], schema)
     if found := re.search(r"Could not override '([^']+)'\.?\s+To append to your config use \+(\S+)=(.*)", message):
-        if found[1].startswith("hydra."):
-            return f"{found[1]}={found[3].strip()}: no such key; --cfg hydra shows those of Hydra"
-        return str(unknown_key(found[1], found[3].strip(), schema))
+        key, value = found[1], found[3].strip()
+        if key.startswith("hydra."):
+            return f"{key}={value}: no such key; --cfg hydra shows those of Hydra"
+        place = key.rpartition(".")[0]
+        present = None
+        if place in CHOSEN and hasattr(error, "without"):
+            present = keys_of_chosen(place, OmegaConf.select(error.without, f"{place}.{CHOSEN[place].chooser}"))
+        return str(unknown_key(key, value, schema, present))
     if found := re.search(r"Could not append to config\. An item is already at '([^']+)'", message):
         return f"+{found[1]}: the key is there already; write {found[1]}=VALUE without +"
     if found := re.search(r"Ambiguous value for argument '([^']+)'", message):
         return f"{found[1]}: several values; add -m to run each, or write KEY=[A,B] for a list"
-    return _first_line(Exception(message))
+    return _first_line(error)
 
 
 def _unknown_group(group: str, typed: str, within: str | None, schema: type) -> str:
     """A group that this command does not choose from, typed or asked for by the file ``within``."""
-    keys = list(get_type_hints(schema))
+    keys = hints_of(schema)
     if group == RECIPES and RECIPES in keys:
         return f"{typed}: a recipe is added; write +{typed}"
     groups = [name for name in section_names(schema) if resources.files(CONF).joinpath(name).is_dir()]

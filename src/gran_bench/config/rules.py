@@ -12,15 +12,18 @@ import re
 import sys
 import types
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 TYPE_WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "a word"}
 MISSING = "???"  # Hydra's mark of a value that the user must choose
 LONGEST_SHOWN = 80  # characters of a refused value
-
 LONGEST_NAME = 150  # bytes; file systems end at 255, and a key and an extension follow
+
+hints_of = functools.cache(get_type_hints)
+# Registered sections by the place where they stand.
+_standing: dict[str, list[type[Section]]] = defaultdict(list)
 
 
 class ConfigError(ValueError):
@@ -38,7 +41,6 @@ class Range:
     unit: str = ""
 
     def holds(self, value: float) -> bool:
-        """Whether ``value`` is a finite number of the interval."""
         above = value > self.low if self.open_low else value >= self.low
         below = value < self.high if self.open_high else value <= self.high
         return abs(value) < math.inf and above and below
@@ -60,7 +62,6 @@ class OneOf:
     words: tuple[str, ...]
 
     def holds(self, value: str) -> bool:
-        """Whether ``value`` is one of the words."""
         return value in self.words
 
     def __str__(self) -> str:
@@ -69,10 +70,9 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Name:
-    """A word that a file or a folder is called by; never a path, and never a pattern to a shell."""
+    """A word that a file or a folder is called by on any file system; never a path, and never a pattern to a shell."""
 
     def holds(self, value: str) -> bool:
-        """Whether ``value`` can be a part of a file's name on any file system."""
         return re.fullmatch(r"\w[\w.+-]*", value) is not None and len(value.encode()) <= LONGEST_NAME
 
     def __str__(self) -> str:
@@ -137,14 +137,7 @@ def stand_at(section: type[Section], place: str) -> None:
 
 
 def add_key(section: type[Section], name: str, hint: str, entry: Any) -> None:
-    """Give a section's class one more key, the last one.
-
-    Args:
-        section: a dataclass.
-        name: of the key.
-        hint: its type, as an annotation has it.
-        entry: as `key` gives it.
-    """
+    """Give a section's dataclass one more key, the last: its type as an annotation has it, and what `key` gives."""
     for known in fields(section):  # dataclass() reads its fields from the class again
         again = field(default=known.default, default_factory=known.default_factory, metadata=known.metadata)
         setattr(section, known.name, again)
@@ -244,22 +237,15 @@ def check_arguments(**arguments: tuple[Any, Any]) -> None:
         checked_value(hint, None, value, name)
 
 
-def recheck(config: Section) -> None:
-    """Hold every value of a config against its key again: a list may have been changed in place.
+def raising(complaints: Callable[..., Iterable[str]]) -> Callable[..., None]:
+    """The check that raises, as a `ConfigError`, the first sentence that a function complains with."""
 
-    Raises:
-        ConfigError: names the dotted key, the value and what is legal.
-    """
-    for entry in fields(config):
-        value = getattr(config, entry.name)
-        setattr(config, entry.name, value)
-        if is_dataclass(value):
-            recheck(value)
+    @functools.wraps(complaints)
+    def check(*arguments: Any) -> None:
+        for complaint in complaints(*arguments):
+            raise ConfigError(complaint)
 
-
-hints_of = functools.cache(get_type_hints)
-# Registered sections by the place where they stand.
-_standing: dict[str, list[type[Section]]] = defaultdict(list)
+    return check
 
 
 def members_of(hint: Any) -> tuple[Any, ...]:

@@ -20,19 +20,12 @@ from gran_bench.scene import build_scene
 
 @dataclass(frozen=True)
 class RunIdentity:
-    """A run by what determines it.
+    """A run by what determines it, as hashes."""
 
-    Attributes:
-        folder: of its files.
-        key: hash of what determines the result of its training: deciding config keys, training data, training code.
-        judged_by: hash of what determines its judgement: judge's keys, the DEM's runs it is held against, judging code.
-        data_digest: of the training data.
-    """
-
-    folder: Path
-    key: str
-    judged_by: str
-    data_digest: str
+    folder: Path  # of its files
+    key: str  # of what determines the result of its training: deciding config keys, training data, training code
+    judged_by: str  # of what determines its judgement: judge's keys, the DEM's runs it is held against, judging code
+    data_digest: str  # of the training data
 
     @property
     def name(self) -> str:
@@ -56,14 +49,9 @@ def identify(config: TrainConfig) -> RunIdentity:
 
 
 def run_place(root: Path, name: str, key: str) -> Path:
-    """The folder of a run: the one that holds its key under whatever name, else one of the name.
+    """The folder of a run below the results: the one that holds its key under whatever name, else one of the name.
 
     So a run that another command began, a sweep or a single one, goes on there and is not done twice.
-
-    Args:
-        root: of the results.
-        name: of the run, for people.
-        key: of the run.
     """
     named = root / "runs" / f"{name}-{key[:8]}"
     if named.exists():
@@ -93,12 +81,7 @@ def judged_by(plan: Plan) -> str:
 
 
 def wants_more(config: TrainConfig, training: dict[str, Any]) -> bool:
-    """Whether a training that its time cap stopped has a larger cap now.
-
-    Args:
-        config: of the command.
-        training: what ``training.json`` says.
-    """
+    """Whether a training that its time cap stopped, as ``training.json`` says, has a larger cap now."""
     minutes = config.trainer.minutes
     if config.trainer.budget == "time" or training["stopped_by"] != "time":
         return False

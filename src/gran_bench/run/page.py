@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from gran_bench.run.summary import (
     cut_short,
     flat_metrics,
     headline,
+    judged_words,
     missed_requirements,
     registered_metrics,
     rollout_warnings,
@@ -36,19 +37,14 @@ def params_of(config: TrainConfig | EvaluateConfig) -> dict[str, Any]:
 
 def loss_in_words(loss: LossConfig) -> str:
     """The terms with their weights, 1 left out, and how the frames ahead are weighed: ``position_l2 + 0.2 spin``."""
-    weights = {term: getattr(loss, term) for term in loss_terms()}
-    terms = " + ".join(
-        term if weight == 1.0 else f"{weight:g} {term}" for term, weight in weights.items() if weight > 0
-    )
-    spin_apart = weights["spin"] > 0 and loss.spin_frame_weights != loss.frame_weights
-    return ", ".join([terms, *_frame_weights(loss, spin_apart)])
-
-
-def _frame_weights(loss: LossConfig, spin_apart: bool) -> Iterator[str]:
-    kinds = [("", loss.frame_weights), ("spin ", loss.spin_frame_weights)][: 2 if spin_apart else 1]
-    for whose, kind in kinds:
-        if kind != "uniform" or whose:
-            yield f"{whose}{kind} {loss.discount:g}" if kind == "discounted" else f"{whose}{kind}"
+    weights = {term: weight for term in loss_terms() if (weight := getattr(loss, term)) > 0}
+    words = [" + ".join(term if weight == 1.0 else f"{weight:g} {term}" for term, weight in weights.items())]
+    discounted = {"discounted": f"discounted {loss.discount:g}"}
+    if loss.frame_weights != "uniform":
+        words.append(discounted.get(loss.frame_weights, loss.frame_weights))
+    if "spin" in weights and loss.spin_frame_weights != loss.frame_weights:
+        words.append(f"spin {discounted.get(loss.spin_frame_weights, loss.spin_frame_weights)}")
+    return ", ".join(words)
 
 
 def rollout_in_words(rollout: RolloutConfig) -> str:
@@ -60,7 +56,7 @@ def rollout_in_words(rollout: RolloutConfig) -> str:
 
 
 def record_judgement(run: tracking.Run, summary: dict[str, Any], folder: Path, figures: Iterable[Path]) -> None:
-    """Record what the judge said: metrics, tags, figures and a description that shows them.
+    """Record what the judge said in an open run: metrics, tags, figures and a description that shows them.
 
     Args:
         run: open.
@@ -73,15 +69,9 @@ def record_judgement(run: tracking.Run, summary: dict[str, Any], folder: Path, f
     kept = list(figures)
     for figure in kept:
         run.log_artifact(figure, FIGURES)
-    tags = {"model": summary["model"]["name"], "judged": judged_words(summary)}
-    for name, value in tags.items():
-        run.set_tag(name, value)
+    run.set_tag("model", summary["model"]["name"])
+    run.set_tag("judged", judged_words(summary))
     run.set_tag("mlflow.note.content", description(summary, folder, [path.name for path in kept], run.run_id))
-
-
-def judged_words(summary: Mapping[str, Any]) -> str:
-    """On which speed a run was judged: ``validation, 35 rpm``."""
-    return f"{summary['judged_as']}, {summary['judged_rpm']:g} rpm"
 
 
 def description(summary: dict[str, Any], folder: Path, figures: Sequence[str], run_id: str | None) -> str:
@@ -93,27 +83,28 @@ def description(summary: dict[str, Any], folder: Path, figures: Sequence[str], r
         figures: names of the figures among the artifacts.
         run_id: in the tracking store, for links; None: without pictures.
     """
-    training, found, missed = summary["training"], headline(summary), missed_requirements(summary)
+    training, found, cut = summary["training"], headline(summary), cut_short(summary["training"])
     lines = [
         f"**{summary['model']['name']}**, {training['parameters']} parameters, {training['steps']} updates; "
-        f"{summary['judged_rpm']:g} rpm, {summary['judged_as']}. "
-        f"**{verdict(summary)}.**",
+        f"{summary['judged_rpm']:g} rpm, {summary['judged_as']}. **{verdict(summary)}.**",
         "",
-        *([f"**{cut[0].upper()}{cut[1:]}.**", ""] if (cut := cut_short(training)) is not None else []),
+        *([f"**{cut[0].upper()}{cut[1:]}.**", ""] if cut is not None else []),
         "| figure | value |",
         "|---|---:|",
         *(f"| {name} | {found[name]:.4g} |" for name in found),
         *(f"| {name} | undefined |" for name in undefined_figures(summary)),
         "",
     ]
-    if missed:
-        lines += ["Not met:", "", *(f"- {row}" for row in missed), ""]
-    if warnings := rollout_warnings(summary):
-        lines += ["Unlike the training:", "", *(f"- {row}" for row in warnings), ""]
+    for heading, rows in {
+        "Not met:": missed_requirements(summary),
+        "Unlike the training:": rollout_warnings(summary),
+    }.items():
+        lines += [heading, "", *(f"- {row}" for row in rows), ""] if rows else []
     if run_id is not None:
-        shown = [name for name in FIRST_FIGURES if name in figures]
-        lines += [f"![{name}]({_artifact(run_id, name)})\n" for name in shown]
-        lines += ["All figures: " + ", ".join(f"[{name}]({_artifact(run_id, name)})" for name in figures) + "."]
+        quoted = {name: quote(f"{FIGURES}/{name}", safe="") for name in figures}
+        places = {name: f"get-artifact?path={path}&run_uuid={run_id}" for name, path in quoted.items()}
+        lines += [f"![{name}]({places[name]})\n" for name in FIRST_FIGURES if name in places]
+        lines.append(f"All figures: {', '.join(f'[{name}]({place})' for name, place in places.items())}.")
     lines += ["", f"Files: `{folder.as_posix()}`. Each figure carries the name `{folder.name}`."]
     return "\n".join(lines)
 
@@ -122,7 +113,3 @@ def undefined_figures(summary: dict[str, Any]) -> list[str]:
     """Names of the headline figures that have no value, because what they measure does not exist in this run."""
     found, registered = headline(summary), registered_metrics(summary["judged"]["shared"])
     return [name for name in (*tracking.HEADLINE_FIGURES, *registered) if name not in found]
-
-
-def _artifact(run_id: str, name: str) -> str:
-    return f"get-artifact?path={quote(f'{FIGURES}/{name}', safe='')}&run_uuid={run_id}"

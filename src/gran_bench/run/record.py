@@ -1,4 +1,4 @@
-"""One run: its folder, its key, its place in the tracking store, its clock and its logged losses."""
+"""One run: its place in the tracking store, its clock and its logged losses."""
 
 from __future__ import annotations
 
@@ -20,26 +20,16 @@ from gran_bench.files import locked, write_atomically, write_text
 from gran_bench.provenance import command, provenance
 from gran_bench.run.identity import RunIdentity
 from gran_bench.run.page import FIGURES, params_of, record_judgement
-from gran_bench.run.summary import read_summary, summary_table, write_summary
+from gran_bench.run.summary import finished_summary, summary_table, write_summary
 from gran_bench.surrogate.checkpoint import MODEL
 
-TRAINING = "training.json"
-LOSSES = "losses.csv"
-CONFIG = "config.json"
-CLOCK = "clock.json"
+TRAINING, LOSSES, CONFIG, CLOCK = "training.json", "losses.csv", "config.json", "clock.json"
 TRACKED = "tracked"  # subfolder of the summary that the store gets; the run's own is written when the store is done
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """A planned or finished run: its identity, the config of its command, and its times.
-
-    Attributes:
-        identity: its folder, and what determines it; the key is its identity in the tracking store.
-        config: of the command.
-        scene_name: for people.
-        clock: wall time of its stages.
-    """
+    """A planned or finished run: who it is, the config of its command, the scene for people, and its times."""
 
     identity: RunIdentity
     config: TrainConfig | EvaluateConfig
@@ -58,7 +48,7 @@ class RunRecord:
         Raises:
             TrackingError: the tracking store failed; the summary was written and printed nevertheless.
         """
-        folder = self.identity.folder
+        folder, summary, failure = self.identity.folder, None, None
         folder.mkdir(parents=True, exist_ok=True)
         with locked(folder / ".lock", lambda: tell(f"another process works on {folder}; waiting for it")):
             for leftover in folder.rglob(".*.tmp"):
@@ -68,7 +58,14 @@ class RunRecord:
                 print(summary_table(finished))
                 tell(f"this run was finished before; its figures and summary are in {folder}")
                 return finished
-            summary, failure = self._tracked(work)
+            self.clock.keep_in(folder / CLOCK)
+            write_text(folder / CONFIG, json.dumps(asdict(self.config), indent=1) + "\n")
+            try:
+                with self._opened() as run:
+                    summary = {"judged_by": self.identity.judged_by, **work(run)}
+                    run.log_artifact(write_summary(folder / TRACKED, summary))
+            except tracking.TrackingError as error:  # which must not cost a result
+                failure = error
             if summary is not None:
                 # Last of all: its presence says that the run is finished.
                 write_summary(folder, summary)
@@ -78,34 +75,15 @@ class RunRecord:
                 raise failure
         return summary
 
-    def _tracked(
-        self, work: Callable[[tracking.Run], dict[str, Any]]
-    ) -> tuple[dict[str, Any] | None, tracking.TrackingError | None]:
-        """The summary of the work, and what the tracking store failed at; a store must not cost a result."""
-        summary, identity = None, self.identity
-        self.clock.keep_in(identity.folder / CLOCK)
-        write_text(identity.folder / CONFIG, json.dumps(asdict(self.config), indent=1) + "\n")
-        try:
-            with self.opened() as run:
-                summary = {"judged_by": identity.judged_by, **work(run)}
-                run.log_artifact(write_summary(identity.folder / TRACKED, summary))
-        except tracking.TrackingError as failure:
-            return summary, failure
-        return summary, None
-
     @contextmanager
-    def opened(self, made: Mapping[str, str] | None = None) -> Iterator[tracking.Run]:
-        """The run in the tracking store, open, with what it was made from.
-
-        Args:
-            made: provenance of a run that is recorded again; None for one that this process makes.
-        """
-        config, digest = self.config, self.identity.data_digest
-        identity, parent = self.identity, config.tracking.parent
-        tags = {"data_digest": digest, "scene": self.scene_name, "folder": str(identity.folder)}
+    def _opened(self, made: Mapping[str, str] | None = None) -> Iterator[tracking.Run]:
+        """The run in the tracking store; ``made`` is the provenance of one that is recorded again."""
+        config, identity = self.config, self.identity
+        tags = {"data_digest": identity.data_digest, "scene": self.scene_name, "folder": str(identity.folder)}
         tags |= provenance() if made is None else {**made, "recorded_again_by": command()}
-        with tracking.open_run(config.tracking, identity.name, identity.key, params_of(config), tags, parent) as run:
-            run.log_dataset(self.scene_name, digest, str(Path(config.dataset.root).resolve()))
+        settings, parent = config.tracking, config.tracking.parent
+        with tracking.open_run(settings, identity.name, identity.key, params_of(config), tags, parent) as run:
+            run.log_dataset(self.scene_name, identity.data_digest, str(Path(config.dataset.root).resolve()))
             yield run
 
     def record_again(self, summary: dict[str, Any]) -> None:
@@ -115,10 +93,9 @@ class RunRecord:
             TrackingError: the store does not take it.
         """
         folder = self.identity.folder
-        with self.opened(summary["provenance"]) as run:
-            if (folder / LOSSES).exists():
-                for row in pd.read_csv(folder / LOSSES).to_dict("records"):
-                    run.log_metrics(training_metrics(row), int(row["step"]))
+        with self._opened(summary["provenance"]) as run:
+            for row in LossLog(folder / LOSSES).rows:
+                run.log_metrics(training_metrics(row), int(row["step"]))
             if (folder / MODEL).exists():
                 run.log_artifact(folder / MODEL, "model")
             record_judgement(run, summary, folder, sorted((folder / FIGURES).glob("*")))
@@ -135,15 +112,9 @@ class RunRecord:
         Raises:
             TrackingError: the store does not take it.
         """
-        with self.opened(made) as run:
+        with self._opened(made) as run:
             run.set_tag("folder", f"made elsewhere; what is here of it: a row in {source}")
             run.log_metrics(figures, supersede=True)
-
-
-def finished_summary(identity: RunIdentity) -> dict[str, Any] | None:
-    """The summary of a run that is finished and judged as it would be now, else None."""
-    summary = read_summary(identity.folder)
-    return summary if summary is not None and summary["judged_by"] == identity.judged_by else None
 
 
 def training_metrics(row: dict[str, float]) -> dict[str, float]:
@@ -162,9 +133,8 @@ class Clock:
         """Go on from the times in a file, and keep them there from now on."""
         earlier = json.loads(path.read_text("utf-8")) if path.exists() else {}
         self._path = path
-        for name, seconds in earlier.items():
-            self.seconds[name] = self.seconds.get(name, 0.0) + seconds
-        self._write()
+        for name in {**earlier, **self.seconds}:
+            self._add(name, earlier.get(name, 0.0))
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -173,20 +143,16 @@ class Clock:
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - began
-            self._write()
+            self._add(name, time.monotonic() - began)
 
-    def _write(self) -> None:
+    def _add(self, name: str, seconds: float) -> None:
+        self.seconds[name] = self.seconds.get(name, 0.0) + seconds
         if self._path is not None:
             write_text(self._path, json.dumps(self.seconds) + "\n")
 
 
 class LossLog:
-    """The logged losses of a training as a CSV file that survives any interruption.
-
-    Args:
-        path: of the file; rows that are there are kept.
-    """
+    """The logged losses of a training as a CSV file, whose rows are kept, that survives any interruption."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -13,8 +13,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from multiprocessing import connection, forkserver
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
@@ -51,11 +50,7 @@ class ProcessLauncher(Launcher):
         self.task, self.sweep_dir = task_function, Path(str(config.hydra.sweep.dir))
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
-        """Run jobs and wait for all of them.
-
-        Args:
-            job_overrides: of each job.
-            initial_job_idx: number of the first.
+        """Run jobs, numbered from the initial one, and wait for all of them.
 
         Raises:
             JobError: a job failed; all have ended.
@@ -64,27 +59,29 @@ class ProcessLauncher(Launcher):
         self.sweep_dir.mkdir(parents=True, exist_ok=True)
         waiting = [(initial_job_idx + i, list(overrides)) for i, overrides in enumerate(job_overrides)]
         results = [JobReturn(overrides=overrides, status=JobStatus.COMPLETED) for _, overrides in waiting]
-        running: dict[int, ForkServerProcess] = {}
-        failed = 0
-        with _ended_on_error(running):
+        context, running, failed = multiprocessing.get_context("forkserver"), {}, 0
+        try:
             while waiting or running:
                 while waiting and len(running) < self.n_jobs:
                     number, overrides = waiting.pop(0)
                     if (reason := self.task.nothing_to_do(number)) is not None:
                         print(reason, file=sys.stderr, flush=True)
                         continue
-                    running[number] = _started(self.task, overrides, number)
+                    running[number] = context.Process(target=_run, args=(self.task, overrides, number))
+                    running[number].start()
                 if not running:  # none of the rest had anything to do, and no end of theirs would come
                     break
                 connection.wait([process.sentinel for process in running.values()])
                 for number in [number for number, process in running.items() if not process.is_alive()]:
                     process = running.pop(number)
-                    code = process.exitcode
-                    if code == LOST:
+                    if process.exitcode == LOST:
                         _end_lost(process.pid)
-                    if code not in (0, SAID):
-                        self.task.died(number, _last_words(code))
-                    failed += code != 0
+                    if process.exitcode not in (0, SAID):
+                        self.task.died(number, _last_words(process.exitcode))
+                    failed += process.exitcode != 0
+        except BaseException:
+            _stop(list(running.values()))
+            raise
         if failed:
             raise JobError(f"{failed} of {len(results)} jobs failed")
         return results
@@ -98,20 +95,9 @@ def register_launcher() -> None:
 
 
 def load_ahead(modules: Sequence[str]) -> None:
-    """Start the process that jobs are forked from, and let it load modules while this one goes on.
-
-    Args:
-        modules: full names.
-    """
+    """Start the process that jobs are forked from, and let it load modules while this one goes on."""
     multiprocessing.get_context("forkserver").set_forkserver_preload(["gran_bench.entry", *modules])
     forkserver.ensure_running()
-
-
-def _started(task: Task, overrides: list[str], number: int) -> ForkServerProcess:
-    context = multiprocessing.get_context("forkserver")
-    process = context.Process(target=_run, args=(task, overrides, number), name=f"job {number}")
-    process.start()
-    return process
 
 
 def _run(task: Task, overrides: list[str], number: int) -> None:
@@ -131,20 +117,15 @@ def _stop_with(parent: Any) -> None:
     os.kill(os.getpid(), signal.SIGTERM)
 
 
-@contextmanager
-def _ended_on_error(running: dict[int, ForkServerProcess]) -> Iterator[None]:
-    """Ask all jobs to stop, and wait for them, where the block does not end well."""
-    try:
-        yield
-    except BaseException:
-        for process in running.values():
-            process.terminate()
-        for process in running.values():
-            process.join(GRACE_SECONDS)
-            if process.is_alive():
-                process.kill()
-                process.join()
-        raise
+def _stop(processes: Sequence[ForkServerProcess]) -> None:
+    """Ask jobs to stop, and wait for them."""
+    for process in processes:
+        process.terminate()
+    for process in processes:
+        process.join(GRACE_SECONDS)
+        if process.is_alive():
+            process.kill()
+            process.join()
 
 
 def _end_lost(pid: int) -> None:

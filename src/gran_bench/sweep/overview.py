@@ -9,14 +9,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from gran_bench.files import write_part
-from gran_bench.sweep.runs import FINISHED, SweepRun
-from gran_bench.sweep.standing import read_standing
-from gran_bench.sweep.sweep_file import SWEEPS, sweep_folders
+from gran_bench.sweep.runs import SWEEPS, SweepRun, sweep_folders
 from gran_bench.sweep.sweep_report import body, figure_paths
-from gran_bench.sweep.table import COLUMNS, TIME, axes_of, changes_work, runs_frame
+from gran_bench.sweep.table import (
+    COLUMNS,
+    TIME,
+    axes_of,
+    changes_work,
+    grouped,
+    read_standing,
+    runs_frame,
+    whole_figures,
+)
 
 OVERVIEW = "README.md"
 CHANCE = 0.05  # share of rows without any effect whose ratio chance alone brings above what a page calls chance
@@ -24,30 +30,16 @@ CHANCE = 0.05  # share of rows without any effect whose ratio chance alone bring
 
 @dataclass(frozen=True)
 class Reach:
-    """How far the choice of one key moves one figure, everything else alike.
+    """How far the choice of one key moves one figure, everything else alike."""
 
-    Attributes:
-        axis: the swept key.
-        beside: values of the other swept keys, in words; empty where there is none.
-        figure: heading of the figure.
-        best: choice with the smallest mean, and the mean.
-        worst: choice with the largest mean, and the mean.
-        chance: the ratio of worst to best that seeds alone would give, see `chance_ratio`; NaN where nothing says so.
-        lost: choices that have no mean, because a run of theirs failed or has no such figure.
-    """
-
-    axis: str
-    beside: str
-    figure: str
-    best: tuple[str, float]
-    worst: tuple[str, float]
+    axis: str  # the swept key
+    beside: str  # values of the other swept keys, in words; empty where there is none
+    figure: str  # heading of the figure
+    best: tuple[str, float]  # choice with the smallest mean, and the mean
+    worst: tuple[str, float]  # choice with the largest mean, and the mean
+    # The ratio of worst to best that seeds alone would give, see `chance_ratio`; NaN where nothing says so.
     chance: float
-    lost: tuple[str, ...]
-
-    @property
-    def one_seed(self) -> bool:
-        """Whether every choice has one seed, so that nothing says what chance alone would give."""
-        return math.isnan(self.chance)
+    lost: tuple[str, ...]  # choices that have no mean, because a run of theirs failed or has no such figure
 
     @property
     def factor(self) -> float:
@@ -57,7 +49,7 @@ class Reach:
     @property
     def counts(self) -> bool:
         """Whether the difference is more than chance gives."""
-        return not self.one_seed and self.factor > self.chance
+        return self.factor > self.chance
 
 
 def reaches(runs: Sequence[SweepRun]) -> Iterator[Reach]:
@@ -70,35 +62,19 @@ def reaches(runs: Sequence[SweepRun]) -> Iterator[Reach]:
     """
     axes, frame = axes_of(runs), runs_frame(runs)
     for axis in axes:
-        others = [other for other in axes if other != axis]
-        groups = frame.groupby(others, sort=False) if others else [((), frame)]
-        for values, group in groups:
-            values = values if isinstance(values, tuple) else (values,)
-            beside = ", ".join(f"{other}={value}" for other, value in zip(others, values, strict=True))
+        for values, group in grouped(frame, [other for other in axes if other != axis]):
+            beside = ", ".join(f"{other}={value}" for other, value in values.items())
             for column in COLUMNS:
                 if not column.ranked or (column.name == TIME and not changes_work(axis)):
                     continue
-                found = _reach(group, axis, column.name)
-                if found is not None:
-                    yield Reach(axis, beside, column.heading, *found)
-
-
-def _reach(
-    group: pd.DataFrame, axis: str, name: str
-) -> tuple[tuple[str, float], tuple[str, float], float, tuple[str, ...]] | None:
-    """Best, worst, chance and lost choices of one figure; None where fewer than two choices have it."""
-    found, lost = {}, []
-    for value, runs in group.groupby(axis, sort=False):
-        figures = pd.to_numeric(runs[name], errors="coerce").astype(float)
-        if (runs["status"] != FINISHED).any() or figures.isna().any():
-            lost.append(str(value))
-        else:
-            found[str(value)] = figures.to_numpy()
-    if len(found) < 2:
-        return None
-    means = {value: float(figures.mean()) for value, figures in found.items()}
-    best, worst = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
-    return (best, means[best]), (worst, means[worst]), chance_ratio(list(found.values())), tuple(lost)
+                by_choice = {its[axis]: whole_figures(runs, column.name) for its, runs in grouped(group, [axis])}
+                samples = {choice: found.to_numpy() for choice, found in by_choice.items() if found is not None}
+                if len(samples) < 2:
+                    continue
+                lost = tuple(choice for choice in by_choice if choice not in samples)
+                means = sorted(((choice, float(s.mean())) for choice, s in samples.items()), key=lambda one: one[1])
+                chance = chance_ratio(list(samples.values()))
+                yield Reach(axis, beside, column.heading, means[0], means[-1], chance, lost)
 
 
 def chance_ratio(samples: Sequence[np.ndarray]) -> float:
@@ -151,24 +127,21 @@ def write_overview(root: Path) -> Path | None:
 
 def _what_matters(found: Sequence[tuple[str, Reach]]) -> Iterator[str]:
     """For each sweep, key and error the comparison that differs the most, if by more than chance; and how many do."""
-    counted, single = [one for one in found if one[1].counts], sum(reach.one_seed for _, reach in found)
-    largest: dict[tuple[str, str, str], tuple[str, Reach]] = {}
-    for name, reach in sorted(counted, key=lambda one: one[1].factor):
-        largest[name, reach.axis, reach.figure] = name, reach
+    counted, single = [one for one in found if one[1].counts], sum(math.isnan(reach.chance) for _, reach in found)
     yield (
         f"{len(counted)} of {len(found)} comparisons of one swept key differ by more than chance; {single} have one "
         "seed a choice, so that nothing says what chance gives. The largest of each key and figure, where *chance* is "
         "the ratio of worst to best that seeds alone exceed in one of 20 comparisons:"
     )
     yield ""
-    if largest:
+    if counted:
         yield "| sweep | key | beside | figure | best | worst | worst / best | chance |"
         yield "|---|---|---|---|---|---|---:|---:|"
-    yield from (_row(*largest[key]) for key in sorted(largest))
-
-
-def _row(name: str, reach: Reach) -> str:
-    best, worst = (f"{choice} ({value:.3g})" for choice, value in (reach.best, reach.worst))
-    lost = f"; no figure: {', '.join(reach.lost)}" if reach.lost else ""
-    numbers = f"{reach.factor:.2f} | {reach.chance:.2f}"
-    return f"| {' | '.join([name, reach.axis, reach.beside, reach.figure, best, worst + lost])} | {numbers} |"
+    largest = {
+        (name, reach.axis, reach.figure): reach for name, reach in sorted(counted, key=lambda one: one[1].factor)
+    }
+    for (name, axis, figure), reach in sorted(largest.items()):
+        best, worst = (f"{choice} ({value:.3g})" for choice, value in (reach.best, reach.worst))
+        worst += f"; no figure: {', '.join(reach.lost)}" if reach.lost else ""
+        cells = [name, axis, reach.beside, figure, best, worst, f"{reach.factor:.2f}", f"{reach.chance:.2f}"]
+        yield f"| {' | '.join(cells)} |"

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any, TextIO
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
@@ -16,36 +19,133 @@ from gran_bench.compose import Source, checked_config, run_folder
 from gran_bench.config import TrainConfig
 from gran_bench.config.override_errors import explain, is_full_disk
 from gran_bench.config.rules import ConfigError
-from gran_bench.provenance import remember_command
+from gran_bench.provenance import command, remember_command
 from gran_bench.provenance.source_digest import go_by
 from gran_bench.scene import SceneError
+from gran_bench.sweep import runs
+from gran_bench.sweep.runs import SweepJob, SweepRun, now
 from gran_bench.tracking import HEADLINE, TrackingError
 
-if TYPE_CHECKING:
-    from gran_bench.sweep.jobs import Sweep
-
 FAILED, REFUSED = 1, 2  # exit codes
+KEPT_OF_TRAINING = ("steps", "planned_steps", "seconds", "stopped_by", "loss", "parameters")
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What a job needs of its sweep; plain data."""
+
+    folder: Path  # of the sweep, absolute
+    jobs: tuple[SweepJob, ...]  # of the sweep, by number
+    parent: str | None = None  # id of the parent run; None without tracking
+    done: dict[int, str] = field(default_factory=dict)  # why a job has nothing to do, by number
+    hashes: dict[str, str] = field(default_factory=dict)  # of the source that the sweep began with
+
+    def title(self, number: int) -> str:
+        """A job for people."""
+        return f"job {number + 1} of {len(self.jobs)} ({self.jobs[number].run})"
+
+    @contextmanager
+    def logged(self, number: int, apart: bool) -> Iterator[None]:
+        """What the block prints goes into the job's log; in a process of its own there alone, else beside the terminal.
+
+        Args:
+            number: of the job.
+            apart: whether this process does nothing else than the job.
+        """
+        path = self.folder / self.jobs[number].log_name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(path, "a", buffering=1, encoding="utf-8") as log, ExitStack() as afterwards:
+            log.write(f"---- {now()}  process {os.getpid()}  {command()}\n")
+            if apart:
+                sys.stdout.flush()
+                for descriptor in (1, 2):
+                    afterwards.callback(os.close, terminal := os.dup(descriptor))
+                    afterwards.callback(os.dup2, terminal, descriptor)
+                    os.dup2(log.fileno(), descriptor)
+                afterwards.callback(sys.stdout.flush)  # where this fails, on a full disk, the rest is done nevertheless
+            else:
+                afterwards.enter_context(redirect_stdout(_Both(sys.stdout, log)))
+                afterwards.enter_context(redirect_stderr(_Both(sys.stderr, log)))
+            yield
+
+    def finished(self, number: int, summary: Mapping[str, Any]) -> SweepRun:
+        """Keep what a job found."""
+        left = finished_run(self.jobs[number], summary)
+        left.write(self.folder)
+        return left
+
+    def failed(self, number: int, reason: str) -> None:
+        """Keep why a job failed."""
+        job = self.jobs[number]
+        try:
+            failed_run(job, reason).write(self.folder)
+        except OSError as error:  # of a full disk, say: the reason stands on the terminal and in the log
+            _tell(f"{self.title(number)}: its failure could not be kept in {self.folder}: {error}")
+
+
+class _Both:
+    """A stream that writes to the terminal and, line by line, to a log; progress bars are for the terminal alone."""
+
+    def __init__(self, terminal: TextIO, log: TextIO) -> None:
+        self._terminal, self._log = terminal, log
+
+    def write(self, text: str) -> int:
+        if "\r" not in text:
+            self._log.write(text)
+        return self._terminal.write(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._terminal, name)
+
+
+def finished_run(job: SweepJob, summary: Mapping[str, Any]) -> SweepRun:
+    """What a finished job leaves; ``summary`` as in ``summary.json``."""
+    # Imported here, so that a command that has a typo need not wait for it.
+    from gran_bench.run.summary import broken_rollouts, flat_metrics, judged_words
+
+    training = summary["training"]
+    facts = {
+        "judged": judged_words(summary),
+        "broken_rollouts": ", ".join(f"{name} at frame {k}" for name, k in broken_rollouts(summary).items()),
+        **{name: training.get(name) for name in ("data_digest", "model_sha256")},
+        **summary["provenance"],
+    }
+    found = {
+        "training": {name: training[name] for name in KEPT_OF_TRAINING if training.get(name) is not None},
+        "figures": flat_metrics(summary),
+    }
+    return _ended(job, facts, judged_by=summary["judged_by"], **found)
+
+
+def failed_run(job: SweepJob, reason: str) -> SweepRun:
+    """What a failed job leaves: who it was, and why."""
+    return _ended(job, {}, status=runs.FAILED, reason=reason)
+
+
+def _ended(job: SweepJob, facts: Mapping[str, str], **found: Any) -> SweepRun:
+    facts = {**facts, "log": job.log_name, "made_with": job.made_with}
+    if job.config is not None:
+        facts |= {"model": job.config.model.name, "budget": budget_of(job.config)}
+    who = {"run": job.run, "choices": dict(job.choices), "seed": job.seed, "key": job.key, "judged_by": job.judged_by}
+    return SweepRun(**who | found, ended_at=now(), facts={name: text for name, text in facts.items() if text})
+
+
+def budget_of(config: TrainConfig) -> str:
+    """What ends a training, in words."""
+    trainer = config.trainer
+    return f"{trainer.minutes:g} min" if trainer.budget == "time" else f"{trainer.steps} updates"
 
 
 @dataclass
 class Task:
-    """What runs once, or with ``--multirun`` once a job; plain data, so that it can travel to another process.
+    """What runs once, or with ``--multirun`` once a job; plain data, so that it can travel to another process."""
 
-    Attributes:
-        function: called with the checked config.
-        source: of the configs.
-        schema: the dataclass that a config must fit.
-        typed: first words of the command line.
-        sweep: that the job belongs to; None for none.
-        failures: of jobs in this process, for whoever started them.
-    """
-
-    function: Callable[[Any], object]
-    source: Source
-    schema: type
-    typed: list[str]
-    sweep: Sweep | None = None
-    failures: list[Exception] = field(default_factory=list)
+    function: Callable[[Any], object]  # called with the checked config
+    source: Source  # of the configs
+    schema: type  # the dataclass that a config must fit
+    typed: list[str]  # first words of the command line
+    sweep: Sweep | None = None  # that the job belongs to; None for none
+    failures: list[Exception] = field(default_factory=list)  # of jobs in this process, for whoever started them
 
     def __call__(self, composed: DictConfig) -> None:
         """Do the job that Hydra composed, in this process."""
@@ -58,7 +158,7 @@ class Task:
             self.failures.append(error)
             if alone:  # raised from here, Hydra would print a line of its own
                 return
-            self._complain(error, number, settings.job.override_dirname)
+            complain(error, self.schema, self._title(number, settings.job.override_dirname))
             raise
 
     def apart(self, overrides: Sequence[str], number: int) -> bool:
@@ -68,7 +168,7 @@ class Task:
                 composed = self.source.composed(overrides)
             self._do(composed, overrides, number, apart=True)
         except Exception as error:
-            self._complain(error, number, ",".join(overrides))
+            complain(error, self.schema, self._title(number, ",".join(overrides)))
             return False
         return True
 
@@ -81,13 +181,16 @@ class Task:
     def died(self, number: int, why: str) -> None:
         """Note that a job's process ended without a word."""
         message = f"{why}; the same command goes on from its last checkpoint"
-        print(f"error: {self._title(number)}{message}", file=sys.stderr, flush=True)
+        _tell(f"error: {self._title(number)}{message}")
         if self.sweep is not None:
-            self.sweep.failed(number, message, into_log=True)
+            log = self.sweep.folder / self.sweep.jobs[number].log_name
+            with suppress(OSError), open(log, "a", encoding="utf-8") as file:
+                file.write(f"error: {message}\n")
+            self.sweep.failed(number, message)
 
     def _do(self, composed: DictConfig, overrides: Sequence[str], number: int, apart: bool) -> None:
         if (reason := self.nothing_to_do(number)) is not None:
-            print(reason, file=sys.stderr, flush=True)
+            _tell(reason)
             return
         remember_command([*self.typed, *overrides])
         if self.sweep is None:
@@ -95,7 +198,7 @@ class Task:
             return
         sweep, title = self.sweep, self.sweep.title(number)
         go_by(sweep.hashes)
-        print(f"{title} starts; log: {sweep.folder / sweep.jobs[number].log_name}", file=sys.stderr, flush=True)
+        _tell(f"{title} starts; log: {sweep.folder / sweep.jobs[number].log_name}")
         try:
             with sweep.logged(number, apart):
                 try:
@@ -104,12 +207,15 @@ class Task:
                     complain(error, self.schema)  # into the log; the terminal hears it from whoever called
                     raise
         except Exception as error:
-            if not isinstance(error, TrackingError) or not sweep.finished_unrecorded(number):
+            # The tracking store fails last: what the job found may be whole.
+            if isinstance(error, TrackingError) and (summary := _summary_of(sweep.jobs[number])) is not None:
+                sweep.finished(number, summary)
+            else:
                 sweep.failed(number, explain(error, self.schema) or f"{type(error).__name__}: {error}")
             raise
         figures = sweep.finished(number, summary).figures
         found = (f"{name[len(HEADLINE) :]} {figures[name]:.3g}" for name in figures if name.startswith(HEADLINE))
-        print(f"{title} finished: {', '.join(found)}", file=sys.stderr, flush=True)
+        _tell(f"{title} finished: {', '.join(found)}")
 
     def _config(self, composed: DictConfig, overrides: Sequence[str], number: int) -> Any:
         config = checked_config(composed, self.schema)
@@ -120,11 +226,16 @@ class Task:
             config.tracking.folder = config.tracking.folder or run_folder(config.experiment, overrides)
         return config
 
-    def _complain(self, error: Exception, number: int, words: str) -> None:
-        complain(error, self.schema, self._title(number) if self.sweep else f"job {number} ({words}): ")
+    def _title(self, number: int, words: str = "") -> str:
+        if self.sweep is not None:
+            return f"{self.sweep.title(number)}: "
+        return f"job {number} ({words}): " if words else f"job {number}: "
 
-    def _title(self, number: int) -> str:
-        return f"{self.sweep.title(number)}: " if self.sweep else f"job {number}: "
+
+def _summary_of(job: SweepJob) -> dict[str, Any] | None:
+    from gran_bench.run.summary import finished_summary
+
+    return None if job.identity is None else finished_summary(job.identity)
 
 
 def complain(error: Exception, schema: type, prefix: str = "") -> int:
@@ -134,6 +245,10 @@ def complain(error: Exception, schema: type, prefix: str = "") -> int:
         print(f"error: {prefix}nothing that was foreseen, so here is the whole way to it:", file=sys.stderr)
         traceback.print_exception(error)
         return FAILED
-    print(f"error: {prefix}{message}", file=sys.stderr, flush=True)
+    _tell(f"error: {prefix}{message}")
     house_failure = type(error).__module__.startswith("gran_bench.") and not isinstance(error, ConfigError | SceneError)
     return FAILED if house_failure or is_full_disk(error) else REFUSED
+
+
+def _tell(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
