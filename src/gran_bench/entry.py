@@ -87,14 +87,20 @@ def run(
             if described.apart:
                 load_ahead(loads)
             if sweep is not None and described.complete:
-                swept = swept_keys([overrides for overrides, _ in described.jobs])
-                planned = [
-                    _planned(overrides, config, swept)
-                    for (overrides, _), config in zip(described.jobs, configs, strict=True)
-                ]
+                lines = [overrides for overrides, _ in described.jobs]
+                swept = swept_keys(lines)
+                planned = [_planned(*job, swept) for job in zip(lines, configs, strict=True)]
                 around = sweep(planned, run_folder(configs[0].experiment, arguments.overrides, swept))
         with around as each.sweep:
-            _run_in_hydra(each, config_name)
+            try:
+                hydra.main(f"pkg://{CONFIG_MODULE}", config_name, version_base=VERSION_BASE)(each)()
+            except JobError as error:
+                each.failures.append(error)
+            except Exception as error:
+                if error not in each.failures:
+                    raise
+        if each.failures and not multirun:
+            raise each.failures[0]
     except KeyboardInterrupt as stop:
         number = getattr(signal.Signals, str(stop), signal.SIGINT)
         print(f"stopped by {number.name}; the same command goes on from here", file=sys.stderr)
@@ -103,26 +109,9 @@ def run(
         raise
     except Exception as error:
         sys.exit(max(FAILED, complain(error, schema)))
-    if not each.failures:
-        sys.exit(0)
-    if multirun:  # said already, where it happened
+    if each.failures:  # said already, where it happened
         print("error: at least one job of the multirun failed; its message is above", file=sys.stderr)
-        sys.exit(FAILED)
-    if isinstance(each.failures[0], BrokenPipeError):
-        raise each.failures[0]
-    sys.exit(complain(each.failures[0], schema))
-
-
-def _run_in_hydra(task: Task, config_name: str) -> None:
-    """Let Hydra compose and launch; afterwards ``task.failures`` holds the failed jobs, which were reported already."""
-    decorate = hydra.main(config_path=f"pkg://{CONFIG_MODULE}", config_name=config_name, version_base=VERSION_BASE)
-    try:
-        decorate(task)()
-    except JobError as error:
-        task.failures.append(error)
-    except Exception as error:
-        if error not in task.failures:
-            raise
+    sys.exit(FAILED if each.failures else 0)
 
 
 def _planned(overrides: Sequence[str], config: Any, swept: frozenset[str]) -> SweepJob:

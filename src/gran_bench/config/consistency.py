@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
+from dataclasses import asdict
 from typing import Any
 
 from gran_bench.config import (
@@ -14,7 +14,6 @@ from gran_bench.config import (
     DemConfig,
     EvaluateConfig,
     GenerateConfig,
-    JudgeConfig,
     SceneConfig,
     TrainConfig,
 )
@@ -50,19 +49,14 @@ def check_consistency(config: object) -> None:
         _check_training(config)
         check_choices(config)
     if isinstance(config, TrainConfig | EvaluateConfig):
-        _check_judge(config.judge, config.dataset, config.device)
-
-
-# ---- parts that the library holds, too -------------------------------------------------------------------
+        _check_judge(config)
 
 
 @raising
 def check_dem(dem: DemConfig) -> Iterator[str]:
     """Refuse, as a `ConfigError`, settings of the solver that contradict each other."""
     if dem.precision != "float64" and dem.engine != "numba":
-        yield (
-            f"dem.precision={dem.precision} is for dem.engine=numba; dem.engine={dem.engine} computes in float64 alone"
-        )
+        yield f"dem.precision={dem.precision} is for dem.engine=numba; dem.engine={dem.engine} computes in float64"
 
 
 @raising
@@ -85,41 +79,30 @@ def check_end(scene: Any) -> Iterator[str]:
 @raising
 def check_frames(scene: Any) -> Iterator[str]:
     """Refuse, as a `ConfigError`, a scene, or the config of one, whose span is no whole number of frames."""
-    span = scene.end_time - scene.start_time
-    frames = span / scene.frame_interval
-    if abs(frames - round(frames)) >= 1e-6 or round(frames) < 1:
-        yield (
-            f"scene.frame_interval={scene.frame_interval:g} does not divide the {span:g} s from scene.start_time to "
-            "scene.end_time into whole frames; change one of the three"
-        )
+    span, frame = scene.end_time - scene.start_time, scene.frame_interval
+    if abs(span / frame - round(span / frame)) >= 1e-6 or round(span / frame) < 1:
+        remedy = "change it, scene.start_time or scene.end_time"
+        yield f"scene.frame_interval={frame:g} does not divide the {span:g} s of the scene into whole frames; {remedy}"
 
 
 @raising
 def check_filling(filling: Any) -> Iterator[str]:
     """Refuse, as a `ConfigError`, a filling, or its config, whose spheres overlap or are not all placed."""
-    largest = (filling.lattice_spacing - 1.0) / 2.0
+    key, spacing, count = "scene.filling", filling.lattice_spacing, filling.count
+    largest = (spacing - 1.0) / 2.0
     if filling.jitter > largest + 1e-12:
-        yield (
-            f"scene.filling.jitter={filling.jitter:g} lets spheres overlap at a spacing of "
-            f"{filling.lattice_spacing:g} diameters; choose at most {largest:.3g}"
-        )
+        given = f"{key}.jitter={filling.jitter:g}"
+        yield f"{given} lets spheres overlap at a spacing of {spacing:g} diameters; choose at most {largest:.3g}"
     for name in ("positions", "velocities", "spins"):
         rows = getattr(filling, name)
-        if any(len(row) != 3 for row in rows) or len(rows) not in (0, filling.count):
-            yield (
-                f"scene.filling.{name} does not give three numbers for each of scene.filling.count={filling.count} "
-                "spheres; give them, or [] for none"
-            )
-    if len(filling.radii) not in (0, filling.count if filling.positions else 0):
-        yield (
-            f"scene.filling.radii has {len(filling.radii)} entries for {len(filling.positions)} "
-            "scene.filling.positions; give one for each placed sphere, or [] for none"
-        )
-    if filling.radii and filling.sizes.kind != "one":
-        yield (
-            f"scene.filling.sizes.kind={filling.sizes.kind} and scene.filling.radii both say how large the spheres "
-            "are; give one of them"
-        )
+        if any(len(row) != 3 for row in rows) or len(rows) not in (0, count):
+            remedy = "give them, or [] for none"
+            yield f"{key}.{name} does not give three numbers for each of {key}.count={count} spheres; {remedy}"
+    radii, places = len(filling.radii), len(filling.positions)
+    if radii not in (0, count if places else 0):
+        yield f"{key}.radii has {radii} entries for {places} {key}.positions; give one for each, or [] for none"
+    if radii and filling.sizes.kind != "one":
+        yield f"{key}.sizes.kind={filling.sizes.kind} and {key}.radii both say how large the spheres are; give one"
 
 
 @raising
@@ -133,44 +116,33 @@ def check_model(model: Section) -> Iterator[str]:
             yield f"model.width={model.width} cannot be split in two halves; choose an even width"
     fused = isinstance(model, ContactModelConfig) and model.backend == "fused"
     if fused and (model.hidden, model.channels) != FUSED_SIZES:
-        yield (
-            f"model.hidden={model.hidden} with model.channels={model.channels} is not what model.backend=fused is "
-            f"compiled for; choose {FUSED_SIZES[0]} and {FUSED_SIZES[1]}, or model.backend=torch"
-        )
-
-
-# ---- whole configs ---------------------------------------------------------------------------------------
+        given = f"model.hidden={model.hidden} with model.channels={model.channels}"
+        remedy = "choose {} and {}, or model.backend=torch".format(*FUSED_SIZES)
+        yield f"{given} is not what model.backend=fused is compiled for; {remedy}"
 
 
 @raising
 def _check_scene(scene: SceneConfig, dataset: DatasetConfig) -> Iterator[str]:
-    filling, kind, second = scene.filling, scene.container.kind, scene.second_material
+    filling, kind, rotation = scene.filling, scene.container.kind, scene.rotation
     if len(scene.gravity) != 3:
         yield f"scene.gravity={scene.gravity} is no vector; give three components"
-    check_schedule(scene.rotation.times, scene.rotation.speeds_rpm, "scene.rotation.speeds_rpm", "scene.rotation.times")
+    check_schedule(rotation.times, rotation.speeds_rpm, "scene.rotation.speeds_rpm", "scene.rotation.times")
     check_end(scene)
     check_frames(scene)
     check_filling(filling)
-    if kind != "none" and WALLS.owner(kind) == HOUSE:
-        for name in ("diameter", "width", "length", "height", "orifice"):
-            room = getattr(scene.container, name, filling.diameter * 2.0)
-            if filling.diameter >= room:
-                yield (
-                    f"scene.filling.diameter={filling.diameter:g} does not fit into scene.container.{name}={room:g}; "
-                    "choose smaller spheres"
-                )
-    if second is None and filling.second_fraction != 0:
-        yield (
-            f"scene.filling.second_fraction={filling.second_fraction:g} needs a second material; describe it "
-            "(+scene.second_material.density=7800)"
-        )
-    for name in (entry.name for entry in fields(scene.mixed)):
-        if second is None and (value := getattr(scene.mixed, name)) is not None:
-            yield (
-                f"scene.mixed.{name}={value} is of contacts with a second material, and there is none; describe it "
-                "(+scene.second_material.density=7800) or leave the key null"
-            )
-    if WALLS[kind].drum and len(set(scene.rotation.speeds_rpm)) == 1 and not dataset.training_speeds_rpm:
+    for name in ("diameter", "width", "length", "height", "orifice"):
+        room = getattr(scene.container, name, None)
+        if kind != "none" and WALLS.owner(kind) == HOUSE and room is not None and filling.diameter >= room:
+            given = f"scene.filling.diameter={filling.diameter:g}"
+            yield f"{given} does not fit into scene.container.{name}={room:g}; choose smaller spheres"
+    if scene.second_material is None:
+        describe = "describe it (+scene.second_material.density=7800)"
+        if filling.second_fraction != 0:
+            yield f"scene.filling.second_fraction={filling.second_fraction:g} needs a second material; {describe}"
+        for name, value in asdict(scene.mixed).items():
+            if value is not None:
+                yield f"scene.mixed.{name}={value} is of a second material, and there is none; {describe} or give null"
+    if WALLS[kind].drum and len(set(rotation.speeds_rpm)) == 1 and not dataset.training_speeds_rpm:
         yield "dataset.training_speeds_rpm=[] leaves nothing to train on; give at least one speed"
 
 
@@ -186,10 +158,8 @@ def _check_dataset(dataset: DatasetConfig) -> Iterator[str]:
                 yield f"{given}, whose mirror image dataset.{seen[-speed]} has; keep both in one split"
             seen[speed] = name
     if dataset.unseen_packing_seed == dataset.packing_seed:
-        yield (
-            f"dataset.unseen_packing_seed={dataset.unseen_packing_seed} is the seed of dataset.packing_seed, "
-            "so the packing would not be unseen; choose another"
-        )
+        given = f"dataset.unseen_packing_seed={dataset.unseen_packing_seed}"
+        yield f"{given} is that of dataset.packing_seed, so the packing would not be unseen; choose another"
 
 
 @raising
@@ -198,70 +168,51 @@ def _check_trainable(scene: SceneConfig) -> Iterator[str]:
     if filling.count < 1:
         yield f"scene.filling.count={filling.count} leaves nothing to learn from; choose a value ≥ 1"
     if kind == "none":
-        yield (
-            "scene.container.kind=none has no container that could turn at the speeds of a data set, so there is "
-            "nothing to train on; choose a drum"
-        )
+        yield "scene.container.kind=none has no container that could turn, so nothing to train on; choose a drum"
     if not WALLS[kind].drum:
-        yield (
-            f"scene.container.kind={kind} does not turn, so it makes one case and no data set to train on; choose a "
-            "drum (python -m gran_bench.generate makes the case)"
-        )
+        remedy = "choose a drum (python -m gran_bench.generate makes the case)"
+        yield f"scene.container.kind={kind} does not turn: it makes one case and no data set to train on; {remedy}"
     if len(set(speeds)) != 1:
-        yield (
-            f"scene.rotation.speeds_rpm={speeds} is a schedule, which its one case keeps, so there is no data set to "
-            "train on; train on a drum with one speed"
-        )
+        why = "is a schedule, which its one case keeps, so there is no data set to train on"
+        yield f"scene.rotation.speeds_rpm={speeds} {why}; train on a drum with one speed"
     for name, differs in {
-        "sizes.kind": filling.sizes.kind != "one",
-        "second_fraction": filling.second_fraction != 0,
-        "settles": not filling.settles,
-        "positions": bool(filling.positions),
+        f"sizes.kind={filling.sizes.kind} makes spheres that": filling.sizes.kind != "one",
+        f"second_fraction={filling.second_fraction:g} makes spheres that": filling.second_fraction != 0,
+        "settles=false makes a start that": not filling.settles,
+        "positions make a start that": bool(filling.positions),
     }.items():
         if differs:
-            yield (
-                f"scene.filling.{name} makes spheres that the surrogates cannot tell apart or do not start from a "
-                "settled bed; train on a drum of equal spheres"
-            )
+            yield f"scene.filling.{name} no surrogate can learn; train on a drum of equal spheres that have settled"
 
 
 @raising
 def _check_training(config: TrainConfig) -> Iterator[str]:
-    scene, optim = config.scene, config.optim
-    available = round((scene.end_time - scene.start_time) / scene.frame_interval)
-    if available < LONGEST_HORIZON:
-        yield (
-            f"scene.end_time={scene.end_time:g} makes cases of {available} frames; judging looks {LONGEST_HORIZON} "
-            "frames ahead, so choose a later end"
-        )
+    scene, first, last = config.scene, config.optim.learning_rate, config.optim.final_learning_rate
+    available, needed = round((scene.end_time - scene.start_time) / scene.frame_interval), LONGEST_HORIZON
+    if available < needed:
+        given = f"scene.end_time={scene.end_time:g} makes cases of {available} frames"
+        yield f"{given}; judging looks {needed} frames ahead, so choose a later end"
     if config.trainer.budget == "time" and config.trainer.minutes is None:
         yield "trainer.budget=time needs minutes to spend, and trainer.minutes is null; give trainer.minutes"
-    if optim.final_learning_rate > optim.learning_rate:
-        yield (
-            f"optim.final_learning_rate={optim.final_learning_rate:g} exceeds optim.learning_rate="
-            f"{optim.learning_rate:g}; choose at most that"
-        )
+    if last > first:
+        yield f"optim.final_learning_rate={last:g} exceeds optim.learning_rate={first:g}; choose at most that"
 
 
 @raising
-def _check_judge(judge: JudgeConfig, dataset: DatasetConfig, device: str) -> Iterator[str]:
+def _check_judge(config: TrainConfig | EvaluateConfig) -> Iterator[str]:
+    dataset, speeds = config.dataset, config.judge.speeds_rpm
     if len(dataset.holdout_speeds_rpm) != 1:
         yield f"dataset.holdout_speeds_rpm={dataset.holdout_speeds_rpm} is not one speed; one held-out case is judged"
     made = {speed for name in SPLITS for speed in getattr(dataset, name)}
-    for speed in judge.speeds_rpm:
+    for speed in speeds:
         if speed not in made:
-            yield (
-                f"judge.speeds_rpm={judge.speeds_rpm} has {speed:g} rpm, which no split of dataset has; "
-                f"choose from {sorted(made)}"
-            )
-    if device == "cuda":
+            given = f"judge.speeds_rpm={speeds} has {speed:g} rpm"
+            yield f"{given}, which no split of dataset has; choose from {sorted(made)}"
+    if config.device == "cuda":
         import torch  # only here: it loads for seconds
 
         if not torch.cuda.is_available():
-            yield (
-                "device=cuda needs a CUDA device that PyTorch can use, and there is none; choose device=cpu or "
-                "device=auto"
-            )
+            yield "device=cuda needs a CUDA device that PyTorch can use; choose device=cpu or device=auto"
 
 
 @raising
@@ -270,15 +221,11 @@ def _check_benchmark(config: BenchmarkConfig) -> Iterator[str]:
     if len(speeds) != 1:
         yield f"dataset.holdout_speeds_rpm={speeds} is not one speed; methods are compared at one held-out speed"
     if 1.0 not in profile.step_multiples:
-        yield (
-            f"profile.step_multiples={profile.step_multiples} lacks the automatic step, which all times are held "
-            "against; add 1"
-        )
+        given = f"profile.step_multiples={profile.step_multiples}"
+        yield f"{given} lacks the automatic step, which all times are held against; add 1"
     if profile.judged_rounds > profile.rounds:
-        yield (
-            f"profile.judged_rounds={profile.judged_rounds} is more than profile.rounds={profile.rounds}; "
-            "choose at most that"
-        )
+        given = f"profile.judged_rounds={profile.judged_rounds}"
+        yield f"{given} is more than profile.rounds={profile.rounds}; choose at most that"
     for name in ("step_multiples", "single_multiples", "soft_moduli", "soft_multiples", "stiffness", "counts"):
         values = getattr(profile, name)
         if len(values) != len(set(values)):

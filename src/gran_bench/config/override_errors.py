@@ -20,11 +20,9 @@ RECIPES = "experiment"  # the group that no command has chosen, so that one is a
 
 
 def explain(error: Exception, schema: type) -> str | None:
-    """One line for an error that was written for people; None for any other, which is a bug and needs its traceback.
+    """One line for an error of this package, Hydra, OmegaConf, a YAML file or a full disk.
 
-    Args:
-        error: of this package, of Hydra, of OmegaConf or of a YAML file.
-        schema: of the whole config, for the nearest right key.
+    None for any other, which is a bug and needs its traceback. The schema is for the nearest right key.
     """
     if isinstance(error, MissingConfigException) and error.options:
         group, _, choice = (error.missing_cfg_file or "").rpartition("/")

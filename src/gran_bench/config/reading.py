@@ -40,11 +40,7 @@ def read_config(schema: type[Config], values: Mapping[str, Any]) -> Config:
 
 
 def validate(config: Any) -> None:
-    """Hold every value of a config against its rule, then the values against each other.
-
-    Raises:
-        ConfigError: names the dotted key, the value and what is legal.
-    """
+    """Hold every value of a config against its rule, then the values against each other (`ConfigError`)."""
     _recheck(config)
     check_consistency(config)
 
@@ -75,12 +71,10 @@ def nearest_key(key: str, keys: list[str]) -> str | None:
 
     A right name in a wrong place (``restitution``) counts as well as a slip of a letter in the right one.
     """
-    parent, _, name = key.rpartition(".")
 
     def likeness(other: str) -> float:
-        other_parent, _, other_name = other.rpartition(".")
-        names = SequenceMatcher(None, name, other_name).ratio()
-        return names + 0.2 * SequenceMatcher(None, parent, other_parent).ratio()
+        places, names = zip(key.rpartition(".")[::2], other.rpartition(".")[::2], strict=True)
+        return SequenceMatcher(None, *names).ratio() + 0.2 * SequenceMatcher(None, *places).ratio()
 
     best = max(keys, key=likeness, default=None)
     return best if best is not None and likeness(best) >= 0.75 else None
@@ -94,12 +88,9 @@ def keys_of_chosen(place: str, name: Any) -> list[str] | None:
 
 
 def unknown_key(key: str, value: Any, schema: type, present: list[str] | None = None) -> ConfigError:
-    """The error for a key that the schema, or the chosen model, does not have.
+    """The error for a dotted key that the schema of a whole config, or the chosen model, does not have.
 
     Args:
-        key: dotted.
-        value: what it was given.
-        schema: of the whole config.
         present: the keys that are legal in its place where that is known; None: all of the schema.
     """
     everywhere = list(dotted_keys(schema, schema.place))

@@ -6,10 +6,10 @@ A plugin is a package that registers something when it is imported, and that say
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, is_dataclass
 from importlib.metadata import entry_points
+from pkgutil import resolve_name
 from typing import Any, Generic, TypeVar
 
 from gran_bench.config.rules import ConfigError, Section, add_key, at_least, key, one_of, stand_at
@@ -46,25 +46,17 @@ def load_plugins() -> None:
 
 
 class Registry(Mapping[str, Entry], Generic[Entry]):
-    """What has been registered, by name; reading it loads the plugins.
-
-    Args:
-        what: one entry, for messages.
-        place: of the section of a config that an entry describes; empty where there is none.
-        chooser: the section's key that chooses the entry.
-    """
+    """What has been registered, by name; reading it loads the plugins."""
 
     def __init__(self, what: str, place: str = "", chooser: str = "") -> None:
-        self.what, self.place, self.chooser = what, place, chooser
+        self.what = what  # one entry, for messages
+        self.place = place  # of the section of a config that an entry describes
+        self.chooser = chooser  # the section's key that chooses the entry
         self._entries: dict[str, Entry] = {}
         self._owners: dict[str, str] = {}
 
     def add(self, name: str, entry: Entry, module: str) -> None:
-        """Register an entry of a module. The package that owns a name may register it again, as when it is reloaded.
-
-        Raises:
-            ConfigError: no identifier, or the name of another package.
-        """
+        """Register an entry of a module. The package that owns a name may register it again, as when it is reloaded."""
         owner = module.partition(".")[0]
         if not name.isidentifier():
             raise ConfigError(f"{self.what} {name!r}: choose a name of letters, digits and _, no digit first")
@@ -75,11 +67,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         self._entries[name], self._owners[name] = entry, owner
 
     def section(self, config: Config, names: tuple[str, ...], entry: Entry) -> Config:
-        """Register an entry under some names with the dataclass of its keys, which gets the key that chooses it.
-
-        Raises:
-            ConfigError: no dataclass of `Section`, or as for `add`.
-        """
+        """Register an entry under some names with the dataclass of its keys, which gets the key that chooses it."""
         if not (is_dataclass(config) and issubclass(config, Section)):
             raise ConfigError(
                 f"{config.__name__}, registered as {' and '.join(names)}, is no dataclass of gran_bench.Section; write "
@@ -122,12 +110,7 @@ class Builder:
     build: Callable[..., Any] | str
 
     def __call__(self, *arguments: Any) -> Any:
-        """What the function makes of its arguments; a module is imported when it is needed."""
-        function = self.build
-        if isinstance(function, str):
-            module, _, name = function.partition(":")
-            function = getattr(importlib.import_module(module), name)
-        return function(*arguments)
+        return (resolve_name(self.build) if isinstance(self.build, str) else self.build)(*arguments)
 
 
 @dataclass(frozen=True)
@@ -175,7 +158,6 @@ def register_model(
     """Let ``model.name`` be one of ``names``; decorates the dataclass of the model's keys.
 
     Args:
-        names: of the model.
         build: the `Surrogate`'s class, or ``package.module:Class``. It is called with the config and the scene; where
             the walls are not its own, with the config, the ``boundary`` and the scene.
         own_walls, spin, conserves_momentum, code: as in `Model`.
@@ -190,7 +172,6 @@ def register_wall(*names: str, build: Callable[..., Any] | str, drum: bool = Fal
     """Let ``scene.container.kind`` be one of ``names``; decorates the dataclass of the container's keys.
 
     Args:
-        names: of the container.
         build: a function, or ``package.module:function``, of the container's config and the scene's; gives a
             `Container`.
         drum: as in `Wall`.
@@ -231,11 +212,8 @@ def register_metric(label: str, unit: str) -> Callable[[Function], Function]:
     """Let every judgement have a figure of the function's name, beside the DEM's and its noise floor.
 
     The function gets a trajectory and its scene. It gives a number, or a `Measured`, which may be undefined with a
-    reason; or a `Series` with a value a state, whose mean is the figure and which is compared state by state.
-
-    Args:
-        label: for people.
-        unit: SI; ``-`` for none.
+    reason; or a `Series` with a value a state, whose mean is the figure and which is compared state by state. The unit
+    is SI; ``-`` for none.
 
     Raises:
         ConfigError: a name that another package has.

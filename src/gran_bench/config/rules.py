@@ -47,9 +47,9 @@ class Range:
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
+        if math.isinf(self.low):
+            return f"a finite value{unit and ' in' + unit}"
         if math.isinf(self.high):
-            if math.isinf(self.low):
-                return f"a finite value{unit and ' in' + unit}"
             return f"a value {'>' if self.open_low else '≥'} {self.low:g}{unit}"
         left, right = "(" if self.open_low else "[", ")" if self.open_high else "]"
         return f"a value in {left}{self.low:g}, {self.high:g}{right}{unit}"
@@ -150,12 +150,9 @@ def add_key(section: type[Section], name: str, hint: str, entry: Any) -> None:
 
 
 def checked(schema: type[Section], name: str, value: Any, place: str | None = None) -> Any:
-    """``value`` as the key ``name`` of a section holds it.
+    """``value`` as the key ``name`` of a section's class holds it.
 
     Args:
-        schema: the section's class, which has the rule.
-        name: of the key.
-        value: to hold against it.
         place: of the section, dotted, with a dot at its end; None: where sections of its class stand.
 
     Raises:
@@ -176,7 +173,6 @@ def checked_value(hint: Any, rule: Rule | None, value: Any, dotted: str) -> Any:
     Args:
         hint: bool, int, float, str, a list or a tuple of them, or classes; perhaps or None.
         rule: of a number or a word, or of each in a list; a number without a rule is finite.
-        value: to hold against both.
         dotted: the key's name for the message.
 
     Raises:
@@ -185,7 +181,7 @@ def checked_value(hint: Any, rule: Rule | None, value: Any, dotted: str) -> Any:
     if value is None and is_optional(hint):
         return None
     or_null = ", or null" if is_optional(hint) else ""
-    kinds = tuple(dict.fromkeys([*(m for m in members_of(hint) if m is not type(None)), *sections_of(hint)]))
+    kinds = tuple(dict.fromkeys([*(m for m in _members_of(hint) if m is not type(None)), *sections_of(hint)]))
     kind = kinds[0]
     if not _is_list(kind) and kind not in TYPE_WORDS:
         if not isinstance(value, kinds):
@@ -228,11 +224,7 @@ def _checked_list(kind: Any, rule: Rule | None, value: Any, dotted: str) -> Any:
 
 
 def check_arguments(**arguments: tuple[Any, Any]) -> None:
-    """Refuse arguments of a public function that are of another type than it takes: ``scene=(scene, Scene)``.
-
-    Raises:
-        ConfigError: names the argument, the value and the type.
-    """
+    """Refuse, as a `ConfigError`, arguments of another type than a function takes: ``scene=(scene, Scene)``."""
     for name, (value, hint) in arguments.items():
         checked_value(hint, None, value, name)
 
@@ -248,19 +240,18 @@ def raising(complaints: Callable[..., Iterable[str]]) -> Callable[..., None]:
     return check
 
 
-def members_of(hint: Any) -> tuple[Any, ...]:
-    """The types of a union; of any other type, itself alone."""
+def _members_of(hint: Any) -> tuple[Any, ...]:
     return get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
 
 
 def is_optional(hint: Any) -> bool:
     """Whether null will do."""
-    return type(None) in members_of(hint)
+    return type(None) in _members_of(hint)
 
 
 def sections_of(hint: Any) -> Iterator[type[Section]]:
     """The sections that a key of this type may hold, registered ones included; none where it holds values."""
-    members = [member for member in members_of(hint) if is_dataclass(member)]
+    members = [member for member in _members_of(hint) if is_dataclass(member)]
     registered = [one for member in members for one in _standing.get(getattr(member, "place", ""), ())]
     yield from dict.fromkeys([*members, *registered])
 

@@ -42,11 +42,7 @@ _taken: dict[str, str] = {}
 
 
 def training_code(model: str, terms: Iterable[str] = ()) -> str:
-    """Hash (12 digits) of the source that decides the weights of a model.
-
-    Args:
-        model: its name, as in ``model.name``.
-        terms: of the loss that have a weight.
+    """Hash (12 digits) of the source that decides the weights of a model, and of the weighed terms of its loss.
 
     Raises:
         ConfigError: a plugin that takes part has no source file.
@@ -85,41 +81,34 @@ def _hash(name: str, rooms: tuple[str, ...], packages: Iterable[str]) -> str:
     plugins = sorted({*packages} - {HOUSE})
     name = " with ".join([name, *plugins])
     if name not in _taken:
-        sources = [source_digest(rooms), *map(package_digest, plugins)]
+        sources = [source_digest(rooms), *map(_package_digest, plugins)]
         _taken[name] = (sources[0] if len(sources) == 1 else hashlib.sha256("".join(sources).encode()).hexdigest())[:12]
     return _taken[name]
 
 
-def package_digest(package: str) -> str:
-    """SHA-256 (64 hex digits) of the bare code of a plugin: its one module, or all modules of its package.
-
-    Raises:
-        ConfigError: it was registered in a session that has no file.
-    """
+def _package_digest(package: str) -> str:
+    """Of the bare code of a plugin: its one module, or all modules of its package."""
     module = importlib.import_module(package)
     folders, file = getattr(module, "__path__", ()), getattr(module, "__file__", None)
     files = [path for folder in map(Path, folders) for path in sorted(folder.rglob("*.py"))] or [Path(file or "")]
     if not files[0].is_file():
         raise ConfigError(f"{package} registered something and has no source file to know it by; write a module")
-    digest = hashlib.sha256(package.encode())
-    for path in files:
-        digest.update(f"{path.name}\n{bare_code(path.read_text('utf-8'))}\n".encode())
-    return digest.hexdigest()
+    return _digest(package, [(path.name, path) for path in files])
 
 
 def source_digest(rooms: Iterable[str]) -> str:
-    """SHA-256 (64 hex digits) of the bare code of rooms, as `files_of` reads them.
-
-    Args:
-        rooms: files, folders and patterns of the package.
+    """SHA-256 (64 hex digits) of the bare code of rooms: files, folders and patterns of the package.
 
     Raises:
         FileNotFoundError: there is no such room.
     """
-    package, digest = Path(gran_bench.__file__).parent, hashlib.sha256()
-    for path in files_of(rooms):
-        digest.update(f"{path.relative_to(package).as_posix()}\n{bare_code(path.read_text('utf-8'))}\n".encode())
-    return digest.hexdigest()
+    package = Path(gran_bench.__file__).parent
+    return _digest("", [(path.relative_to(package).as_posix(), path) for path in files_of(rooms)])
+
+
+def _digest(name: str, files: Iterable[tuple[str, Path]]) -> str:
+    texts = (f"{place}\n{bare_code(path.read_text('utf-8'))}\n" for place, path in files)
+    return hashlib.sha256("".join([name, *texts]).encode()).hexdigest()
 
 
 def files_of(rooms: Iterable[str]) -> list[Path]:

@@ -38,52 +38,37 @@ from gran_bench.trainer.start import device_named, make_model, training_windows
 
 
 def run_experiment(config: TrainConfig) -> dict[str, Any]:
-    """Run the experiment that a config describes, or what is left of it.
-
-    Args:
-        config: checked.
-
-    Returns:
-        The summary, as in ``summary.json``.
+    """Run the experiment that a config describes, or what is left of it; gives the summary, as in ``summary.json``.
 
     Raises:
         ConfigError: a value that no run can have.
         KeyboardInterrupt: SIGTERM or Ctrl-C; a resumable state is on disk and the MLflow run is KILLED.
     """
     validate(config)
-    scene = build_scene(config.scene)
+    scene, clock = build_scene(config.scene), Clock()
     tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
-    clock = Clock()
     with stop_on_signals() as stop:
         split = splits(config)
         tell(f"data: {len(split.all)} cases in {Path(config.dataset.root).resolve()}")
         with clock.stage("data"):
             ensure_cases(split.all, config.dataset.root, config.dataset.workers)
             windows = training_windows(config, split)
-        run_identity, plan = identify(config), judging_plan(config)
-        folder = run_identity.folder
-        record = RunRecord(run_identity, config, scene.name, clock)
+        record, plan = RunRecord(identify(config), config, scene.name, clock), judging_plan(config)
 
         def work(run: tracking.Run) -> dict[str, Any]:
             model = make_model(config, scene)
             _compile_ahead(config.model.name)
             device = next(model.parameters()).device
             tell(f"model {config.model.name}: {model.parameter_count} parameters on {device}")
-            with record.clock.stage("training"):
-                training = train_stage(config, model, windows, folder, run, stop)
+            with clock.stage("training"):
+                training = train_stage(config, model, windows, record.identity.folder, run, stop)
             return judge_stage(record, model, plan, asdict(config.model), training, run)
 
         return record.carry_out(work, lambda finished: wants_more(config, finished["training"]))
 
 
 def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
-    """Roll out and judge a model file, without training.
-
-    Args:
-        config: checked.
-
-    Returns:
-        The summary, as in ``summary.json``.
+    """Roll out and judge a model file, without training; gives the summary.
 
     Raises:
         CheckpointError: the file is no model.
@@ -93,12 +78,12 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
     validate(config)
     path = Path(config.checkpoint)
     model, card = load_model(path, device_named(config.device))
-    scene, digest = build_scene(read_config(SceneConfig, card.scene)), file_digest(path)
-    tell(f"model {card.model['name']}: {model.parameter_count} parameters from {path}, made for scene {scene.name}")
+    scene, name = build_scene(read_config(SceneConfig, card.scene)), card.model["name"]
+    tell(f"model {name}: {model.parameter_count} parameters from {path}, made for scene {scene.name}")
     _refuse_unfair(config, card.origin)
-    _compile_ahead(card.model["name"])
+    _compile_ahead(name)
     plan = Plan(scene, config.dem, config.dataset, config.judge)
-    key = hash_of(digest, judged_by(plan), model_code(card.model["name"]))
+    key = hash_of(file_digest(path), judged_by(plan), model_code(name))
     folder = Path(config.tracking.root) / "evaluations" / f"{path.resolve().parent.name}-{key[:8]}"
     identity = RunIdentity(folder, key, judged_by(plan), card.origin["data_digest"])
     record = RunRecord(identity, config, scene.name, Clock())
@@ -114,9 +99,6 @@ def _compile_ahead(model: str) -> None:
         compile_kernels(model)
 
 
-# ---- stages ----------------------------------------------------------------------------------------------
-
-
 def train_stage(
     config: TrainConfig, model: Surrogate, windows: Windows, folder: Path, run: tracking.Run, stop: StopRequest
 ) -> dict[str, Any]:
@@ -128,8 +110,7 @@ def train_stage(
     if (folder / TRAINING).exists():
         training = json.loads((folder / TRAINING).read_text("utf-8"))
         if not wants_more(config, training):
-            _, weights = load_card(folder / MODEL)
-            model.load_state_dict(weights)
+            model.load_state_dict(load_card(folder / MODEL)[1])
             return training
         (folder / TRAINING).unlink()
     log = LossLog(folder / LOSSES)
@@ -146,15 +127,15 @@ def train_stage(
         run.log_metrics(training_metrics(row), int(row["step"]))
     try:
         with stop.deferred():
-            result = trainer.run()
+            result = asdict(trainer.run())
     except TrainingStopped as stopped:
         tell(str(stopped))
         raise KeyboardInterrupt(stop.signal_name) from None
-    if (cut := cut_short(asdict(result))) is not None:
+    if (cut := cut_short(result)) is not None:
         tell(cut)
     weights = trainer.final_weights()
     model.load_state_dict(weights)
-    training = asdict(result) | {
+    training = result | {
         "seed": config.seed,
         "experiment": config.experiment,
         "training_speeds_rpm": list(config.dataset.training_speeds_rpm),
@@ -184,13 +165,12 @@ def judge_stage(
     config, folder = record.config, record.identity.folder
     with record.clock.stage("judging"):
         evaluation = evaluate(model, plan, folder, tell)
-    with record.clock.stage("figures"):
+    with record.clock.stage("figures"), drawn_for(folder.name):
         tell("figures")
         place = folder / FIGURES
-        with drawn_for(folder.name):
-            figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, model_keys["name"])
-            if (folder / LOSSES).exists():
-                figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
+        figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, model_keys["name"])
+        if (folder / LOSSES).exists():
+            figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
     summary = {
         "experiment": training["experiment"],
         "provenance": provenance(),
@@ -216,7 +196,5 @@ def _refuse_unfair(config: EvaluateConfig, origin: dict[str, Any]) -> None:
             "or choose the dataset= and judge= that it was trained with (dataset=small judge=quick for drum_small)"
         )
     if config.judge.unseen_packing and dataset.unseen_packing_seed == origin["packing_seed"]:
-        raise ConfigError(
-            f"dataset.unseen_packing_seed={dataset.unseen_packing_seed}: this model was trained on that packing; "
-            "choose another seed"
-        )
+        given = f"dataset.unseen_packing_seed={dataset.unseen_packing_seed}"
+        raise ConfigError(f"{given}: this model was trained on that packing; choose another seed")

@@ -46,16 +46,10 @@ class ProcessLauncher(Launcher):
         self.sweep_dir = Path()
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        """Remember what to run; Hydra calls this first."""
         self.task, self.sweep_dir = task_function, Path(str(config.hydra.sweep.dir))
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
-        """Run jobs, numbered from the initial one, and wait for all of them.
-
-        Raises:
-            JobError: a job failed; all have ended.
-            KeyboardInterrupt: this process was asked to stop; its jobs were, too, and have ended.
-        """
+        """Run jobs, numbered from the initial one, to their end, whoever fails: a `JobError` then, or a stop."""
         self.sweep_dir.mkdir(parents=True, exist_ok=True)
         waiting = [(initial_job_idx + i, list(overrides)) for i, overrides in enumerate(job_overrides)]
         results = [JobReturn(overrides=overrides, status=JobStatus.COMPLETED) for _, overrides in waiting]

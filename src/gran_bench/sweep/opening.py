@@ -24,7 +24,7 @@ from gran_bench.files import locked
 from gran_bench.processes import stop_on_signals
 from gran_bench.provenance import command, commit
 from gran_bench.provenance.source_digest import judging_code, taken_hashes, training_code
-from gran_bench.run.identity import all_cases, hash_of, identify, judged_by, judging_plan, wants_more
+from gran_bench.run.identity import all_cases, hash_of, identify, wants_more
 from gran_bench.run.record import Clock, RunRecord, tell
 from gran_bench.run.summary import finished_summary
 from gran_bench.sweep.runs import (
@@ -33,7 +33,6 @@ from gran_bench.sweep.runs import (
     SweepFile,
     SweepFileError,
     SweepJob,
-    SweepRun,
     fold_runs,
     read_runs,
     sweep_folders,
@@ -89,19 +88,14 @@ def _refuse_twins(planned: Sequence[SweepJob]) -> None:
     for job in planned:
         # Which data a run is trained on follows from its config too.
         twin = first.setdefault(hash_of(telling_keys(job.config)), job)
-        if twin is job:
-            continue
-        keys = [key for key in sorted(job.choices) if job.choices[key] != twin.choices.get(key)]
-        one, other = (" ".join(f"{key}={it.choices.get(key)}" for key in keys) or it.run for it in (twin, job))
-        if judged_by(judging_plan(job.config)) != judged_by(judging_plan(twin.config)):
-            why = (
-                f"{' and '.join(keys)} only decides how it is judged; leave it out of this sweep, and judge what was "
-                "trained by `python -m gran_bench.evaluate` as often as you like"
+        if twin is not job:
+            keys = [key for key in sorted(job.choices) if job.choices[key] != twin.choices.get(key)]
+            one, other = (" ".join(f"{key}={it.choices.get(key)}" for key in keys) or it.run for it in (twin, job))
+            raise ConfigError(
+                f"{one} and {other}: two jobs of the sweep ({job.run}) would train the same weights; give each value "
+                "once, and sweep a key where it decides the weights, by a command with tracking.sweep=NAME (python -m "
+                "gran_bench.evaluate judges a model again)"
             )
-        else:
-            why = f"{' and '.join(keys)} decides nothing there" if keys else "a value is given twice"
-            why += "; leave it out of this sweep, or sweep it where it decides, by a command with tracking.sweep=NAME"
-        raise ConfigError(f"{one} and {other}: two jobs of the sweep ({job.run}) would be the same run, because {why}")
 
 
 def _make_data(configs: Sequence[TrainConfig]) -> None:
@@ -138,7 +132,7 @@ def _done(folder: Path, jobs: Sequence[SweepJob]) -> dict[int, Done]:
 
     Each has a row of this sweep afterwards.
     """
-    recorded: dict[tuple[str, str], list[tuple[Path, SweepRun]]] = defaultdict(list)
+    recorded = defaultdict(list)
     for source in sweep_folders(folder.parent.parent):
         try:
             for run in read_runs(source):
@@ -180,11 +174,7 @@ def _axes(planned: Sequence[SweepJob]) -> dict[str, Any]:
 
 
 def _schedule(jobs: Sequence[SweepJob], done: dict[int, Done], parent: str | None) -> None:
-    """A run in the store for each job; one that is finished is recorded where the store does not know it.
-
-    Raises:
-        TrackingError: the store does not take it.
-    """
+    """A run in the store for each job; one that is finished is recorded where the store does not know it."""
     known = {number: job for number, job in enumerate(jobs) if job.identity is not None}
     children = [tracking.Child(job.identity.name, job.key, number in done) for number, job in known.items()]
     missing = tracking.schedule_children(jobs[0].config.tracking, parent, children)
@@ -195,16 +185,13 @@ def _schedule(jobs: Sequence[SweepJob], done: dict[int, Done], parent: str | Non
 
 
 def _report(folder: Path, config: TrackingConfig) -> SweepReport:
-    """Write the table, write and print the report, and close the runs whose own process could not.
-
-    A store that does not answer is told: the report matters more.
-    """
+    """Write the table, write and print the report, and close the runs whose own process could not."""
     fold_runs(folder)
     report = report_sweep(folder)
     for run in report.failed:
         try:
             tracking.end_child(config, run.key, run.reason)
-        except tracking.TrackingError as error:
+        except tracking.TrackingError as error:  # the report matters more
             tell(f"{run.run} is not closed in the store: {error}")
     print(report.text, flush=True)
     tell(f"table and figures of the sweep are in {folder}{tracking.how_to_compare(config)}")

@@ -13,16 +13,7 @@ import numpy as np
 from gran_bench.files import write_part
 from gran_bench.sweep.runs import SWEEPS, SweepRun, sweep_folders
 from gran_bench.sweep.sweep_report import body, figure_paths
-from gran_bench.sweep.table import (
-    COLUMNS,
-    TIME,
-    axes_of,
-    changes_work,
-    grouped,
-    read_standing,
-    runs_frame,
-    whole_figures,
-)
+from gran_bench.sweep.table import COLUMNS, axes_of, grouped, ranked_columns, read_standing, runs_frame, whole_figures
 
 OVERVIEW = "README.md"
 CHANCE = 0.05  # share of rows without any effect whose ratio chance alone brings above what a page calls chance
@@ -53,20 +44,12 @@ class Reach:
 
 
 def reaches(runs: Sequence[SweepRun]) -> Iterator[Reach]:
-    """For each swept key, each choice of the others and each error: how far that key moves it.
-
-    The time of a frame is a figure only of keys that change its work.
-
-    Args:
-        runs: of one sweep, each choice and seed once.
-    """
+    """For each swept key of a sweep, each choice of the others and each error: how far that key moves it."""
     axes, frame = axes_of(runs), runs_frame(runs)
     for axis in axes:
         for values, group in grouped(frame, [other for other in axes if other != axis]):
             beside = ", ".join(f"{other}={value}" for other, value in values.items())
-            for column in COLUMNS:
-                if not column.ranked or (column.name == TIME and not changes_work(axis)):
-                    continue
+            for column in ranked_columns(COLUMNS, [axis]):
                 by_choice = {its[axis]: whole_figures(runs, column.name) for its, runs in grouped(group, [axis])}
                 samples = {choice: found.to_numpy() for choice, found in by_choice.items() if found is not None}
                 if len(samples) < 2:
@@ -107,11 +90,7 @@ def _studentised_range(means: int, freedom: int) -> float:
 
 
 def write_overview(root: Path) -> Path | None:
-    """Renew the page over all sweeps of a results folder: what matters, and a part a sweep; None where there is none.
-
-    Raises:
-        SweepFileError: a file of a sweep is damaged.
-    """
+    """Renew the page over all sweeps of a results folder, with a part a sweep; None where there is none."""
     folders, path = sweep_folders(root), root / SWEEPS / OVERVIEW
     if not folders:
         return None

@@ -109,11 +109,7 @@ class SweepFile:
 
 
 def read_sweep(folder: Path) -> SweepFile | None:
-    """The sweep of a folder; None where it holds runs alone.
-
-    Raises:
-        SweepFileError: the file is no sweep.
-    """
+    """The sweep of a folder; None where it holds runs alone; a `SweepFileError` where the file is damaged."""
     path = folder / SWEEP
     if not path.exists():
         return None
@@ -131,11 +127,7 @@ def sweep_folders(root: Path) -> list[Path]:
 
 
 def read_runs(folder: Path) -> list[SweepRun]:
-    """The runs of a sweep that have ended, by name: of its table, and of what the table has not yet.
-
-    Raises:
-        SweepFileError: a file is no table of runs.
-    """
+    """The runs of a sweep that have ended, by name, whether its table has them yet; a `SweepFileError` as above."""
     found = {}
     # The table last: what is folded meanwhile is in it.
     for path in (*(folder / RUNS).glob("*.csv"), folder / TABLE):
@@ -145,11 +137,7 @@ def read_runs(folder: Path) -> list[SweepRun]:
 
 
 def fold_runs(folder: Path) -> None:
-    """Put what jobs have left into the table; the caller holds the sweep, so that no other does so at the time.
-
-    Raises:
-        SweepFileError: as for `read_runs`.
-    """
+    """Put what jobs have left into the table; the caller holds the sweep, so that no other does so at the time."""
     files, runs = list((folder / RUNS).glob("*.csv")), read_runs(folder)
     if runs:
         write_table(folder / TABLE, runs)

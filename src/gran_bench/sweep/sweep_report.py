@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,6 @@ from gran_bench.sweep.runs import FAILED, TABLE, SweepFile, SweepFileError, Swee
 from gran_bench.sweep.table import SEED, Standing, axes_of, best_choices, read_standing, runs_frame, shown_table
 
 PAGE = "README.md"
-UNEQUAL = 1.5  # times the updates, from which on a sweep's page speaks of it
 
 
 @dataclass(frozen=True)
@@ -34,11 +33,7 @@ class SweepReport:
 
 
 def report_sweep(folder: Path) -> SweepReport:
-    """Read the runs of a sweep, and write its page and its figures into its folder.
-
-    Raises:
-        SweepFileError: the folder holds no sweep, or a damaged one.
-    """
+    """Write page and figures of a sweep into its folder; a `SweepFileError` where it holds none, or a damaged one."""
     stands = read_standing(folder)
     sweep, runs = stands.sweep, stands.counted
     if sweep is None and not runs:
@@ -79,11 +74,7 @@ def log_report(run: tracking.Run, report: SweepReport) -> None:
 
 
 def report_to_parent(folder: Path, report: SweepReport) -> bool:
-    """Put a report into the parent run of its sweep, if the store beside it has one; whether it has.
-
-    Raises:
-        TrackingError: the store does not answer.
-    """
+    """Put a report into the parent run of its sweep, if the store beside it has one; whether it has."""
     sweep, root = read_sweep(folder), folder.parent.parent
     if sweep is None or not tracking.has_store(root):
         return False
@@ -95,11 +86,7 @@ def report_to_parent(folder: Path, report: SweepReport) -> bool:
 
 
 def report_sweeps(folders: Sequence[Path]) -> bool:
-    """Report sweeps: pages and figures in their folders, and in their parent runs where the store has them.
-
-    Returns:
-        Whether every sweep, and the store, could be read; what could not is told on stderr.
-    """
+    """Report sweeps in their folders, and in their parent runs where the store has them; whether all could be read."""
     every = True
     for folder in folders:
         try:
@@ -115,24 +102,22 @@ def report_sweeps(folders: Sequence[Path]) -> bool:
 
 
 def body(stands: Standing, figures: Sequence[str]) -> str:
-    """What a page says of a sweep: how many runs there are, their table, what failed, figures, where it comes from.
-
-    Args:
-        stands: where the sweep stands.
-        figures: paths as the page has them.
-    """
+    """What a page says of a sweep: how many runs there are, their table, what failed, figures, where it comes from."""
     runs, waiting = stands.counted, stands.waiting
     failed = [run for run in runs if run.status == FAILED]
-    lines = [f"{len(runs) - len(failed)} runs finished, {len(failed)} failed, {len(waiting)} wait; {_judged(runs)}."]
-    if runs:
-        lines += ["", shown_table(runs), "", *_unequal_updates(runs), *_cut_short(runs)]
-    lines += [f"- failed: `{run.run}`: {run.reason} (log: `{run.facts.get('log', 'none')}`)" for run in failed]
-    broken = [(run.run, run.facts["broken_rollouts"]) for run in runs if "broken_rollouts" in run.facts]
-    lines += [f"- broke down in a rollout: `{run}` ({where})" for run, where in broken]
-    lines += [f"- not done yet: `{job.run}`" for job in waiting]
-    lines += [f"- not counted, of other code, data or budget: `{run.file_name}`" for run in stands.others]
-    lines += ["", *(f"![{Path(figure).stem}]({figure})" for figure in figures), "", _made(stands.sweep, runs)]
-    return "\n".join(lines).strip()
+    cut = [run for run in runs if run.training.get("steps", 0) < (run.training.get("planned_steps") or 0)]
+    broken = {run.run: run.facts["broken_rollouts"] for run in runs if "broken_rollouts" in run.facts}
+    counts = f"{len(runs) - len(failed)} runs finished, {len(failed)} failed, {len(waiting)} wait; {_judged(runs)}."
+    notes = [
+        *(f"- failed: `{run.run}`: {run.reason} (log: `{run.facts.get('log', 'none')}`)" for run in failed),
+        *(f"- cut by the clock, goes on with more trainer.minutes: `{run.run}`" for run in cut),
+        *(f"- broke down in a rollout: `{run}` ({where})" for run, where in broken.items()),
+        *(f"- not done yet: `{job.run}`" for job in waiting),
+        *(f"- not counted, of other code, data or budget: `{run.file_name}`" for run in stands.others),
+    ]
+    shown = "\n".join(f"![{Path(figure).stem}]({figure})" for figure in figures)
+    parts = [counts, shown_table(runs) if runs else "", "\n".join(notes), shown, _made(stands.sweep, runs)]
+    return "\n\n".join(filter(None, parts))
 
 
 def _judged(runs: Sequence[SweepRun]) -> str:
@@ -145,38 +130,14 @@ def _judged(runs: Sequence[SweepRun]) -> str:
     return f"judged at {' and '.join(words)}" if words else "nothing judged yet"
 
 
-def _unequal_updates(runs: Sequence[SweepRun]) -> Iterator[str]:
-    """A sentence for each model whose runs made very different numbers of updates in the same processor time."""
-    updates: dict[tuple[str, str], list[int]] = {}
-    for run in runs:
-        if run.training.get("stopped_by") == "time" and not run.training.get("planned_steps"):
-            alike = run.facts.get("model", ""), run.facts.get("budget", "")
-            updates.setdefault(alike, []).append(run.training["steps"])
-    for (model, _), found in updates.items():
-        if max(found) > UNEQUAL * min(found):
-            whose = f"`{model}` " if model else ""
-            yield f"Equal processor time bought {whose}{min(found)} to {max(found)} updates: compare with care."
-
-
-def _cut_short(runs: Sequence[SweepRun]) -> Iterator[str]:
-    """A sentence if the clock has cut the budget of steps of some of the runs."""
-    done = [run.training["steps"] / run.training["planned_steps"] for run in runs if run.training.get("planned_steps")]
-    if cut := [share for share in done if share < 1.0]:
-        yield (
-            f"The clock has cut the training of {len(cut)} of {len(runs)} runs, one after {min(cut):.0%} of its "
-            "updates: compare with care. With more trainer.minutes the same command goes on with them."
-        )
-
-
 def _made(sweep: SweepFile | None, runs: Sequence[SweepRun]) -> str:
-    """Command, commits, the last day and hardware of runs; a warning where that was not one machine."""
+    """Command, commits, the last day and the machines of runs."""
     machines = Counter(run.facts["hardware"] for run in runs if "hardware" in run.facts)
     counted = (f"{machine} ({count} runs)" if len(machines) > 1 else machine for machine, count in machines.items())
-    several = " Times, and what equal time bought, are of several machines: compare with care."
     said = {
         "command": sweep.command if sweep else "",
         "day": max((run.ended_at for run in runs), default="")[:10],
         "commit": ", ".join(sorted({run.facts["commit"] for run in runs if "commit" in run.facts})),
         "hardware": "; ".join(counted),
     }
-    return stamp(said) + several * (len(machines) > 1)
+    return stamp(said)

@@ -49,9 +49,6 @@ COLUMNS = (
 )
 
 
-# ---- which runs count ------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Standing:
     """Where a sweep stands."""
@@ -63,11 +60,7 @@ class Standing:
 
 
 def read_standing(folder: Path) -> Standing:
-    """Where the sweep of a folder stands.
-
-    Raises:
-        SweepFileError: a file of the sweep is damaged.
-    """
+    """Where the sweep of a folder stands; a `SweepFileError` where a file of it is damaged."""
     return standing(read_sweep(folder), read_runs(folder))
 
 
@@ -92,9 +85,6 @@ def standing(sweep: SweepFile | None, runs: Sequence[SweepRun]) -> Standing:
     return Standing(sweep, counted, others, [job for job in jobs if job.whole not in ended])
 
 
-# ---- runs and choices ------------------------------------------------------------------------------------
-
-
 def columns_of(runs: Sequence[SweepRun]) -> tuple[Column, ...]:
     """The house's columns, then one for each registered metric that a run has."""
     registered = (Column(f"{HEADLINE}{name} floors", metric.label, "floors") for name, metric in METRICS.items())
@@ -107,9 +97,10 @@ def axes_of(runs: Sequence[SweepRun]) -> list[str]:
     return [key for key in keys if len({run.choices.get(key, NOT_CHOSEN) for run in runs}) > 1]
 
 
-def changes_work(axis: str) -> bool:
-    """Whether a swept key changes what a frame costs: the network, or what it is given to step."""
-    return re.split(r"[./]", axis.lstrip("+"))[0] in WORK
+def ranked_columns(columns: Sequence[Column], axes: Sequence[str]) -> list[Column]:
+    """The columns whose best choice is worth naming; the time of a frame where every swept key changes its work."""
+    works = all(re.split(r"[./]", axis.lstrip("+"))[0] in WORK for axis in axes)
+    return [column for column in columns if column.ranked and (works or column.name != TIME)]
 
 
 def runs_frame(runs: Sequence[SweepRun]) -> pd.DataFrame:
@@ -136,10 +127,9 @@ def whole_figures(group: pd.DataFrame, name: str) -> pd.Series | None:
 
 
 def shown_table(runs: Sequence[SweepRun]) -> str:
-    """The table of choices in Markdown, legible on a terminal too: a row a choice.
+    """The table of choices in Markdown, legible on a terminal too: mean ± sample standard deviation over seeds.
 
-    The spread is the sample standard deviation over seeds; none for a single one. A figure that is undefined in one of
-    the runs is undefined for the choice.
+    A figure that is undefined in one of the runs is undefined for the choice.
     """
     axes, columns = axes_of(runs), columns_of(runs)
     rows = [[*axes, "runs", "failed", *(column.heading for column in columns)]]
@@ -148,23 +138,18 @@ def shown_table(runs: Sequence[SweepRun]) -> str:
         counts = [str(len(done)), str(len(group) - len(done))]
         rows.append([*values.values(), *counts, *(_shown(done[column.name], column.digits) for column in columns)])
     widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
-    lines = [
-        f"| {' | '.join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))} |" for row in rows
-    ]
-    lines.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
-    return "\n".join(lines)
+    rows = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows]
+    heading, *lines = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join([heading, f"|{'|'.join('-' * (width + 2) for width in widths)}|", *lines])
 
 
 def best_choices(runs: Sequence[SweepRun]) -> dict[str, tuple[str, float]]:
     """For each error, and the time of a frame, the choice with the smallest mean: its words and the mean, by name.
 
-    A choice with a failed or undefined run is no candidate. The time is left out where a swept key does not change it:
-    the smallest of equal times is chance.
+    A choice with a failed or undefined run is no candidate. The smallest of equal times is chance, and left out.
     """
     axes, frame, found = axes_of(runs), runs_frame(runs), {}
-    for column in columns_of(runs) if runs else ():
-        if not column.ranked or (column.name == TIME and not all(map(changes_work, axes))):
-            continue
+    for column in ranked_columns(columns_of(runs), axes) if runs else ():
         means = {}
         for values, group in grouped(frame, axes):
             if (figures := whole_figures(group, column.name)) is not None:

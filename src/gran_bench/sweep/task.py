@@ -6,10 +6,10 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
@@ -41,61 +41,34 @@ class Sweep:
     hashes: dict[str, str] = field(default_factory=dict)  # of the source that the sweep began with
 
     def title(self, number: int) -> str:
-        """A job for people."""
         return f"job {number + 1} of {len(self.jobs)} ({self.jobs[number].run})"
 
     @contextmanager
-    def logged(self, number: int, apart: bool) -> Iterator[None]:
-        """What the block prints goes into the job's log; in a process of its own there alone, else beside the terminal.
-
-        Args:
-            number: of the job.
-            apart: whether this process does nothing else than the job.
-        """
+    def logged(self, number: int) -> Iterator[None]:
+        """What the block prints goes into the job's log."""
         path = self.folder / self.jobs[number].log_name
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(path, "a", buffering=1, encoding="utf-8") as log, ExitStack() as afterwards:
             log.write(f"---- {now()}  process {os.getpid()}  {command()}\n")
-            if apart:
-                sys.stdout.flush()
-                for descriptor in (1, 2):
-                    afterwards.callback(os.close, terminal := os.dup(descriptor))
-                    afterwards.callback(os.dup2, terminal, descriptor)
-                    os.dup2(log.fileno(), descriptor)
-                afterwards.callback(sys.stdout.flush)  # where this fails, on a full disk, the rest is done nevertheless
-            else:
-                afterwards.enter_context(redirect_stdout(_Both(sys.stdout, log)))
-                afterwards.enter_context(redirect_stderr(_Both(sys.stderr, log)))
+            sys.stdout.flush()
+            for descriptor in (1, 2):
+                afterwards.callback(os.close, terminal := os.dup(descriptor))
+                afterwards.callback(os.dup2, terminal, descriptor)
+                os.dup2(log.fileno(), descriptor)
+            afterwards.callback(sys.stdout.flush)  # where this fails, on a full disk, the rest is done nevertheless
             yield
 
     def finished(self, number: int, summary: Mapping[str, Any]) -> SweepRun:
-        """Keep what a job found."""
         left = finished_run(self.jobs[number], summary)
         left.write(self.folder)
         return left
 
     def failed(self, number: int, reason: str) -> None:
-        """Keep why a job failed."""
         job = self.jobs[number]
         try:
             failed_run(job, reason).write(self.folder)
         except OSError as error:  # of a full disk, say: the reason stands on the terminal and in the log
             _tell(f"{self.title(number)}: its failure could not be kept in {self.folder}: {error}")
-
-
-class _Both:
-    """A stream that writes to the terminal and, line by line, to a log; progress bars are for the terminal alone."""
-
-    def __init__(self, terminal: TextIO, log: TextIO) -> None:
-        self._terminal, self._log = terminal, log
-
-    def write(self, text: str) -> int:
-        if "\r" not in text:
-            self._log.write(text)
-        return self._terminal.write(text)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._terminal, name)
 
 
 def finished_run(job: SweepJob, summary: Mapping[str, Any]) -> SweepRun:
@@ -153,7 +126,7 @@ class Task:
         alone = settings.mode != RunMode.MULTIRUN
         number = 0 if alone else settings.job.num
         try:
-            self._do(composed, settings.overrides.task, number, apart=False)
+            self._do(composed, settings.overrides.task, number)
         except Exception as error:
             self.failures.append(error)
             if alone:  # raised from here, Hydra would print a line of its own
@@ -166,7 +139,7 @@ class Task:
         try:
             with self.source.opened():
                 composed = self.source.composed(overrides)
-            self._do(composed, overrides, number, apart=True)
+            self._do(composed, overrides, number)
         except Exception as error:
             complain(error, self.schema, self._title(number, ",".join(overrides)))
             return False
@@ -188,7 +161,7 @@ class Task:
                 file.write(f"error: {message}\n")
             self.sweep.failed(number, message)
 
-    def _do(self, composed: DictConfig, overrides: Sequence[str], number: int, apart: bool) -> None:
+    def _do(self, composed: DictConfig, overrides: Sequence[str], number: int) -> None:
         if (reason := self.nothing_to_do(number)) is not None:
             _tell(reason)
             return
@@ -200,7 +173,7 @@ class Task:
         go_by(sweep.hashes)
         _tell(f"{title} starts; log: {sweep.folder / sweep.jobs[number].log_name}")
         try:
-            with sweep.logged(number, apart):
+            with sweep.logged(number):
                 try:
                     summary = self.function(self._config(composed, overrides, number))
                 except Exception as error:
