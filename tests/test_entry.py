@@ -287,23 +287,21 @@ def test_runs_of_the_shipped_sweeps_keep_their_names(name):
 @pytest.mark.parametrize(
     ("swept", "told"),
     [
-        ("trainer.minutes=1,4", "trainer.minutes=1 and trainer.minutes=4"),
-        ("judge.speeds_rpm=[30],[30.0]", "judge.speeds_rpm decides nothing there"),
-        ("judge.speeds_rpm=[30],[30,40]", "judge.speeds_rpm only decides how it is judged"),
-        ("seed=3,3", "a value is given twice"),
-        ("loss.discount=0.5,0.8", "loss.discount decides nothing there"),
+        ("trainer.minutes=1,4", "trainer.minutes=1 and trainer.minutes=4: two jobs of the sweep"),
+        ("judge.speeds_rpm=[30],[30,40]", "gran_bench.evaluate judges a model again"),
+        ("seed=3,3", "give each value once"),
     ],
 )
-def test_two_jobs_that_would_be_the_same_run_are_refused_before_any_work(monkeypatch, capsys, tmp_path, swept, told):
+def test_two_jobs_that_would_train_the_same_weights_are_refused_before_any_work(
+    monkeypatch, capsys, tmp_path, swept, told
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(os.environ, "HYDRA_FULL_ERROR", "1")
     monkeypatch.setattr(sys, "argv", ["probe", "-m", "+experiment=smoke", swept])
     with pytest.raises(SystemExit) as ending:
         run(lambda config: pytest.fail("the task ran"), "train", TrainConfig, sweep=open_sweep)
     assert ending.value.code == REFUSED
-    said = capsys.readouterr().err
-    assert told in said
-    assert ("gran_bench.evaluate" if "only decides" in told else "tracking.sweep=NAME") in said
+    assert told in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

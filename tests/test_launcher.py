@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from gran_bench.sweep.launcher import JobError, ProcessLauncher
+from gran_bench.sweep.task import JobError, ProcessLauncher
 
 
 @dataclass

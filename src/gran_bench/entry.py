@@ -31,9 +31,8 @@ from gran_bench.config.registry import load_plugins
 from gran_bench.config.rules import ConfigError
 from gran_bench.processes import quiet_without_reader
 from gran_bench.provenance import program
-from gran_bench.sweep.launcher import JobError, load_ahead, register_launcher
 from gran_bench.sweep.runs import SweepJob
-from gran_bench.sweep.task import FAILED, REFUSED, Sweep, Task, complain
+from gran_bench.sweep.task import FAILED, REFUSED, JobError, Sweep, Task, complain, load_ahead, register_launcher
 
 # Called with the jobs of a multirun and the name of its folder; what the block gets goes to each job.
 OpenSweep = Callable[[Sequence[SweepJob], str], AbstractContextManager[Sweep]]

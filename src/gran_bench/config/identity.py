@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -22,34 +21,6 @@ UNDECIDING = frozenset(
 )
 
 
-def _one_frame(config: TrainConfig) -> bool:
-    return max(config.rollout.frames, config.rollout.final_frames or 1) == 1
-
-
-def _no_growth(config: TrainConfig) -> bool:
-    return config.rollout.final_frames in (None, config.rollout.frames)
-
-
-def _no_discount(config: TrainConfig) -> bool:
-    looked_at = {config.loss.frame_weights} | ({config.loss.spin_frame_weights} if config.loss.spin > 0 else set())
-    return _one_frame(config) or "discounted" not in looked_at
-
-
-# Keys that others switch off, and when they do: the weights are then the same for all their values.
-SWITCHED_OFF: dict[str, Callable[[TrainConfig], bool]] = {
-    "loss.frame_weights": _one_frame,
-    "loss.spin_frame_weights": lambda config: _one_frame(config) or config.loss.spin == 0,
-    "loss.discount": _no_discount,
-    "rollout.gradient_through_time": _one_frame,
-    "rollout.final_from": _no_growth,
-    "rollout.growth": _no_growth,
-    "rollout.independent_noise": lambda config: config.rollout.noise == 0,
-    "optim.decay_steps": lambda config: config.optim.schedule != "steps",
-    "optim.final_learning_rate": lambda config: config.optim.schedule == "constant",
-    "trainer.startup_seconds": lambda config: config.trainer.startup_fraction == 0,
-}
-
-
 def deciding_keys(config: TrainConfig) -> dict[str, Any]:
     """The config as nested plain values, without what does not decide the trained weights.
 
@@ -59,16 +30,7 @@ def deciding_keys(config: TrainConfig) -> dict[str, Any]:
     values = asdict(config)
     undeciding = UNDECIDING | ({"boundary"} if MODELS[config.model.name].own_walls else set())
     undeciding |= {f"loss.{term}" for term in ADDED_TERMS if values["loss"].get(term) == 0}
-    return _without(values, undeciding - ({"trainer.minutes"} if config.trainer.budget == "time" else set()))
-
-
-def telling_keys(config: TrainConfig) -> dict[str, Any]:
-    """`deciding_keys` without those that others switch off: configs that share them train the same weights."""
-    return _without(deciding_keys(config), {key for key, is_off in SWITCHED_OFF.items() if is_off(config)})
-
-
-def _without(values: dict[str, Any], keys: set[str] | frozenset[str]) -> dict[str, Any]:
-    for key in keys:
+    for key in undeciding - ({"trainer.minutes"} if config.trainer.budget == "time" else set()):
         section, _, name = key.rpartition(".")
         del (values[section] if section else values)[name]
     return values

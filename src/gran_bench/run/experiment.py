@@ -26,9 +26,8 @@ from gran_bench.processes import StopRequest, stop_on_signals
 from gran_bench.provenance import provenance
 from gran_bench.provenance.source_digest import model_code
 from gran_bench.run.identity import RunIdentity, hash_of, identify, judged_by, judging_plan, splits, wants_more
-from gran_bench.run.page import FIGURES, record_judgement
 from gran_bench.run.record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, tell, training_metrics
-from gran_bench.run.summary import cut_short
+from gran_bench.run.summary import FIGURES, cut_short, record_judgement
 from gran_bench.scene import build_scene
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model
 from gran_bench.surrogate.contact.compiling import compile_kernels, kernels_missing

@@ -19,8 +19,7 @@ from gran_bench.config import EvaluateConfig, TrainConfig
 from gran_bench.files import locked, write_atomically, write_text
 from gran_bench.provenance import command, provenance
 from gran_bench.run.identity import RunIdentity
-from gran_bench.run.page import FIGURES, params_of, record_judgement
-from gran_bench.run.summary import finished_summary, summary_table, write_summary
+from gran_bench.run.summary import FIGURES, finished_summary, params_of, record_judgement, summary_table, write_summary
 from gran_bench.surrogate.checkpoint import MODEL
 
 TRAINING, LOSSES, CONFIG, CLOCK = "training.json", "losses.csv", "config.json", "clock.json"

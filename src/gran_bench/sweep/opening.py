@@ -6,9 +6,10 @@ The jobs themselves may run anywhere: what they need of their sweep is plain dat
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 from gran_bench import tracking
 from gran_bench.config import TrackingConfig, TrainConfig
 from gran_bench.config.choices import weighed_terms
-from gran_bench.config.identity import telling_keys
+from gran_bench.config.identity import deciding_keys
 from gran_bench.config.registry import MODELS
 from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import CaseSpec, DatasetError, ensure_cases
@@ -26,22 +27,32 @@ from gran_bench.provenance import command, commit
 from gran_bench.provenance.source_digest import judging_code, taken_hashes, training_code
 from gran_bench.run.identity import all_cases, hash_of, identify, wants_more
 from gran_bench.run.record import Clock, RunRecord, tell
-from gran_bench.run.summary import finished_summary
+from gran_bench.run.summary import SUMMARY, broken_rollouts, finished_summary, flat_metrics, judged_words
 from gran_bench.sweep.runs import (
+    FAILED,
     FINISHED,
     SWEEPS,
     SweepFile,
     SweepFileError,
     SweepJob,
-    fold_runs,
+    SweepRun,
     read_runs,
     sweep_folders,
+    write_runs,
 )
 from gran_bench.sweep.sweep_report import SweepReport, log_report, report_sweep
-from gran_bench.sweep.task import Sweep, budget_of, finished_run
+from gran_bench.sweep.task import Sweep
 
-# Why a job has nothing to do, and what records its run in a store that does not know it.
-Done = tuple[str, Callable[[RunRecord], None]]
+KEPT_OF_TRAINING = ("steps", "planned_steps", "seconds", "stopped_by", "loss", "parameters")
+
+
+@dataclass(frozen=True)
+class Found:
+    """A finished run of a job."""
+
+    where: str  # for people
+    row: SweepRun  # of the sweep's table
+    record: Callable[[RunRecord], None]  # puts it into a store that does not know it
 
 
 @contextmanager
@@ -62,24 +73,21 @@ def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
     folder = Path(config.root).resolve() / SWEEPS / (config.sweep or name)
     with stop_on_signals(), locked(folder / ".lock", lambda: tell(f"another process runs {folder}; waiting for it")):
         tell(f"sweep of {len(planned)} jobs in {folder}")
-        fold_runs(folder)  # what a life that was killed has left
         _make_data([job.config for job in planned])
         jobs = tuple(map(_identified, planned))
         key = hash_of("sweep", folder.name)  # all commands of a folder share its table, so they share its parent
         SweepFile(folder.name, key, command(), config.experiment, list(jobs)).write(folder)
-        done = _done(folder, jobs)
+        found = _fill_table(folder, jobs)
+        done = {number: f"finished before; {one.where}" for number, one in found.items()}
         tags = {"command": command(), "commit": commit(), tracking.SWEEP_TAG: folder.name}
         with tracking.open_run(config, folder.name, key, _axes(planned), tags) as parent:
-            reasons = {number: reason for number, (reason, _) in done.items()}
-            _schedule(jobs, done, parent.run_id)
+            _schedule(jobs, found, parent.run_id)
             try:
-                yield Sweep(folder, jobs, parent.run_id, reasons, taken_hashes())
+                yield Sweep(folder, jobs, parent.run_id, done, taken_hashes())
             finally:
-                report = _report(folder, config)
-                log_report(parent, report)
-            # Of the jobs of this command: the folder may hold failed runs of others.
-            lost = {one.file_name for one in (*report.failed, *report.waiting)}
-            parent.finish("FAILED" if any(job.file_name in lost for job in jobs) else "FINISHED")
+                found = _fill_table(folder, jobs)
+                log_report(parent, _report(folder, config))
+            parent.finish("FINISHED" if len(found) == len(jobs) else "FAILED")
 
 
 def _refuse_twins(planned: Sequence[SweepJob]) -> None:
@@ -87,7 +95,7 @@ def _refuse_twins(planned: Sequence[SweepJob]) -> None:
     first: dict[str, SweepJob] = {}
     for job in planned:
         # Which data a run is trained on follows from its config too.
-        twin = first.setdefault(hash_of(telling_keys(job.config)), job)
+        twin = first.setdefault(hash_of(deciding_keys(job.config)), job)
         if twin is not job:
             keys = [key for key in sorted(job.choices) if job.choices[key] != twin.choices.get(key)]
             one, other = (" ".join(f"{key}={it.choices.get(key)}" for key in keys) or it.run for it in (twin, job))
@@ -127,11 +135,22 @@ def _identified(job: SweepJob) -> SweepJob:
     return replace(job, key=identity.key, judged_by=identity.judged_by, made_with=made_with, identity=identity)
 
 
-def _done(folder: Path, jobs: Sequence[SweepJob]) -> dict[int, Done]:
-    """What is finished, by number of the job: in this results folder, or by a row of any sweep in it.
+def _fill_table(folder: Path, jobs: Sequence[SweepJob]) -> dict[int, Found]:
+    """Renew the rows of jobs that have ended in the table of a sweep; what is finished, by number of the job."""
+    rows = {run.log_name: run for run in read_runs(folder)}
+    found = _finished(folder, jobs)
+    for number, job in enumerate(jobs):
+        if number in found:
+            rows[job.log_name] = found[number].row
+        elif (reason := _failure(log := folder / job.log_name)) is not None:
+            rows[job.log_name] = _row(job, log.stat().st_mtime, {}, status=FAILED, reason=reason)
+    if rows:
+        write_runs(folder, rows.values())
+    return found
 
-    Each has a row of this sweep afterwards.
-    """
+
+def _finished(folder: Path, jobs: Sequence[SweepJob]) -> dict[int, Found]:
+    """What is finished, by number of the job: in this results folder, or by a row of any sweep in it."""
     recorded = defaultdict(list)
     for source in sweep_folders(folder.parent.parent):
         try:
@@ -140,30 +159,63 @@ def _done(folder: Path, jobs: Sequence[SweepJob]) -> dict[int, Done]:
                     recorded[run.key, run.judged_by].append((source, run))
         except SweepFileError as error:  # which hides no run of another sweep
             tell(f"not looked at: {error}")
-    done: dict[int, Done] = {}
+    found = {}
     for number, job in enumerate(jobs):
         if job.identity is None:
             continue
-        known = recorded[job.key, job.judged_by]
+        known, summary = recorded[job.key, job.judged_by], finished_summary(job.identity)
         own = next((run for source, run in known if source == folder and run.run == job.run), None)
-        summary = finished_summary(job.identity)
         if summary is not None and not wants_more(job.config, summary["training"]):
-            where = f"its figures and summary are in {job.identity.folder}"
-            done[number] = f"finished before; {where}", partial(RunRecord.record_again, summary=summary)
-            left = own or finished_run(job, summary)
+            row, where = finished_row(job, summary), f"its figures and summary are in {job.identity.folder}"
+            record = partial(RunRecord.record_again, summary=summary)
         elif known and not wants_more(job.config, known[-1][1].training):
             source, run = known[-1]
-            record = partial(RunRecord.record_row, figures=run.figures, made=run.facts, source=source)
-            done[number] = f"finished before; its row is in {source}", record
             facts = {name: value for name, value in run.facts.items() if name != "log"}  # which is there alone
             facts |= {"copied_from": f"{source.name}, {run.run}"}
-            left = own or replace(run, run=job.run, choices=dict(job.choices), facts=facts)
+            row, where = replace(run, run=job.run, choices=dict(job.choices), facts=facts), f"its row is in {source}"
+            record = partial(RunRecord.record_row, figures=run.figures, made=run.facts, source=source)
         else:
             continue
         # Code that decides nothing here may have changed: by now the run is made with what the others are.
-        if own is None or own.facts.get("made_with") != job.made_with:
-            replace(left, facts=left.facts | {"made_with": job.made_with}).write(folder)
-    return done
+        row = own or row
+        found[number] = Found(where, replace(row, facts=row.facts | {"made_with": job.made_with}), record)
+    return found
+
+
+def _failure(log: Path) -> str | None:
+    """The last line of a job's log, where that is why the job failed."""
+    last = log.read_text("utf-8", errors="replace").rstrip().rpartition("\n")[2] if log.exists() else ""
+    return last.removeprefix("error: ") if last.startswith("error: ") else None
+
+
+def finished_row(job: SweepJob, summary: Mapping[str, Any]) -> SweepRun:
+    """What a sweep keeps of a finished job, whose summary is as in ``summary.json``."""
+    training = summary["training"]
+    facts = {
+        "judged": judged_words(summary),
+        "broken_rollouts": ", ".join(f"{name} at frame {k}" for name, k in broken_rollouts(summary).items()),
+        **{name: training.get(name) for name in ("data_digest", "model_sha256")},
+        **summary["provenance"],
+    }
+    kept = {name: training[name] for name in KEPT_OF_TRAINING if training.get(name) is not None}
+    ended = (job.identity.folder / SUMMARY).stat().st_mtime
+    return _row(job, ended, facts, training=kept, figures=flat_metrics(summary))
+
+
+def _row(job: SweepJob, ended: float, facts: Mapping[str, str], **found: Any) -> SweepRun:
+    facts = {**facts, "log": job.log_name, "made_with": job.made_with}
+    facts |= {"model": job.config.model.name, "budget": budget_of(job.config)}
+    facts = {name: text for name, text in facts.items() if text}
+    ended_at = datetime.fromtimestamp(ended, UTC).isoformat(timespec="seconds")
+    return SweepRun(
+        job.run, dict(job.choices), job.seed, job.key, job.judged_by, ended_at=ended_at, facts=facts, **found
+    )
+
+
+def budget_of(config: TrainConfig) -> str:
+    """What ends a training, in words."""
+    trainer = config.trainer
+    return f"{trainer.minutes:g} min" if trainer.budget == "time" else f"{trainer.steps} updates"
 
 
 def _axes(planned: Sequence[SweepJob]) -> dict[str, Any]:
@@ -173,20 +225,19 @@ def _axes(planned: Sequence[SweepJob]) -> dict[str, Any]:
     return {"sweep": {key.lstrip("+"): ",".join(v) for key, v in values.items() if len(v) > 1}, "jobs": len(planned)}
 
 
-def _schedule(jobs: Sequence[SweepJob], done: dict[int, Done], parent: str | None) -> None:
+def _schedule(jobs: Sequence[SweepJob], found: Mapping[int, Found], parent: str | None) -> None:
     """A run in the store for each job; one that is finished is recorded where the store does not know it."""
     known = {number: job for number, job in enumerate(jobs) if job.identity is not None}
-    children = [tracking.Child(job.identity.name, job.key, number in done) for number, job in known.items()]
+    children = [tracking.Child(job.identity.name, job.key, number in found) for number, job in known.items()]
     missing = tracking.schedule_children(jobs[0].config.tracking, parent, children)
     for number, job in known.items():
-        if number in done and job.key in missing:
+        if number in found and job.key in missing:
             job.config.tracking.parent = parent
-            done[number][1](RunRecord(job.identity, job.config, job.config.scene.name, Clock()))
+            found[number].record(RunRecord(job.identity, job.config, job.config.scene.name, Clock()))
 
 
 def _report(folder: Path, config: TrackingConfig) -> SweepReport:
-    """Write the table, write and print the report, and close the runs whose own process could not."""
-    fold_runs(folder)
+    """Write and print the report, and close the runs whose own process could not."""
     report = report_sweep(folder)
     for run in report.failed:
         try:

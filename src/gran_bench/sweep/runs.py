@@ -1,8 +1,7 @@
 """The files of a sweep: its jobs in ``sweep.json``, the runs that have ended in ``runs.csv``, one row each.
 
-A job that ends leaves a table of one row below ``runs/``, because jobs run beside each other and no two may write to
-one file. The sweep folds these into its own table. That is enough to make page and figures anew and to know that a run
-need not be done again, on a machine that has nothing else of it.
+They are enough to make page and figures anew and to know that a run need not be done again, on a machine that has
+nothing else of it.
 """
 
 from __future__ import annotations
@@ -10,8 +9,8 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from gran_bench.run.identity import RunIdentity
 
 SWEEPS = "sweeps"  # folder below the results
-SWEEP, TABLE, RUNS, LOGS = "sweep.json", "runs.csv", "runs", "logs"  # in the folder of a sweep
+SWEEP, TABLE, LOGS = "sweep.json", "runs.csv", "logs"  # in the folder of a sweep
 FINISHED, FAILED = "finished", "failed"
 TEXTS = ("run", "key", "judged_by", "status", "ended_at", "reason")  # columns that every row has, beside the seed
 CHOICE, TRAINING = "choice.", "training."  # beginnings of columns; a name with a / in it is a figure's
@@ -53,11 +52,6 @@ class Planned:
         return self.choice, self.key, self.judged_by
 
     @property
-    def file_name(self) -> str:
-        """Of the small table that its job leaves."""
-        return f"{self.run}-{self.key[:8]}.csv"
-
-    @property
     def log_name(self) -> str:
         """Of its log, below the sweep's folder."""
         return f"{LOGS}/{self.run}-{self.key[:8]}.log"
@@ -84,10 +78,6 @@ class SweepRun(Planned):
     figures: dict[str, float] = field(default_factory=dict)  # by their names in MLflow; an undefined one is absent
     # In words: on what it was judged, rollouts that broke down, model, budget, code, data, provenance.
     facts: dict[str, str] = field(default_factory=dict)
-
-    def write(self, folder: Path) -> Path:
-        """Leave the run in a sweep's folder; an older one of its name and key is replaced."""
-        return write_table(folder / RUNS / self.file_name, [self])
 
 
 @dataclass(frozen=True)
@@ -123,30 +113,11 @@ def read_sweep(folder: Path) -> SweepFile | None:
 def sweep_folders(root: Path) -> list[Path]:
     """The folders of all sweeps below a results folder."""
     folders = sorted((root / SWEEPS).glob("*"))
-    return [folder for folder in folders if any((folder / name).exists() for name in (SWEEP, TABLE, RUNS))]
+    return [folder for folder in folders if any((folder / name).exists() for name in (SWEEP, TABLE))]
 
 
-def read_runs(folder: Path) -> list[SweepRun]:
-    """The runs of a sweep that have ended, by name, whether its table has them yet; a `SweepFileError` as above."""
-    found = {}
-    # The table last: what is folded meanwhile is in it.
-    for path in (*(folder / RUNS).glob("*.csv"), folder / TABLE):
-        for run in _read_table(path):
-            found.setdefault(run.file_name, run)
-    return [found[name] for name in sorted(found)]
-
-
-def fold_runs(folder: Path) -> None:
-    """Put what jobs have left into the table; the caller holds the sweep, so that no other does so at the time."""
-    files, runs = list((folder / RUNS).glob("*.csv")), read_runs(folder)
-    if runs:
-        write_table(folder / TABLE, runs)
-    for path in files:
-        path.unlink()
-
-
-def write_table(path: Path, runs: list[SweepRun]) -> Path:
-    """Write a table of runs, whole or not at all."""
+def write_runs(folder: Path, runs: Iterable[SweepRun]) -> Path:
+    """Write the table of a sweep's runs, by name, whole or not at all."""
     rows = [
         (  # parts of a row that stand beside each other
             {name: getattr(run, name) for name in ("run", "key", "judged_by", "status", "seed", "ended_at", "reason")},
@@ -155,25 +126,25 @@ def write_table(path: Path, runs: list[SweepRun]) -> Path:
             run.figures,
             run.facts,
         )
-        for run in runs
+        for run in sorted(runs, key=lambda run: (run.run, run.key))
     ]
     columns = [name for part in zip(*rows, strict=True) for name in dict.fromkeys(name for row in part for name in row)]
     text = io.StringIO()
     table = csv.DictWriter(text, columns, lineterminator="\n")
     table.writeheader()
     table.writerows({name: value for part in row for name, value in part.items()} for row in rows)
-    write_text(path, text.getvalue())
-    return path
+    write_text(folder / TABLE, text.getvalue())
+    return folder / TABLE
 
 
-def _read_table(path: Path) -> list[SweepRun]:
+def read_runs(folder: Path) -> list[SweepRun]:
+    """The runs of a sweep that its table has, by name; a `SweepFileError` where the table is damaged."""
+    path = folder / TABLE
+    if not path.exists():
+        return []
     try:
         with open(path, newline="", encoding="utf-8") as file:
-            if runs := [_run_of(row) for row in csv.DictReader(file, strict=True)]:
-                return runs
-        raise ValueError("it has no row")
-    except FileNotFoundError:
-        return []
+            return [_run_of(row) for row in csv.DictReader(file, strict=True)]
     except (ValueError, TypeError, KeyError, AttributeError, csv.Error) as error:
         raise SweepFileError(f"{path} is no table of a sweep's runs ({error}); delete it or restore it") from error
 
@@ -196,8 +167,3 @@ def _run_of(row: dict[str, str]) -> SweepRun:
         else:
             parts["facts"][name] = text
     return SweepRun(**texts, seed=seed, **parts)
-
-
-def now() -> str:
-    """This moment, UTC, to the second."""
-    return datetime.now(UTC).isoformat(timespec="seconds")

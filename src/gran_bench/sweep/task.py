@@ -1,33 +1,49 @@
-"""What a command does once a job: config checked, work done, errors said, here or in a process of its own."""
+"""What a command does once a job: config checked, work done, errors said, here or in a process of its own.
+
+With ``hydra/launcher=local`` the jobs of a multirun get processes of their own, a few at a time, none at another's
+mercy. A pool of workers would die as a whole where the system kills one of them. Here a job that is killed is a failed
+job, and the others go on. Processes are forked from one that has loaded PyTorch and the rest already, so a start is
+quick; it has done no work, so no thread and no lock of it is inherited.
+"""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from multiprocessing import connection, forkserver
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
+from hydra.core.plugins import Plugins
+from hydra.core.utils import JobReturn, JobStatus
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext, RunMode, TaskFunction
 from omegaconf import DictConfig
 
-from gran_bench.compose import Source, checked_config, run_folder
+from gran_bench.compose import LAUNCHER, Source, checked_config, run_folder
 from gran_bench.config import TrainConfig
 from gran_bench.config.override_errors import explain, is_full_disk
 from gran_bench.config.rules import ConfigError
+from gran_bench.processes import WATCH_SECONDS
 from gran_bench.provenance import command, remember_command
 from gran_bench.provenance.source_digest import go_by
 from gran_bench.scene import SceneError
-from gran_bench.sweep import runs
-from gran_bench.sweep.runs import SweepJob, SweepRun, now
-from gran_bench.tracking import HEADLINE, TrackingError
+from gran_bench.sweep.runs import SweepJob
 
 FAILED, REFUSED = 1, 2  # exit codes
-KEPT_OF_TRAINING = ("steps", "planned_steps", "seconds", "stopped_by", "loss", "parameters")
+SAID = 3  # exit code of a job's process that failed and said so; Python itself ends with 1
+LOST = 255  # what `multiprocessing` gives for a job whose fork server, which would know its exit code, is gone
+GRACE_SECONDS = 60.0  # for jobs that were asked to stop: an update, a checkpoint, a last word to the store
 
 
 @dataclass(frozen=True)
@@ -43,13 +59,15 @@ class Sweep:
     def title(self, number: int) -> str:
         return f"job {number + 1} of {len(self.jobs)} ({self.jobs[number].run})"
 
+    def log(self, number: int) -> Path:
+        return self.folder / self.jobs[number].log_name
+
     @contextmanager
     def logged(self, number: int) -> Iterator[None]:
-        """What the block prints goes into the job's log."""
-        path = self.folder / self.jobs[number].log_name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with open(path, "a", buffering=1, encoding="utf-8") as log, ExitStack() as afterwards:
-            log.write(f"---- {now()}  process {os.getpid()}  {command()}\n")
+        """What the block prints goes into the job's log; the sweep finds there why a job failed."""
+        self.log(number).parent.mkdir(parents=True, exist_ok=True)
+        with open(self.log(number), "a", buffering=1, encoding="utf-8") as log, ExitStack() as afterwards:
+            log.write(f"---- {datetime.now(UTC).isoformat(timespec='seconds')}  process {os.getpid()}  {command()}\n")
             sys.stdout.flush()
             for descriptor in (1, 2):
                 afterwards.callback(os.close, terminal := os.dup(descriptor))
@@ -57,56 +75,6 @@ class Sweep:
                 os.dup2(log.fileno(), descriptor)
             afterwards.callback(sys.stdout.flush)  # where this fails, on a full disk, the rest is done nevertheless
             yield
-
-    def finished(self, number: int, summary: Mapping[str, Any]) -> SweepRun:
-        left = finished_run(self.jobs[number], summary)
-        left.write(self.folder)
-        return left
-
-    def failed(self, number: int, reason: str) -> None:
-        job = self.jobs[number]
-        try:
-            failed_run(job, reason).write(self.folder)
-        except OSError as error:  # of a full disk, say: the reason stands on the terminal and in the log
-            _tell(f"{self.title(number)}: its failure could not be kept in {self.folder}: {error}")
-
-
-def finished_run(job: SweepJob, summary: Mapping[str, Any]) -> SweepRun:
-    """What a finished job leaves; ``summary`` as in ``summary.json``."""
-    # Imported here, so that a command that has a typo need not wait for it.
-    from gran_bench.run.summary import broken_rollouts, flat_metrics, judged_words
-
-    training = summary["training"]
-    facts = {
-        "judged": judged_words(summary),
-        "broken_rollouts": ", ".join(f"{name} at frame {k}" for name, k in broken_rollouts(summary).items()),
-        **{name: training.get(name) for name in ("data_digest", "model_sha256")},
-        **summary["provenance"],
-    }
-    found = {
-        "training": {name: training[name] for name in KEPT_OF_TRAINING if training.get(name) is not None},
-        "figures": flat_metrics(summary),
-    }
-    return _ended(job, facts, judged_by=summary["judged_by"], **found)
-
-
-def failed_run(job: SweepJob, reason: str) -> SweepRun:
-    """What a failed job leaves: who it was, and why."""
-    return _ended(job, {}, status=runs.FAILED, reason=reason)
-
-
-def _ended(job: SweepJob, facts: Mapping[str, str], **found: Any) -> SweepRun:
-    facts = {**facts, "log": job.log_name, "made_with": job.made_with}
-    if job.config is not None:
-        facts |= {"model": job.config.model.name, "budget": budget_of(job.config)}
-    who = {"run": job.run, "choices": dict(job.choices), "seed": job.seed, "key": job.key, "judged_by": job.judged_by}
-    return SweepRun(**who | found, ended_at=now(), facts={name: text for name, text in facts.items() if text})
-
-
-def budget_of(config: TrainConfig) -> str:
-    """What ends a training, in words."""
-    trainer = config.trainer
-    return f"{trainer.minutes:g} min" if trainer.budget == "time" else f"{trainer.steps} updates"
 
 
 @dataclass
@@ -152,14 +120,12 @@ class Task:
         return f"{self.sweep.title(number)}: {self.sweep.done[number]}"
 
     def died(self, number: int, why: str) -> None:
-        """Note that a job's process ended without a word."""
+        """Say, in the job's log too, that its process ended without a word."""
         message = f"{why}; the same command goes on from its last checkpoint"
         _tell(f"error: {self._title(number)}{message}")
         if self.sweep is not None:
-            log = self.sweep.folder / self.sweep.jobs[number].log_name
-            with suppress(OSError), open(log, "a", encoding="utf-8") as file:
-                file.write(f"error: {message}\n")
-            self.sweep.failed(number, message)
+            with suppress(OSError), open(self.sweep.log(number), "a", encoding="utf-8") as log:
+                log.write(f"error: {message}\n")
 
     def _do(self, composed: DictConfig, overrides: Sequence[str], number: int) -> None:
         if (reason := self.nothing_to_do(number)) is not None:
@@ -169,26 +135,21 @@ class Task:
         if self.sweep is None:
             self.function(self._config(composed, overrides, number))
             return
-        sweep, title = self.sweep, self.sweep.title(number)
-        go_by(sweep.hashes)
-        _tell(f"{title} starts; log: {sweep.folder / sweep.jobs[number].log_name}")
-        try:
-            with sweep.logged(number):
-                try:
-                    summary = self.function(self._config(composed, overrides, number))
-                except Exception as error:
-                    complain(error, self.schema)  # into the log; the terminal hears it from whoever called
-                    raise
-        except Exception as error:
-            # The tracking store fails last: what the job found may be whole.
-            if isinstance(error, TrackingError) and (summary := _summary_of(sweep.jobs[number])) is not None:
-                sweep.finished(number, summary)
-            else:
-                sweep.failed(number, explain(error, self.schema) or f"{type(error).__name__}: {error}")
-            raise
-        figures = sweep.finished(number, summary).figures
-        found = (f"{name[len(HEADLINE) :]} {figures[name]:.3g}" for name in figures if name.startswith(HEADLINE))
-        _tell(f"{title} finished: {', '.join(found)}")
+        # Imported here, so that a command that has a typo need not wait for it.
+        from gran_bench.run.summary import headline
+
+        go_by(self.sweep.hashes)
+        _tell(f"{self.sweep.title(number)} starts; log: {self.sweep.log(number)}")
+        with self.sweep.logged(number):
+            try:
+                summary = self.function(self._config(composed, overrides, number))
+            except Exception as error:
+                with suppress(OSError):
+                    sys.stdout.flush()
+                complain(error, self.schema)  # last in the log; the terminal hears it from whoever called
+                raise
+        found = ", ".join(f"{name} {value:.3g}" for name, value in headline(summary).items())
+        _tell(f"{self.sweep.title(number)} finished: {found}")
 
     def _config(self, composed: DictConfig, overrides: Sequence[str], number: int) -> Any:
         config = checked_config(composed, self.schema)
@@ -205,18 +166,12 @@ class Task:
         return f"job {number} ({words}): " if words else f"job {number}: "
 
 
-def _summary_of(job: SweepJob) -> dict[str, Any] | None:
-    from gran_bench.run.summary import finished_summary
-
-    return None if job.identity is None else finished_summary(job.identity)
-
-
 def complain(error: Exception, schema: type, prefix: str = "") -> int:
     """Say an error on stderr, in one line where the house or Hydra foresaw it, and give the exit code."""
     message = explain(error, schema)
     if message is None:
-        print(f"error: {prefix}nothing that was foreseen, so here is the whole way to it:", file=sys.stderr)
         traceback.print_exception(error)
+        _tell(f"error: {prefix}{type(error).__name__}: {error}; nobody foresaw it, so the whole way to it is above")
         return FAILED
     _tell(f"error: {prefix}{message}")
     house_failure = type(error).__module__.startswith("gran_bench.") and not isinstance(error, ConfigError | SceneError)
@@ -225,3 +180,102 @@ def complain(error: Exception, schema: type, prefix: str = "") -> int:
 
 def _tell(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
+
+
+class JobError(RuntimeError):
+    """A job of a multirun failed; what went wrong was said where it happened."""
+
+
+class ProcessLauncher(Launcher):
+    """Start each job in a process of its own, ``n_jobs`` at a time."""
+
+    def __init__(self, n_jobs: int = 2) -> None:
+        self.n_jobs = max(1, n_jobs)
+        self.task: Task | None = None
+        self.sweep_dir = Path()
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        self.task, self.sweep_dir = task_function, Path(str(config.hydra.sweep.dir))
+
+    def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
+        """Run jobs, numbered from the initial one, to their end, whoever fails: a `JobError` then, or a stop."""
+        self.sweep_dir.mkdir(parents=True, exist_ok=True)
+        waiting = [(initial_job_idx + i, list(overrides)) for i, overrides in enumerate(job_overrides)]
+        results = [JobReturn(overrides=overrides, status=JobStatus.COMPLETED) for _, overrides in waiting]
+        context, running, failed = multiprocessing.get_context("forkserver"), {}, 0
+        try:
+            while waiting or running:
+                while waiting and len(running) < self.n_jobs:
+                    number, overrides = waiting.pop(0)
+                    if (reason := self.task.nothing_to_do(number)) is not None:
+                        print(reason, file=sys.stderr, flush=True)
+                        continue
+                    running[number] = context.Process(target=_run, args=(self.task, overrides, number))
+                    running[number].start()
+                if not running:  # none of the rest had anything to do, and no end of theirs would come
+                    break
+                connection.wait([process.sentinel for process in running.values()])
+                for number in [number for number, process in running.items() if not process.is_alive()]:
+                    process = running.pop(number)
+                    if process.exitcode not in (0, SAID):
+                        self.task.died(number, _last_words(process.exitcode))
+                    failed += process.exitcode != 0
+        except BaseException:
+            _stop(list(running.values()))
+            raise
+        if failed:
+            raise JobError(f"{failed} of {len(results)} jobs failed")
+        return results
+
+
+def register_launcher() -> None:
+    """Let Hydra make the launcher that ``hydra/launcher=local`` names."""
+    plugins = Plugins.instance()
+    plugins.register(ProcessLauncher)
+    plugins.class_name_to_class[LAUNCHER] = ProcessLauncher
+
+
+def load_ahead(modules: Sequence[str]) -> None:
+    """Start the process that jobs are forked from, and let it load modules while this one goes on."""
+    multiprocessing.get_context("forkserver").set_forkserver_preload(["gran_bench.entry", *modules])
+    forkserver.ensure_running()
+
+
+def _run(task: Task, overrides: list[str], number: int) -> None:
+    """The whole life of a job's process."""
+    threading.Thread(target=_stop_with, args=(multiprocessing.parent_process(), os.getppid()), daemon=True).start()
+    try:
+        code = 0 if task.apart(overrides, number) else SAID
+    except KeyboardInterrupt as stop:
+        code = 128 + getattr(signal.Signals, str(stop), signal.SIGINT)
+    sys.stdout.flush()
+    sys.exit(code)
+
+
+def _stop_with(parent: Any, server: int) -> None:
+    """Stop politely where a process that this one came from was killed: nobody waits for the job any more."""
+    while os.getppid() == server and not connection.wait([parent.sentinel], WATCH_SECONDS):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+def _stop(processes: Sequence[ForkServerProcess]) -> None:
+    """Ask jobs to stop, and wait for them."""
+    for process in processes:
+        process.terminate()
+    for process in processes:
+        process.join(GRACE_SECONDS)
+        if process.is_alive():
+            process.kill()
+            process.join()
+
+
+def _last_words(code: int) -> str:
+    """Why a process ended without a word of its own."""
+    if code == LOST:
+        return "the process that jobs are forked from was ended (often a lack of memory; try hydra.launcher.n_jobs=1)"
+    if code < 0:
+        return f"its process was ended by signal {-code} (9: often a lack of memory; try hydra.launcher.n_jobs=1)"
+    if code - 128 in signal.valid_signals():
+        return f"it was stopped by {signal.Signals(code - 128).name}"
+    return f"its process ended with status {code}"
