@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import gran_bench.conf
-from gran_bench.compose import Source, changed_in, compose, described_jobs, override, run_folder, swept_keys
+from gran_bench.compose import Source, changed_in, described_jobs, run_folder, swept_keys
 from gran_bench.config import TrainConfig
 from gran_bench.config.rules import ConfigError
 from gran_bench.entry import run
@@ -339,10 +339,3 @@ def test_the_entries_refuse_before_they_load_anything_heavy(entry, typed, meant,
     assert (done.returncode, lines) == (REFUSED, [f"error: {typed}=1: no such key; did you mean {meant}?"])
     assert not {"torch", "numba", "mlflow"} & {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    "text", ["/what?x=1 #a%20b", "/a,b=[c]{d}(e)", "/it's", "/back\\", "/x\\'y", "/${HOME}", "~+-:é"]
-)
-def test_an_override_gives_a_path_as_it_is(text: str):
-    assert compose("train", [override("dataset.root", text)]).dataset.root == text

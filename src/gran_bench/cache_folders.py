@@ -1,7 +1,6 @@
-"""Where libraries keep what they have compiled or looked up, if their own folders cannot be written.
+"""Where Numba and Matplotlib keep what they have compiled or looked up, if their own folders cannot be written.
 
-Numba refuses to define a kernel that it has no place to keep, and Matplotlib makes a new folder for each process. So
-the package chooses a folder for both before it loads them.
+Numba refuses to define a kernel that it has no place to keep, and Matplotlib makes a new folder for each process.
 """
 
 from __future__ import annotations
@@ -14,10 +13,7 @@ from pathlib import Path
 
 
 def provide_cache_folders() -> None:
-    """Name a temporary folder to each library that has none of its own, for this process and those that it starts.
-
-    The folder is the same for every command of a user, so that kernels are compiled once.
-    """
+    """Name to each library that has none of its own a temporary folder, the same for every command of a user."""
     home, numba, matplotlib = Path(os.path.expanduser("~")), "NUMBA_CACHE_DIR", "MPLCONFIGDIR"
     if not home.is_absolute():  # of a user without any
         home = Path(os.devnull)

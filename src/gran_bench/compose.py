@@ -58,7 +58,6 @@ class Source:
 
     @property
     def flags(self) -> list[str]:
-        """The flags of a command line that choose this source."""
         folders = {"--config-dir": self.config_dir, "--config-path": self.config_path}
         return [f"{flag}={folder}" for flag, folder in folders.items() if folder is not None]
 
@@ -171,13 +170,6 @@ def checked_config(composed: DictConfig, schema: type[Config]) -> Config:
     return config
 
 
-def override(key: str, text: object) -> str:
-    """An override that gives a dotted key a text as it is, such as a path, whatever it has of Hydra's grammar."""
-    # Within quotes Hydra reads a backslash as itself, but for those before a quote.
-    quoted = re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), str(text))
-    return f"{key}='{quoted.replace('${', chr(92) + '${')}'"
-
-
 def swept_keys(jobs: Sequence[Sequence[str]]) -> frozenset[str]:
     """The keys that the jobs of a sweep, given by their overrides, have more than one value of."""
     values = defaultdict(set)
@@ -187,25 +179,14 @@ def swept_keys(jobs: Sequence[Sequence[str]]) -> frozenset[str]:
 
 
 def changed_in(overrides: Sequence[str], swept: Collection[str] = ()) -> list[str]:
-    """The overrides, sorted and without ``+``, that change what is trained; the recipe's name is not among them.
-
-    Args:
-        overrides: of one job.
-        swept: keys that tell jobs of a sweep apart, so that they are named whatever they decide.
-    """
+    """The overrides of a job, sorted and without ``+``, that change what is trained, and all of swept keys."""
     unnamed = re.compile(rf"({'|'.join(map(re.escape, UNNAMED))})(?=[=./@]|$)")
     lines = sorted(line.lstrip("+~") for line in overrides)
     return [line for line in lines if line.partition("=")[0] in swept or not unnamed.match(line)]
 
 
 def run_folder(experiment: str, overrides: Sequence[str], swept: Collection[str] = ()) -> str:
-    """The folder of a run: the recipe's name, then what was changed in it, so that no two different runs share one.
-
-    Args:
-        experiment: the recipe's name.
-        overrides: of the run.
-        swept: keys that are named whatever they decide, as in `changed_in`; the recipe is named already.
-    """
+    """The folder of a run: the recipe's name, then what was changed in it, so that no two different runs share one."""
     changed = changed_in(overrides, set(swept) - {"experiment"})
     # Only letters that a path in a Hydra override may have without quotes.
     name = re.sub(r"[^\w.+-]", "_", "+".join([experiment, *changed]).replace("=", "-"))

@@ -1,7 +1,4 @@
-"""What every entry does around its task: Hydra composes, the schema checks, the task runs, errors take one line.
-
-A config that cannot be is refused before Hydra starts a job, so that nothing is computed and no folder is left.
-"""
+"""What every entry does around its task: Hydra composes, the schema checks, the task runs, errors take one line."""
 
 from __future__ import annotations
 
@@ -88,7 +85,12 @@ def run(
             if sweep is not None and described.complete:
                 lines = [overrides for overrides, _ in described.jobs]
                 swept = swept_keys(lines)
-                planned = [_planned(*job, swept) for job in zip(lines, configs, strict=True)]
+                planned = []
+                for overrides, config in zip(lines, configs, strict=True):
+                    choices = dict(line.partition("=")[::2] for line in changed_in(overrides, swept))
+                    name = config.tracking.folder or run_folder(config.experiment, overrides, swept)
+                    config.tracking.folder = name
+                    planned.append(SweepJob(name, choices, config.seed, config=config))
                 around = sweep(planned, run_folder(configs[0].experiment, arguments.overrides, swept))
         with around as each.sweep:
             try:
@@ -111,10 +113,3 @@ def run(
     if each.failures:  # said already, where it happened
         print("error: at least one job of the multirun failed; its message is above", file=sys.stderr)
     sys.exit(FAILED if each.failures else 0)
-
-
-def _planned(overrides: Sequence[str], config: Any, swept: frozenset[str]) -> SweepJob:
-    """A job of a sweep with the name of its run, which holds every swept key."""
-    config.tracking.folder = config.tracking.folder or run_folder(config.experiment, overrides, swept)
-    choices = dict(line.partition("=")[::2] for line in changed_in(overrides, swept))
-    return SweepJob(config.tracking.folder, choices, config.seed, config=config)

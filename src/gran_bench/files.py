@@ -1,7 +1,6 @@
 """Files that are whole or not there at all, and locks that die with the process that holds them.
 
-A file is written under a temporary name in its own folder, flushed, fsynced and renamed. Power may fail or
-``kill -9`` may strike at any moment: the final name is absent, old and whole, or new and whole.
+A file is written under a temporary name in its own folder, fsynced and renamed, whenever power fails or a kill strikes.
 """
 
 from __future__ import annotations
@@ -17,11 +16,7 @@ from typing import BinaryIO
 
 @contextmanager
 def whole_file(path: Path | str) -> Iterator[Path]:
-    """Yield a temporary name to write to; it takes the final name when the block ends well.
-
-    An exception inside the block removes the temporary file and leaves an older file of the final name as it was. The
-    folder is made where it is missing.
-    """
+    """Yield a temporary name to write to; it takes the final name, in a folder that is made, if the block ends well."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -54,12 +49,7 @@ def write_text(path: Path | str, text: str) -> None:
 def write_part(path: Path, part: str, text: str, title: str = "", heading: str = "") -> None:
     """Renew what stands between the marks ``<!-- part -->`` and ``<!-- end -->`` of a page; the rest is people's.
 
-    Args:
-        path: of the page; made where it is missing.
-        part: its name; a page without it gets it at its end.
-        text: between the marks.
-        title: of a new page, in words.
-        heading: above a part that the page does not have yet, in words.
+    A page is made with a title where it is missing; a part that it does not have comes to its end, under a heading.
     """
     page = path.read_text("utf-8") if path.exists() else f"# {title}\n" if title else ""
     opening, closing = f"<!-- {part} -->\n", "<!-- end -->\n"
@@ -79,11 +69,7 @@ def remove_leftovers(path: Path | str) -> None:
 
 @contextmanager
 def locked(path: Path | str, waiting: Callable[[], None] = lambda: None) -> Iterator[None]:
-    """Hold an exclusive lock on a file; the operating system frees it when the process ends in any way.
-
-    The lock file stays: removing it would let two processes lock two files of one name. ``waiting`` is called once if
-    another process holds the lock.
-    """
+    """Hold an exclusive lock on a file, which stays; ``waiting`` is called once if another process holds it."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path, "ab") as file:

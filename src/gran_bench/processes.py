@@ -1,9 +1,8 @@
 """Processes: children that end with whoever started them, and SIGTERM and Ctrl-C as one polite request.
 
-A child gets a session of its own, so that Ctrl-C is for its parent, which then ends it; but neither that nor
-``kill -9`` of the parent would reach it there. So what runs in it is ``python -m gran_bench.processes``, which looks
-whether the parent is still there, and ends itself and its whole group where it is not. A module of the package runs in
-that process; any other command is started by it, and its exit code handed on.
+A child gets a session of its own, where Ctrl-C and ``kill -9`` of its parent do not reach it. So it runs
+``python -m gran_bench.processes``, which ends itself and its whole group once the parent is gone. A module of the
+package runs in that process; any other command is started by it, and its exit code handed on.
 """
 
 from __future__ import annotations
@@ -37,21 +36,13 @@ class MissingProgramError(RuntimeError):
 def start_module(module: str, *arguments: str, environment: Mapping[str, str] | None = None, **pipes: Any) -> Child:
     """A process of ``python -m module arguments`` of this package, found wherever the process works.
 
-    Args:
-        module: full name.
-        arguments: of its command line.
-        environment: beside that of this process.
-        pipes: further keys of `subprocess.Popen`.
+    The environment is beside that of this process; ``pipes`` are further keys of `subprocess.Popen`.
     """
     return _started(["-m", module, *arguments], environment, pipes)
 
 
 def start_program(command: Sequence[str], environment: Mapping[str, str] | None = None, **pipes: Any) -> Child:
-    """A process of any other command; arguments as of `start_module`.
-
-    Raises:
-        MissingProgramError: the program is not installed.
-    """
+    """A process of any other command, as `start_module` does; a `MissingProgramError` where it is not installed."""
     require_program(command[0], "install it")
     return _started(["--", *command], environment, pipes)
 
@@ -102,7 +93,6 @@ class StopRequest:
 
     @contextmanager
     def deferred(self) -> Iterator[None]:
-        """A stretch of work that polls ``requested`` itself."""
         self._deferring = True
         try:
             yield
@@ -112,10 +102,7 @@ class StopRequest:
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopRequest]:
-    """Handle SIGTERM and SIGINT for the span of the block; the old handlers come back after it.
-
-    Outside the main thread Python allows no handlers: there the request is never set.
-    """
+    """Handle SIGTERM and SIGINT for the span of the block; never set outside the main thread, which has no handlers."""
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():
         yield request

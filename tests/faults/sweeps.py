@@ -15,7 +15,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gran_bench.compose import override
+from overrides import override
+
 from gran_bench.processes import kill_group, start_program
 from gran_bench.run.record import MODEL
 from gran_bench.run.summary import SUMMARY

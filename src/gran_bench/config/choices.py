@@ -33,15 +33,11 @@ def weighed_terms(loss: LossConfig) -> list[str]:
 
 @raising
 def check_radius(model: Section, diameter: float, period: float) -> Iterator[str]:
-    """Hold a model's radius against the spheres that it is for.
+    """Refuse, as a `ConfigError`, a radius that reaches too little or too far; a plugin's model has a `check`.
 
     Args:
-        model: what is trained; one that is not the house's has a `check` of its own.
         diameter: of the spheres, m.
         period: length of the periodic axis, m; 0 for none.
-
-    Raises:
-        ConfigError: a radius that reaches too little or too far.
     """
     if isinstance(model, CconvModelConfig) and model.radius <= diameter:
         remedy = f"choose more than the particle diameter, {diameter:g} m"
@@ -58,11 +54,7 @@ def check_radius(model: Section, diameter: float, period: float) -> Iterator[str
 
 @raising
 def check_choices(config: TrainConfig) -> Iterator[str]:
-    """Hold loss, rollout, boundary and radius against the model that is to be trained with them.
-
-    Raises:
-        ConfigError: names a dotted key, its value, what cannot use it and the remedy.
-    """
+    """Refuse, as a `ConfigError`, loss, rollout, boundary and radius that the model to be trained cannot use."""
     scene = config.scene
     period = scene.container.length if getattr(scene.container, "periodic_axis", False) else 0.0
     check_radius(config.model, scene.filling.diameter, period)

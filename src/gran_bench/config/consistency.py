@@ -6,17 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from gran_bench.config import (
-    BenchmarkConfig,
-    CconvModelConfig,
-    ContactModelConfig,
-    DatasetConfig,
-    DemConfig,
-    EvaluateConfig,
-    GenerateConfig,
-    SceneConfig,
-    TrainConfig,
-)
+from gran_bench.config import schema
 from gran_bench.config.choices import check_choices
 from gran_bench.config.registry import HOUSE, WALLS
 from gran_bench.config.rules import Section, raising, shown
@@ -28,32 +18,25 @@ SPLITS = ("training_speeds_rpm", "validation_speeds_rpm", "holdout_speeds_rpm")
 
 
 def check_consistency(config: object) -> None:
-    """Hold the values of a whole config against each other.
-
-    Args:
-        config: of a command, with values that are legal each by itself; sections alone have nothing to contradict.
-
-    Raises:
-        ConfigError: names a dotted key, its value, what it contradicts and the remedy.
-    """
-    if isinstance(config, TrainConfig | GenerateConfig):
+    """Refuse, as a `ConfigError`, values of a command's config that contradict each other; each by itself is legal."""
+    if isinstance(config, schema.TrainConfig | schema.GenerateConfig):
         _check_scene(config.scene, config.dataset)
-    if isinstance(config, TrainConfig | GenerateConfig | EvaluateConfig):
+    if isinstance(config, schema.TrainConfig | schema.GenerateConfig | schema.EvaluateConfig):
         check_dem(config.dem)
         _check_dataset(config.dataset)
-    if isinstance(config, BenchmarkConfig):
+    if isinstance(config, schema.BenchmarkConfig):
         _check_benchmark(config)
-    if isinstance(config, TrainConfig):
+    if isinstance(config, schema.TrainConfig):
         _check_trainable(config.scene)
         check_model(config.model)
         _check_training(config)
         check_choices(config)
-    if isinstance(config, TrainConfig | EvaluateConfig):
+    if isinstance(config, schema.TrainConfig | schema.EvaluateConfig):
         _check_judge(config)
 
 
 @raising
-def check_dem(dem: DemConfig) -> Iterator[str]:
+def check_dem(dem: schema.DemConfig) -> Iterator[str]:
     """Refuse, as a `ConfigError`, settings of the solver that contradict each other."""
     if dem.precision != "float64" and dem.engine != "numba":
         yield f"dem.precision={dem.precision} is for dem.engine=numba; dem.engine={dem.engine} computes in float64"
@@ -108,13 +91,13 @@ def check_filling(filling: Any) -> Iterator[str]:
 @raising
 def check_model(model: Section) -> Iterator[str]:
     """Refuse, as a `ConfigError`, values of a model of the house that contradict each other."""
-    if isinstance(model, CconvModelConfig):
+    if isinstance(model, schema.CconvModelConfig):
         if model.kernel != ("radial" if model.name == "radial" else "lattice"):
             other = "ccnn" if model.name == "radial" else "radial"
             yield f"model.kernel={model.kernel} is not the kernel of model={model.name}; choose model={other}"
         if model.width % 2:
             yield f"model.width={model.width} cannot be split in two halves; choose an even width"
-    fused = isinstance(model, ContactModelConfig) and model.backend == "fused"
+    fused = isinstance(model, schema.ContactModelConfig) and model.backend == "fused"
     if fused and (model.hidden, model.channels) != FUSED_SIZES:
         given = f"model.hidden={model.hidden} with model.channels={model.channels}"
         remedy = "choose {} and {}, or model.backend=torch".format(*FUSED_SIZES)
@@ -122,7 +105,7 @@ def check_model(model: Section) -> Iterator[str]:
 
 
 @raising
-def _check_scene(scene: SceneConfig, dataset: DatasetConfig) -> Iterator[str]:
+def _check_scene(scene: schema.SceneConfig, dataset: schema.DatasetConfig) -> Iterator[str]:
     filling, kind, rotation = scene.filling, scene.container.kind, scene.rotation
     if len(scene.gravity) != 3:
         yield f"scene.gravity={scene.gravity} is no vector; give three components"
@@ -147,7 +130,7 @@ def _check_scene(scene: SceneConfig, dataset: DatasetConfig) -> Iterator[str]:
 
 
 @raising
-def _check_dataset(dataset: DatasetConfig) -> Iterator[str]:
+def _check_dataset(dataset: schema.DatasetConfig) -> Iterator[str]:
     seen: dict[float, str] = {}
     for name in SPLITS:
         for speed in getattr(dataset, name):
@@ -163,7 +146,7 @@ def _check_dataset(dataset: DatasetConfig) -> Iterator[str]:
 
 
 @raising
-def _check_trainable(scene: SceneConfig) -> Iterator[str]:
+def _check_trainable(scene: schema.SceneConfig) -> Iterator[str]:
     kind, speeds, filling = scene.container.kind, scene.rotation.speeds_rpm, scene.filling
     if filling.count < 1:
         yield f"scene.filling.count={filling.count} leaves nothing to learn from; choose a value ≥ 1"
@@ -186,7 +169,7 @@ def _check_trainable(scene: SceneConfig) -> Iterator[str]:
 
 
 @raising
-def _check_training(config: TrainConfig) -> Iterator[str]:
+def _check_training(config: schema.TrainConfig) -> Iterator[str]:
     scene, first, last = config.scene, config.optim.learning_rate, config.optim.final_learning_rate
     available, needed = round((scene.end_time - scene.start_time) / scene.frame_interval), LONGEST_HORIZON
     if available < needed:
@@ -199,7 +182,7 @@ def _check_training(config: TrainConfig) -> Iterator[str]:
 
 
 @raising
-def _check_judge(config: TrainConfig | EvaluateConfig) -> Iterator[str]:
+def _check_judge(config: schema.TrainConfig | schema.EvaluateConfig) -> Iterator[str]:
     dataset, speeds = config.dataset, config.judge.speeds_rpm
     if len(dataset.holdout_speeds_rpm) != 1:
         yield f"dataset.holdout_speeds_rpm={dataset.holdout_speeds_rpm} is not one speed; one held-out case is judged"
@@ -216,7 +199,7 @@ def _check_judge(config: TrainConfig | EvaluateConfig) -> Iterator[str]:
 
 
 @raising
-def _check_benchmark(config: BenchmarkConfig) -> Iterator[str]:
+def _check_benchmark(config: schema.BenchmarkConfig) -> Iterator[str]:
     speeds, profile, count = config.dataset.holdout_speeds_rpm, config.profile, config.scene.filling.count
     if len(speeds) != 1:
         yield f"dataset.holdout_speeds_rpm={speeds} is not one speed; methods are compared at one held-out speed"

@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from gran_bench.config.reading import CHOSEN, keys_of_chosen, section_names, unknown_key
+from gran_bench.config.reading import CHOSEN, section_names, unknown_key
 from gran_bench.config.rules import hints_of
 
 CONF = "gran_bench.conf"
@@ -63,10 +63,10 @@ def _composition(error: HydraException, schema: type) -> str:
         key, value = found[1], found[3].strip()
         if key.startswith("hydra."):
             return f"{key}={value}: no such key; --cfg hydra shows those of Hydra"
-        place = key.rpartition(".")[0]
-        present = None
-        if place in CHOSEN and hasattr(error, "without"):
-            present = keys_of_chosen(place, OmegaConf.select(error.without, f"{place}.{CHOSEN[place].chooser}"))
+        place, present = key.rpartition(".")[0], None
+        if place in CHOSEN and hasattr(error, "without"):  # the section's class is a choice of the other overrides
+            owner = CHOSEN[place].get(OmegaConf.select(error.without, f"{place}.{CHOSEN[place].chooser}"))
+            present = owner and [f"{place}.{name}" for name in hints_of(owner.config)]
         return str(unknown_key(key, value, schema, present))
     if found := re.search(r"Could not append to config\. An item is already at '([^']+)'", message):
         return f"+{found[1]}: the key is there already; write {found[1]}=VALUE without +"

@@ -1,7 +1,6 @@
 """Read a composed config into the schema: no unknown key, no wrong type, no missing value, nothing converted silently.
 
-OmegaConf can merge a config into dataclasses too, but turns the text "3" into a number, cannot hold the union of
-model schemas and does not know the nearest right key; so the reading is done here, where every refusal is one line.
+OmegaConf would turn the text "3" into a number, and cannot hold the union of model schemas.
 """
 
 from __future__ import annotations
@@ -78,13 +77,6 @@ def nearest_key(key: str, keys: list[str]) -> str | None:
 
     best = max(keys, key=likeness, default=None)
     return best if best is not None and likeness(best) >= 0.75 else None
-
-
-def keys_of_chosen(place: str, name: Any) -> list[str] | None:
-    """The dotted keys of the section at a place whose class a name chooses; None where no name chooses one."""
-    if place not in CHOSEN or name not in CHOSEN[place]:
-        return None
-    return [f"{place}.{key}" for key in hints_of(CHOSEN[place][name].config)]
 
 
 def unknown_key(key: str, value: Any, schema: type, present: list[str] | None = None) -> ConfigError:

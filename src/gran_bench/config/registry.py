@@ -1,7 +1,6 @@
 """Which models, terms of the loss, metrics and containers there are: the house's and those of plugins, in one way.
 
-A plugin is a package that registers something when it is imported, and that says so in the entry-point group
-``gran_bench.plugins``. Plugins are loaded once in each process, when a registry is first read.
+A plugin is a package of the entry-point group ``gran_bench.plugins`` that registers something when it is imported.
 """
 
 from __future__ import annotations
@@ -25,11 +24,7 @@ _state: dict[str, Any] = {"loaded": False, "weights": None}
 
 
 def load_plugins() -> None:
-    """Import every plugin that is installed, once a process.
-
-    Raises:
-        ConfigError: a plugin cannot be imported; names it, its package and the remedy.
-    """
+    """Import every plugin that is installed, once a process; a `ConfigError` where one cannot be imported."""
     if _state["loaded"]:
         return
     _state["loaded"] = True  # first of all: a plugin that is being imported may read a registry
@@ -177,7 +172,7 @@ def register_wall(*names: str, build: Callable[..., Any] | str, drum: bool = Fal
         drum: as in `Wall`.
 
     Raises:
-        ConfigError: no dataclass of `Section`, or a name that another package has.
+        ConfigError: as for `register_model`.
     """
     return lambda config: WALLS.section(config, names, Wall(config, build, drum))
 
@@ -191,8 +186,7 @@ def holds_weights(section: Config) -> Config:
 def register_loss(term: Function) -> Function:
     """Let ``loss`` have a key of the function's name: the weight of a term, 0 unless it is given.
 
-    Args:
-        term: gets a `FrameAhead`; gives a scalar tensor without unit, differentiable in the prediction.
+    The term gets a `FrameAhead`; it gives a scalar tensor without unit, differentiable in the prediction.
 
     Raises:
         ConfigError: a name that another package, or another key of ``loss``, has.

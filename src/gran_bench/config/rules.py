@@ -111,13 +111,10 @@ def key(default: Any, rule: Rule) -> Any:
 
 
 class Section:
-    """A section of a config: what is put into a key is held against the key's type and rule at once.
+    """A section of a config: what is put into a key is held against the key's type and rule at once (`ConfigError`).
 
     A word without a rule may be any but the empty one. Tuples, arrays and NumPy's numbers become lists and plain
     numbers, so that a config made in Python is the one that a command line would have made.
-
-    Raises:
-        ConfigError: names the dotted key, the value and what is legal.
     """
 
     place = ""  # where the section stands in a whole config, dotted, with a dot at its end
@@ -150,14 +147,7 @@ def add_key(section: type[Section], name: str, hint: str, entry: Any) -> None:
 
 
 def checked(schema: type[Section], name: str, value: Any, place: str | None = None) -> Any:
-    """``value`` as the key ``name`` of a section's class holds it.
-
-    Args:
-        place: of the section, dotted, with a dot at its end; None: where sections of its class stand.
-
-    Raises:
-        ConfigError: an unknown key, a wrong type or a value outside the rule.
-    """
+    """``value`` as the key ``name`` of a section holds it, else a `ConfigError`; ``place`` ends with a dot."""
     dotted, hints = (schema.place if place is None else place) + name, hints_of(schema)
     if name not in hints:
         raise ConfigError(f"{dotted}={shown(value)}: no such key; the keys are {', '.join(hints)}")

@@ -30,10 +30,7 @@ _remembered: str | None = None
 
 
 def hardware() -> str:
-    """One line: processor and the width of its vectors, cores, memory, accelerator.
-
-    Clouds sell processors of several generations under one name, and the jitted kernels go by the width.
-    """
+    """One line: processor and the width of its vectors, by which jitted kernels go, cores, memory, accelerator."""
     import torch  # only here: it loads for seconds
 
     listed = Path("/proc/cpuinfo")
@@ -46,10 +43,7 @@ def hardware() -> str:
 
 
 def commit() -> str:
-    """The checked-out commit, with ``+`` where the tree has changes; the version for an installed wheel.
-
-    Changes below ``results/`` don't count: they are what a sweep writes while its runs go on, and decide nothing.
-    """
+    """The checked-out commit, with ``+`` where the tree has changes but in ``results/``; of a wheel its version."""
     folder = Path(gran_bench.__file__).resolve().parents[2]
     if not (folder / ".git").exists():
         return f"version {gran_bench.__version__}"

@@ -1,9 +1,7 @@
 """Which source decides a result, in written lists of rooms, and a hash of it that comments and layout don't change.
 
-A room is a file (``scene.py``), a folder (``dem``, with all below it) or a pattern (``metrics/*.py``) of the
-package; one with a ``-`` before it is taken out of those before it. What is in no list changes no weight and no figure:
-config (its values are in a run's key), tables, figures, tracking, sweeps. `tests/test_source_digest.py` holds the lists
-against the imports of their files. Of a plugin that takes part, all source of its package counts.
+A room is a file, a folder with all below it or a pattern (``metrics/*.py``) of the package; one with a ``-`` before it
+is taken out of those before it. A test holds the lists against imports. Of a plugin all source of its package counts.
 """
 
 from __future__ import annotations
@@ -42,11 +40,7 @@ _taken: dict[str, str] = {}
 
 
 def training_code(model: str, terms: Iterable[str] = ()) -> str:
-    """Hash (12 digits) of the source that decides the weights of a model, and of the weighed terms of its loss.
-
-    Raises:
-        ConfigError: a plugin that takes part has no source file.
-    """
+    """Hash (12 digits) of the source that decides the weights of a model trained with some terms of the loss."""
     plugins = {MODELS.owner(model), *(LOSS_TERMS.owner(term) for term in ADDED_TERMS.intersection(terms))}
     return _hash(f"training {model}", (*TRAINING, *MODELS[model].code), plugins)
 
@@ -77,7 +71,6 @@ def go_by(hashes: Mapping[str, str]) -> None:
 
 
 def _hash(name: str, rooms: tuple[str, ...], packages: Iterable[str]) -> str:
-    """The hash of rooms of the house, and of plugins' packages whole."""
     plugins = sorted({*packages} - {HOUSE})
     name = " with ".join([name, *plugins])
     if name not in _taken:
@@ -97,11 +90,7 @@ def _package_digest(package: str) -> str:
 
 
 def source_digest(rooms: Iterable[str]) -> str:
-    """SHA-256 (64 hex digits) of the bare code of rooms: files, folders and patterns of the package.
-
-    Raises:
-        FileNotFoundError: there is no such room.
-    """
+    """SHA-256 (64 hex digits) of the bare code of rooms: files, folders and patterns of the package."""
     package = Path(gran_bench.__file__).parent
     return _digest("", [(path.relative_to(package).as_posix(), path) for path in files_of(rooms)])
 
@@ -112,11 +101,7 @@ def _digest(name: str, files: Iterable[tuple[str, Path]]) -> str:
 
 
 def files_of(rooms: Iterable[str]) -> list[Path]:
-    """The source files of rooms, each once, in order.
-
-    Raises:
-        FileNotFoundError: there is no such room.
-    """
+    """The source files of rooms, each once, in order; a `FileNotFoundError` where there is no such room."""
     package, found = Path(gran_bench.__file__).parent, set()
     for room in rooms:
         name = room.removeprefix("-")

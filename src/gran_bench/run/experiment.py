@@ -101,11 +101,7 @@ def _compile_ahead(model: str) -> None:
 def train_stage(
     config: TrainConfig, model: Surrogate, windows: Windows, folder: Path, run: tracking.Run, stop: StopRequest
 ) -> dict[str, Any]:
-    """Train, or load what training left; the model holds the weights to judge afterwards.
-
-    Returns:
-        What ``training.json`` says: steps done and planned, seconds, what stopped it, last loss, provenance, digest.
-    """
+    """Train, or load what training left, into the model; gives what ``training.json`` says."""
     if (folder / TRAINING).exists():
         training = json.loads((folder / TRAINING).read_text("utf-8"))
         if not wants_more(config, training):

@@ -11,7 +11,7 @@ from typing import Any
 from gran_bench.config import TrainConfig
 from gran_bench.config.choices import weighed_terms
 from gran_bench.config.identity import deciding_keys
-from gran_bench.dataset import CaseSpec, Split, dataset_digest, split_cases
+from gran_bench.dataset import Split, dataset_digest, split_cases
 from gran_bench.dataset.case_spec import key_hash
 from gran_bench.evaluation.plan import Plan
 from gran_bench.provenance.source_digest import judging_code, training_code
@@ -27,37 +27,16 @@ class RunIdentity:
     judged_by: str  # of what determines its judgement: judge's keys, the DEM's runs it is held against, judging code
     data_digest: str  # of the training data
 
-    @property
-    def name(self) -> str:
-        """The run's name for people, its folder's and its MLflow run's."""
-        return self.folder.name
-
 
 def identify(config: TrainConfig) -> RunIdentity:
-    """The identity of the run that a config describes.
-
-    Args:
-        config: checked; its training cases are there.
-
-    Raises:
-        DatasetError: a training case is missing or damaged.
-    """
+    """The identity of the run that a checked config describes; a `DatasetError` where a training case is not there."""
     digest = dataset_digest(spec.path(config.dataset.root) for spec in splits(config).training)
     key = hash_of(deciding_keys(config), digest, training_code(config.model.name, weighed_terms(config.loss)))
-    folder = run_place(Path(config.tracking.root), config.tracking.folder or config.experiment, key)
+    runs = Path(config.tracking.root) / "runs"
+    folder = runs / f"{config.tracking.folder or config.experiment}-{key[:8]}"
+    if not folder.exists():  # perhaps another command began the run under another name: it goes on there
+        folder = next(iter(sorted(runs.glob(f"*-{key[:8]}"))), folder)
     return RunIdentity(folder, key, judged_by(judging_plan(config)), digest)
-
-
-def run_place(root: Path, name: str, key: str) -> Path:
-    """The folder of a run below the results: the one that holds its key under whatever name, else one of the name.
-
-    So a run that another command began, a sweep or a single one, goes on there and is not done twice.
-    """
-    named = root / "runs" / f"{name}-{key[:8]}"
-    if named.exists():
-        return named
-    # A name may hold what `glob` takes for a pattern; a key never does.
-    return next(iter(sorted((root / "runs").glob(f"*-{key[:8]}"))), named)
 
 
 def splits(config: TrainConfig) -> Split:
@@ -68,11 +47,6 @@ def splits(config: TrainConfig) -> Split:
 def judging_plan(config: TrainConfig) -> Plan:
     """What the trained model will be judged on."""
     return Plan(build_scene(config.scene), config.dem, config.dataset, config.judge)
-
-
-def all_cases(config: TrainConfig) -> list[CaseSpec]:
-    """Every run of the DEM that training and judging need."""
-    return [*splits(config).all, *judging_plan(config).cases]
 
 
 def judged_by(plan: Plan) -> str:

@@ -81,16 +81,12 @@ class RunRecord:
         tags = {"data_digest": identity.data_digest, "scene": self.scene_name, "folder": str(identity.folder)}
         tags |= provenance() if made is None else {**made, "recorded_again_by": command()}
         settings, parent = config.tracking, config.tracking.parent
-        with tracking.open_run(settings, identity.name, identity.key, params_of(config), tags, parent) as run:
+        with tracking.open_run(settings, identity.folder.name, identity.key, params_of(config), tags, parent) as run:
             run.log_dataset(self.scene_name, identity.data_digest, str(Path(config.dataset.root).resolve()))
             yield run
 
     def record_again(self, summary: dict[str, Any]) -> None:
-        """Put a finished run into a tracking store that does not know it, from the files in its folder.
-
-        Raises:
-            TrackingError: the store does not take it.
-        """
+        """Put a finished run into a tracking store that does not know it, from the files in its folder."""
         folder = self.identity.folder
         with self._opened(summary["provenance"]) as run:
             for row in LossLog(folder / LOSSES).rows:
@@ -101,16 +97,7 @@ class RunRecord:
             run.log_artifact(write_summary(folder / TRACKED, summary))
 
     def record_row(self, figures: Mapping[str, float], made: Mapping[str, str], source: Path) -> None:
-        """Put a run into a tracking store that does not know it, of which nothing is here but a row of a sweep's table.
-
-        Args:
-            figures: by their names in the store.
-            made: provenance.
-            source: folder of the sweep.
-
-        Raises:
-            TrackingError: the store does not take it.
-        """
+        """Put a run, of which nothing is here but a row of a sweep's table, into a store that does not know it."""
         with self._opened(made) as run:
             run.set_tag("folder", f"made elsewhere; what is here of it: a row in {source}")
             run.log_metrics(figures, supersede=True)
@@ -158,13 +145,11 @@ class LossLog:
         self.rows: list[dict[str, float]] = pd.read_csv(path).to_dict("records") if path.exists() else []
 
     def add(self, metrics: dict[str, float], step: int) -> None:
-        """Append one row and rewrite the file whole."""
         self.rows.append({"step": step} | metrics)
         table = pd.DataFrame(self.rows)
         write_atomically(self.path, lambda file: table.to_csv(file, index=False))
 
     def drop_after(self, step: int) -> None:
-        """Forget rows of updates that a resumed training will do again."""
         self.rows = [row for row in self.rows if row["step"] <= step]
 
 

@@ -48,11 +48,7 @@ def judged_words(summary: Mapping[str, Any]) -> str:
 
 
 def headline(summary: Mapping[str, Any]) -> dict[str, float]:
-    """The figures that a person looks at first, by the names that they have in MLflow.
-
-    A figure that is undefined is absent here; why, says the summary. A requirement fails for each row of the table
-    that says so: the judged ones, a speed that is not told apart, a rollout that broke down.
-    """
+    """The figures that a person looks at first, by their names in MLflow; one that is undefined is absent."""
     shared, last = summary["judged"]["shared"], summary["position_error"]["10_frames"]["m"]
     found = {}
     for name, key, unit in (
@@ -130,11 +126,7 @@ def flat_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
 
 
 def cut_short(training: Mapping[str, Any]) -> str | None:
-    """A sentence that says that the clock has cut a budget of steps; None where it has not.
-
-    Args:
-        training: as in ``training.json``; one of before this was kept says nothing.
-    """
+    """A sentence that says that the clock has cut the steps of a training, as in ``training.json``, or None."""
     steps, planned = training["steps"], training.get("planned_steps")
     if planned is None or steps >= planned:
         return None
@@ -256,14 +248,7 @@ def rollout_in_words(rollout: RolloutConfig) -> str:
 
 
 def record_judgement(run: tracking.Run, summary: dict[str, Any], folder: Path, figures: Iterable[Path]) -> None:
-    """Record what the judge said in an open run: metrics, tags, figures and a description that shows them.
-
-    Args:
-        run: open.
-        summary: of the run.
-        folder: of the run's files.
-        figures: to be kept as artifacts.
-    """
+    """Record what the judge said in an open run: metrics, tags, figures and a description that shows them."""
     # At step 0, because the UI draws a value of a later step as a curve of one point, and else as a bar a run.
     run.log_metrics(flat_metrics(summary), 0, supersede=True)
     kept = list(figures)
@@ -275,14 +260,7 @@ def record_judgement(run: tracking.Run, summary: dict[str, Any], folder: Path, f
 
 
 def description(summary: dict[str, Any], folder: Path, figures: Sequence[str], run_id: str | None) -> str:
-    """A run's description in Markdown.
-
-    Args:
-        summary: of the run.
-        folder: of the run's files; its name is what each figure carries.
-        figures: names of the figures among the artifacts.
-        run_id: in the tracking store, for links; None: without pictures.
-    """
+    """A run's description in Markdown, with the named figures among the artifacts of a tracked run."""
     training, found, cut = summary["training"], headline(summary), cut_short(summary["training"])
     lines = [
         f"**{summary['model']['name']}**, {training['parameters']} parameters, {training['steps']} updates; "

@@ -15,32 +15,22 @@ from pathlib import Path
 from typing import Any
 
 from gran_bench import tracking
-from gran_bench.config import TrackingConfig, TrainConfig
+from gran_bench.config import TrackingConfig
 from gran_bench.config.choices import weighed_terms
 from gran_bench.config.identity import deciding_keys
 from gran_bench.config.registry import MODELS
 from gran_bench.config.rules import ConfigError
-from gran_bench.dataset import CaseSpec, DatasetError, ensure_cases
+from gran_bench.dataset import DatasetError, ensure_cases
 from gran_bench.files import locked
 from gran_bench.processes import stop_on_signals
 from gran_bench.provenance import command, commit
 from gran_bench.provenance.source_digest import judging_code, taken_hashes, training_code
-from gran_bench.run.identity import all_cases, hash_of, identify, wants_more
+from gran_bench.run.identity import hash_of, identify, judging_plan, splits, wants_more
 from gran_bench.run.record import Clock, RunRecord, tell
 from gran_bench.run.summary import SUMMARY, broken_rollouts, finished_summary, flat_metrics, judged_words
-from gran_bench.sweep.runs import (
-    FAILED,
-    FINISHED,
-    SWEEPS,
-    SweepFile,
-    SweepFileError,
-    SweepJob,
-    SweepRun,
-    read_runs,
-    sweep_folders,
-    write_runs,
-)
-from gran_bench.sweep.sweep_report import SweepReport, log_report, report_sweep
+from gran_bench.sweep import runs
+from gran_bench.sweep.runs import SweepFile, SweepJob, SweepRun, read_runs
+from gran_bench.sweep.sweep_report import log_report, report_sweep
 from gran_bench.sweep.task import Sweep
 
 KEPT_OF_TRAINING = ("steps", "planned_steps", "seconds", "stopped_by", "loss", "parameters")
@@ -64,16 +54,14 @@ def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
         name: of its folder, unless the config names one.
 
     Raises:
-        ConfigError: two jobs are the same run.
-        TrackingError: the store cannot be opened; or, at the end, something could not be recorded.
-        SweepFileError: a file of the folder is damaged.
+        ConfigError, TrackingError, runs.SweepFileError: two jobs are one run; the store fails; a file is damaged.
     """
     _refuse_twins(planned)
     config: TrackingConfig = planned[0].config.tracking
-    folder = Path(config.root).resolve() / SWEEPS / (config.sweep or name)
+    folder = Path(config.root).resolve() / runs.SWEEPS / (config.sweep or name)
     with stop_on_signals(), locked(folder / ".lock", lambda: tell(f"another process runs {folder}; waiting for it")):
         tell(f"sweep of {len(planned)} jobs in {folder}")
-        _make_data([job.config for job in planned])
+        _make_data(planned)
         jobs = tuple(map(_identified, planned))
         key = hash_of("sweep", folder.name)  # all commands of a folder share its table, so they share its parent
         SweepFile(folder.name, key, command(), config.experiment, list(jobs)).write(folder)
@@ -86,8 +74,16 @@ def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
                 yield Sweep(folder, jobs, parent.run_id, done, taken_hashes())
             finally:
                 found = _fill_table(folder, jobs)
-                log_report(parent, _report(folder, config))
-            parent.finish("FINISHED" if len(found) == len(jobs) else "FAILED")
+                report = report_sweep(folder)
+                for run in report.failed:  # whose own process may not have closed it
+                    try:
+                        tracking.end_child(config, run.key, run.reason)
+                    except tracking.TrackingError as error:  # the report matters more
+                        tell(f"{run.run} is not closed in the store: {error}")
+                print(report.text, flush=True)
+                tell(f"table and figures of the sweep are in {folder}{tracking.how_to_compare(config)}")
+                log_report(parent, report)
+            parent.finish("runs.FINISHED" if len(found) == len(jobs) else "runs.FAILED")
 
 
 def _refuse_twins(planned: Sequence[SweepJob]) -> None:
@@ -106,15 +102,13 @@ def _refuse_twins(planned: Sequence[SweepJob]) -> None:
             )
 
 
-def _make_data(configs: Sequence[TrainConfig]) -> None:
-    """Make every run of the DEM that the jobs need and that is not there, so that no two jobs wait for each other.
-
-    What cannot be made is told and left to the jobs that need it: they fail, the others go on.
-    """
-    wanted: dict[tuple[str, int], dict[Path, CaseSpec]] = defaultdict(dict)
-    for config in configs:
-        root = config.dataset.root
-        wanted[root, config.dataset.workers] |= {spec.path(root): spec for spec in all_cases(config)}
+def _make_data(jobs: Sequence[SweepJob]) -> None:
+    """Make every run of the DEM that the jobs need and that is not there, so that no two jobs wait for each other."""
+    wanted = defaultdict(dict)
+    for data, specs in (
+        (job.config.dataset, (*splits(job.config).all, *judging_plan(job.config).cases)) for job in jobs
+    ):
+        wanted[data.root, data.workers] |= {spec.path(data.root): spec for spec in specs}
     for (root, workers), specs in wanted.items():
         tell(f"data of all jobs: {len(specs)} cases in {root}")
         try:
@@ -131,7 +125,7 @@ def _identified(job: SweepJob) -> SweepJob:
         return job
     # The code of every model counts, so that runs of two commands, one for each model, stand in one table.
     code = {model: training_code(model, weighed_terms(job.config.loss)) for model in MODELS}
-    made_with = hash_of(code, judging_code(), budget_of(job.config), identity.judged_by, identity.data_digest)
+    made_with = hash_of(code, judging_code(), _budget(job), identity.judged_by, identity.data_digest)
     return replace(job, key=identity.key, judged_by=identity.judged_by, made_with=made_with, identity=identity)
 
 
@@ -140,24 +134,25 @@ def _fill_table(folder: Path, jobs: Sequence[SweepJob]) -> dict[int, Found]:
     rows = {run.log_name: run for run in read_runs(folder)}
     found = _finished(folder, jobs)
     for number, job in enumerate(jobs):
+        log = folder / job.log_name
         if number in found:
             rows[job.log_name] = found[number].row
-        elif (reason := _failure(log := folder / job.log_name)) is not None:
-            rows[job.log_name] = _row(job, log.stat().st_mtime, {}, status=FAILED, reason=reason)
+        elif log.exists() and (last := log.read_text("utf-8", "replace").rstrip().split("\n")[-1])[:7] == "error: ":
+            rows[job.log_name] = _row(job, log.stat().st_mtime, {}, status=runs.FAILED, reason=last[7:])
     if rows:
-        write_runs(folder, rows.values())
+        runs.write_runs(folder, rows.values())
     return found
 
 
 def _finished(folder: Path, jobs: Sequence[SweepJob]) -> dict[int, Found]:
     """What is finished, by number of the job: in this results folder, or by a row of any sweep in it."""
     recorded = defaultdict(list)
-    for source in sweep_folders(folder.parent.parent):
+    for source in runs.sweep_folders(folder.parent.parent):
         try:
             for run in read_runs(source):
-                if run.status == FINISHED:
+                if run.status == runs.FINISHED:
                     recorded[run.key, run.judged_by].append((source, run))
-        except SweepFileError as error:  # which hides no run of another sweep
+        except runs.SweepFileError as error:  # which hides no run of another sweep
             tell(f"not looked at: {error}")
     found = {}
     for number, job in enumerate(jobs):
@@ -182,12 +177,6 @@ def _finished(folder: Path, jobs: Sequence[SweepJob]) -> dict[int, Found]:
     return found
 
 
-def _failure(log: Path) -> str | None:
-    """The last line of a job's log, where that is why the job failed."""
-    last = log.read_text("utf-8", errors="replace").rstrip().rpartition("\n")[2] if log.exists() else ""
-    return last.removeprefix("error: ") if last.startswith("error: ") else None
-
-
 def finished_row(job: SweepJob, summary: Mapping[str, Any]) -> SweepRun:
     """What a sweep keeps of a finished job, whose summary is as in ``summary.json``."""
     training = summary["training"]
@@ -202,20 +191,19 @@ def finished_row(job: SweepJob, summary: Mapping[str, Any]) -> SweepRun:
     return _row(job, ended, facts, training=kept, figures=flat_metrics(summary))
 
 
+def _budget(job: SweepJob) -> str:
+    trainer = job.config.trainer
+    return f"{trainer.minutes:g} min" if trainer.budget == "time" else f"{trainer.steps} updates"
+
+
 def _row(job: SweepJob, ended: float, facts: Mapping[str, str], **found: Any) -> SweepRun:
     facts = {**facts, "log": job.log_name, "made_with": job.made_with}
-    facts |= {"model": job.config.model.name, "budget": budget_of(job.config)}
+    facts |= {"model": job.config.model.name, "budget": _budget(job)}
     facts = {name: text for name, text in facts.items() if text}
     ended_at = datetime.fromtimestamp(ended, UTC).isoformat(timespec="seconds")
     return SweepRun(
         job.run, dict(job.choices), job.seed, job.key, job.judged_by, ended_at=ended_at, facts=facts, **found
     )
-
-
-def budget_of(config: TrainConfig) -> str:
-    """What ends a training, in words."""
-    trainer = config.trainer
-    return f"{trainer.minutes:g} min" if trainer.budget == "time" else f"{trainer.steps} updates"
 
 
 def _axes(planned: Sequence[SweepJob]) -> dict[str, Any]:
@@ -228,22 +216,9 @@ def _axes(planned: Sequence[SweepJob]) -> dict[str, Any]:
 def _schedule(jobs: Sequence[SweepJob], found: Mapping[int, Found], parent: str | None) -> None:
     """A run in the store for each job; one that is finished is recorded where the store does not know it."""
     known = {number: job for number, job in enumerate(jobs) if job.identity is not None}
-    children = [tracking.Child(job.identity.name, job.key, number in found) for number, job in known.items()]
+    children = [tracking.Child(job.identity.folder.name, job.key, number in found) for number, job in known.items()]
     missing = tracking.schedule_children(jobs[0].config.tracking, parent, children)
     for number, job in known.items():
         if number in found and job.key in missing:
             job.config.tracking.parent = parent
             found[number].record(RunRecord(job.identity, job.config, job.config.scene.name, Clock()))
-
-
-def _report(folder: Path, config: TrackingConfig) -> SweepReport:
-    """Write and print the report, and close the runs whose own process could not."""
-    report = report_sweep(folder)
-    for run in report.failed:
-        try:
-            tracking.end_child(config, run.key, run.reason)
-        except tracking.TrackingError as error:  # the report matters more
-            tell(f"{run.run} is not closed in the store: {error}")
-    print(report.text, flush=True)
-    tell(f"table and figures of the sweep are in {folder}{tracking.how_to_compare(config)}")
-    return report

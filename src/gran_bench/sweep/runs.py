@@ -1,7 +1,6 @@
 """The files of a sweep: its jobs in ``sweep.json``, the runs that have ended in ``runs.csv``, one row each.
 
-They are enough to make page and figures anew and to know that a run need not be done again, on a machine that has
-nothing else of it.
+They are enough to make page and figures anew and to know that a run need not be done again.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ class Planned:
 
     @property
     def log_name(self) -> str:
-        """Of its log, below the sweep's folder."""
+        """Its log, below the sweep's folder; no other run of the sweep has it."""
         return f"{LOGS}/{self.run}-{self.key[:8]}.log"
 
 

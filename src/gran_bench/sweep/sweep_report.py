@@ -18,30 +18,10 @@ from gran_bench.config import TrackingConfig
 from gran_bench.files import write_part, write_text
 from gran_bench.plots import drawn_for, sweep_axis
 from gran_bench.provenance import stamp
-from gran_bench.sweep.runs import (
-    FAILED,
-    SWEEPS,
-    TABLE,
-    SweepFile,
-    SweepFileError,
-    SweepJob,
-    SweepRun,
-    read_sweep,
-    sweep_folders,
-)
-from gran_bench.sweep.table import (
-    COLUMNS,
-    SEED,
-    Standing,
-    axes_of,
-    best_choices,
-    grouped,
-    ranked_columns,
-    read_standing,
-    runs_frame,
-    shown_table,
-    whole_figures,
-)
+from gran_bench.sweep import runs as files
+from gran_bench.sweep import table
+from gran_bench.sweep.runs import FAILED, SweepFileError, SweepRun, read_sweep
+from gran_bench.sweep.table import axes_of, read_standing, runs_frame
 
 PAGE = "README.md"
 CHANCE = 0.05  # share of rows without any effect whose ratio chance alone brings above what a page calls chance
@@ -56,7 +36,6 @@ class SweepReport:
     metrics: dict[str, float]
     tags: dict[str, str]
     failed: list[SweepRun]
-    waiting: list[SweepJob]
 
 
 def report_sweep(folder: Path) -> SweepReport:
@@ -71,23 +50,23 @@ def report_sweep(folder: Path) -> SweepReport:
     # Last: what cannot be drawn must not cost the page.
     axes, frame = axes_of(runs), runs_frame(runs)
     with drawn_for(f"{name}-{sweep.key[:8]}") if sweep else nullcontext():
-        for axis, path in zip(axes or [SEED], figures, strict=False):
+        for axis, path in zip(axes or [table.SEED], figures, strict=False):
             others = [other for other in axes if other != axis]
             sweep_axis(frame.astype({axis: str}), axis, others, path, f"{name}: {_judged(runs)}")
-    best, failed = best_choices(runs), [run for run in runs if run.status == FAILED]
+    best, failed = table.best_choices(runs), [run for run in runs if run.status == FAILED]
     metrics = {f"best/{figure}": float(value) for figure, (_, value) in best.items()} | {
         "sweep/runs finished": float(len(runs) - len(failed)),
         "sweep/runs failed": float(len(failed)),
         "sweep/jobs waiting": float(len(stands.waiting)),
     }
     tags = {f"best.{figure}": choice for figure, (choice, _) in best.items()}
-    paths = [path for path in (folder / PAGE, folder / TABLE, *figures) if path.exists()]
-    return SweepReport(text, paths, metrics, tags, failed, stands.waiting)
+    paths = [path for path in (folder / PAGE, folder / files.TABLE, *figures) if path.exists()]
+    return SweepReport(text, paths, metrics, tags, failed)
 
 
 def figure_paths(folder: Path, runs: Sequence[SweepRun]) -> list[Path]:
     """Where the figures of a sweep lie: one a swept key; of the seed where nothing else is swept."""
-    axes = axes_of(runs) or [SEED]
+    axes = axes_of(runs) or [table.SEED]
     return [folder / f"{axis.replace('/', '_').lstrip('+')}.png" for axis in axes] if runs else []
 
 
@@ -128,7 +107,7 @@ def report_sweeps(folders: Sequence[Path]) -> bool:
     return every
 
 
-def body(stands: Standing, figures: Sequence[str]) -> str:
+def body(stands: table.Standing, figures: Sequence[str]) -> str:
     """What a page says of a sweep: how many runs there are, their table, what failed, figures, where it comes from."""
     runs, waiting = stands.counted, stands.waiting
     failed = [run for run in runs if run.status == FAILED]
@@ -143,7 +122,15 @@ def body(stands: Standing, figures: Sequence[str]) -> str:
         *(f"- not counted, of other code, data or budget: `{run.run}-{run.key[:8]}`" for run in stands.others),
     ]
     shown = "\n".join(f"![{Path(figure).stem}]({figure})" for figure in figures)
-    parts = [counts, shown_table(runs) if runs else "", "\n".join(notes), shown, _made(stands.sweep, runs)]
+    machines = Counter(run.facts["hardware"] for run in runs if "hardware" in run.facts)
+    counted = (f"{machine} ({count} runs)" if len(machines) > 1 else machine for machine, count in machines.items())
+    made = {
+        "command": stands.sweep.command if stands.sweep else "",
+        "day": max((run.ended_at for run in runs), default="")[:10],
+        "commit": ", ".join(sorted({run.facts["commit"] for run in runs if "commit" in run.facts})),
+        "hardware": "; ".join(counted),
+    }
+    parts = [counts, table.shown_table(runs) if runs else "", "\n".join(notes), shown, stamp(made)]
     return "\n\n".join(filter(None, parts))
 
 
@@ -155,19 +142,6 @@ def _judged(runs: Sequence[SweepRun]) -> str:
         for kind, speed in (one.split(", ") for one in judged)
     ]
     return f"judged at {' and '.join(words)}" if words else "nothing judged yet"
-
-
-def _made(sweep: SweepFile | None, runs: Sequence[SweepRun]) -> str:
-    """Command, commits, the last day and the machines of runs."""
-    machines = Counter(run.facts["hardware"] for run in runs if "hardware" in run.facts)
-    counted = (f"{machine} ({count} runs)" if len(machines) > 1 else machine for machine, count in machines.items())
-    said = {
-        "command": sweep.command if sweep else "",
-        "day": max((run.ended_at for run in runs), default="")[:10],
-        "commit": ", ".join(sorted({run.facts["commit"] for run in runs if "commit" in run.facts})),
-        "hardware": "; ".join(counted),
-    }
-    return stamp(said)
 
 
 @dataclass(frozen=True)
@@ -198,10 +172,12 @@ def reaches(runs: Sequence[SweepRun]) -> Iterator[Reach]:
     """For each swept key of a sweep, each choice of the others and each error: how far that key moves it."""
     axes, frame = axes_of(runs), runs_frame(runs)
     for axis in axes:
-        for values, group in grouped(frame, [other for other in axes if other != axis]):
+        for values, group in table.grouped(frame, [other for other in axes if other != axis]):
             beside = ", ".join(f"{other}={value}" for other, value in values.items())
-            for column in ranked_columns(COLUMNS, [axis]):
-                by_choice = {its[axis]: whole_figures(runs, column.name) for its, runs in grouped(group, [axis])}
+            for column in table.ranked_columns(table.COLUMNS, [axis]):
+                by_choice = {
+                    its[axis]: table.whole_figures(runs, column.name) for its, runs in table.grouped(group, [axis])
+                }
                 samples = {choice: found.to_numpy() for choice, found in by_choice.items() if found is not None}
                 if len(samples) < 2:
                     continue
@@ -242,7 +218,7 @@ def _studentised_range(means: int, freedom: int) -> float:
 
 def write_overview(root: Path) -> Path | None:
     """Renew the page over all sweeps of a results folder, with a part a sweep; None where there is none."""
-    folders, path = sweep_folders(root), root / SWEEPS / PAGE
+    folders, path = files.sweep_folders(root), root / files.SWEEPS / PAGE
     if not folders:
         return None
     stands = {folder: read_standing(folder) for folder in folders}

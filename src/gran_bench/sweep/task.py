@@ -1,9 +1,7 @@
 """What a command does once a job: config checked, work done, errors said, here or in a process of its own.
 
-With ``hydra/launcher=local`` the jobs of a multirun get processes of their own, a few at a time, none at another's
-mercy. A pool of workers would die as a whole where the system kills one of them. Here a job that is killed is a failed
-job, and the others go on. Processes are forked from one that has loaded PyTorch and the rest already, so a start is
-quick; it has done no work, so no thread and no lock of it is inherited.
+With ``hydra/launcher=local`` each job has a process, forked from one that has loaded PyTorch and done no work, so that
+a start is quick and no lock is inherited. In a pool one worker that is killed would end the others.
 """
 
 from __future__ import annotations
@@ -19,7 +17,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from multiprocessing import connection, forkserver
-from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any
 
@@ -113,11 +110,12 @@ class Task:
             return False
         return True
 
-    def nothing_to_do(self, number: int) -> str | None:
-        """Why a job of a sweep need not be started; None where it must."""
+    def nothing_to_do(self, number: int) -> bool:
+        """Whether a job of a sweep need not be started, and why, on stderr."""
         if self.sweep is None or number not in self.sweep.done:
-            return None
-        return f"{self.sweep.title(number)}: {self.sweep.done[number]}"
+            return False
+        _tell(f"{self.sweep.title(number)}: {self.sweep.done[number]}")
+        return True
 
     def died(self, number: int, why: str) -> None:
         """Say, in the job's log too, that its process ended without a word."""
@@ -128,8 +126,7 @@ class Task:
                 log.write(f"error: {message}\n")
 
     def _do(self, composed: DictConfig, overrides: Sequence[str], number: int) -> None:
-        if (reason := self.nothing_to_do(number)) is not None:
-            _tell(reason)
+        if self.nothing_to_do(number):
             return
         remember_command([*self.typed, *overrides])
         if self.sweep is None:
@@ -200,32 +197,32 @@ class ProcessLauncher(Launcher):
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Run jobs, numbered from the initial one, to their end, whoever fails: a `JobError` then, or a stop."""
         self.sweep_dir.mkdir(parents=True, exist_ok=True)
-        waiting = [(initial_job_idx + i, list(overrides)) for i, overrides in enumerate(job_overrides)]
-        results = [JobReturn(overrides=overrides, status=JobStatus.COMPLETED) for _, overrides in waiting]
+        jobs = list(enumerate(map(list, job_overrides), initial_job_idx))
+        waiting = [(number, overrides) for number, overrides in jobs if not self.task.nothing_to_do(number)]
         context, running, failed = multiprocessing.get_context("forkserver"), {}, 0
         try:
             while waiting or running:
                 while waiting and len(running) < self.n_jobs:
                     number, overrides = waiting.pop(0)
-                    if (reason := self.task.nothing_to_do(number)) is not None:
-                        print(reason, file=sys.stderr, flush=True)
-                        continue
                     running[number] = context.Process(target=_run, args=(self.task, overrides, number))
                     running[number].start()
-                if not running:  # none of the rest had anything to do, and no end of theirs would come
-                    break
                 connection.wait([process.sentinel for process in running.values()])
                 for number in [number for number, process in running.items() if not process.is_alive()]:
                     process = running.pop(number)
                     if process.exitcode not in (0, SAID):
                         self.task.died(number, _last_words(process.exitcode))
                     failed += process.exitcode != 0
-        except BaseException:
-            _stop(list(running.values()))
+        except BaseException:  # the jobs stop, too
+            for process in running.values():
+                process.terminate()
+            for process in running.values():
+                process.join(GRACE_SECONDS)
+                process.kill()
+                process.join()
             raise
         if failed:
-            raise JobError(f"{failed} of {len(results)} jobs failed")
-        return results
+            raise JobError(f"{failed} of {len(jobs)} jobs failed")
+        return [JobReturn(overrides=overrides, status=JobStatus.COMPLETED) for _, overrides in jobs]
 
 
 def register_launcher() -> None:
@@ -259,23 +256,14 @@ def _stop_with(parent: Any, server: int) -> None:
     os.kill(os.getpid(), signal.SIGTERM)
 
 
-def _stop(processes: Sequence[ForkServerProcess]) -> None:
-    """Ask jobs to stop, and wait for them."""
-    for process in processes:
-        process.terminate()
-    for process in processes:
-        process.join(GRACE_SECONDS)
-        if process.is_alive():
-            process.kill()
-            process.join()
-
-
 def _last_words(code: int) -> str:
     """Why a process ended without a word of its own."""
+    memory = "(often a lack of memory; try hydra.launcher.n_jobs=1)"
     if code == LOST:
-        return "the process that jobs are forked from was ended (often a lack of memory; try hydra.launcher.n_jobs=1)"
+        return f"the process that jobs are forked from was ended {memory}"
     if code < 0:
-        return f"its process was ended by signal {-code} (9: often a lack of memory; try hydra.launcher.n_jobs=1)"
-    if code - 128 in signal.valid_signals():
-        return f"it was stopped by {signal.Signals(code - 128).name}"
-    return f"its process ended with status {code}"
+        return f"its process was ended by signal {-code}{f' {memory}' if code == -9 else ''}"
+    stopped = code - 128 in signal.valid_signals()
+    return (
+        f"it was stopped by {signal.Signals(code - 128).name}" if stopped else f"its process ended with status {code}"
+    )
