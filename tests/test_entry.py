@@ -17,7 +17,6 @@ from gran_bench.config.rules import ConfigError
 from gran_bench.entry import run
 from gran_bench.scene import SceneError
 from gran_bench.state import StateError
-from gran_bench.sweep.opening import open_sweep
 from gran_bench.sweep.task import FAILED, REFUSED, complain
 
 CONF = Path(gran_bench.conf.__path__[0])
@@ -287,7 +286,7 @@ def test_runs_of_the_shipped_sweeps_keep_their_names(name):
 @pytest.mark.parametrize(
     ("swept", "told"),
     [
-        ("trainer.minutes=1,4", "trainer.minutes=1 and trainer.minutes=4: two jobs of the sweep"),
+        ("trainer.minutes=1,4", "trainer.minutes=1 and trainer.minutes=4: two jobs"),
         ("judge.speeds_rpm=[30],[30,40]", "gran_bench.evaluate judges a model again"),
         ("seed=3,3", "give each value once"),
     ],
@@ -299,7 +298,12 @@ def test_two_jobs_that_would_train_the_same_weights_are_refused_before_any_work(
     monkeypatch.setitem(os.environ, "HYDRA_FULL_ERROR", "1")
     monkeypatch.setattr(sys, "argv", ["probe", "-m", "+experiment=smoke", swept])
     with pytest.raises(SystemExit) as ending:
-        run(lambda config: pytest.fail("the task ran"), "train", TrainConfig, sweep=open_sweep)
+        run(
+            lambda config: pytest.fail("the task ran"),
+            "train",
+            TrainConfig,
+            sweep="gran_bench.sweep.opening:open_sweep",
+        )
     assert ending.value.code == REFUSED
     assert told in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

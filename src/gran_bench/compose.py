@@ -72,7 +72,6 @@ class Source:
             yield
 
     def composed(self, overrides: Sequence[str], hydra_too: bool = False) -> DictConfig:
-        """What Hydra composes for one job, within ``opened()``."""
         search = [f"hydra.searchpath=[file://{Path(self.config_dir).resolve()}]"] if self.config_dir else []
         try:
             return hydra.compose(self.config_name, [*overrides, *search], return_hydra_config=hydra_too)

@@ -7,41 +7,25 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from pkgutil import resolve_name
 from typing import Any, NoReturn
 
 import hydra
 from hydra._internal.utils import get_args_parser
 
-from gran_bench.compose import (
-    CONFIG_MODULE,
-    VERSION_BASE,
-    Described,
-    Source,
-    changed_in,
-    checked_config,
-    described_jobs,
-    run_folder,
-    swept_keys,
-)
+from gran_bench import compose
 from gran_bench.config.override_errors import explain
 from gran_bench.config.registry import load_plugins
 from gran_bench.config.rules import ConfigError
 from gran_bench.processes import quiet_without_reader
 from gran_bench.provenance import program
 from gran_bench.sweep.runs import SweepJob
-from gran_bench.sweep.task import FAILED, REFUSED, JobError, Sweep, Task, complain, load_ahead, register_launcher
-
-# Called with the jobs of a multirun and the name of its folder; what the block gets goes to each job.
-OpenSweep = Callable[[Sequence[SweepJob], str], AbstractContextManager[Sweep]]
+from gran_bench.sweep.task import FAILED, REFUSED, JobError, Task, complain, load_ahead, register_launcher
 
 
 @quiet_without_reader()
 def run(
-    task: Callable[[Any], object],
-    config_name: str,
-    schema: type,
-    sweep: OpenSweep | None = None,
-    loads: Sequence[str] = (),
+    task: Callable[[Any], object], config_name: str, schema: type, sweep: str | None = None, loads: Sequence[str] = ()
 ) -> NoReturn:
     """Run ``task`` on the config that the command line describes: once, or with ``--multirun`` once a job.
 
@@ -50,10 +34,10 @@ def run(
     is one line on stderr.
 
     Args:
-        task: called with the checked config; what it returns is dropped, but for a sweep's.
-        config_name: of the primary config in ``conf/``.
-        schema: the dataclass of ``gran_bench.config`` that the config must fit.
-        sweep: what a multirun does around its jobs; None for nothing.
+        task: called with the checked config.
+        config_name: of the primary config in ``conf/``, which must fit ``schema``.
+        sweep: ``package.module:name`` of what gets the jobs of a multirun and the name of its folder, and gives the
+            block that is around them.
         loads: modules that a job needs, loaded ahead where jobs get processes of their own.
     """
     # Makes Hydra raise its errors instead of printing them, also in the processes that a launcher starts.
@@ -61,14 +45,14 @@ def run(
     register_launcher()
     arguments = get_args_parser().parse_args()
     multirun = arguments.multirun or "hydra.mode=MULTIRUN" in arguments.overrides
-    source = Source(arguments.config_name or config_name, arguments.config_dir, arguments.config_path)
+    source = compose.Source(arguments.config_name or config_name, arguments.config_dir, arguments.config_path)
     shows = (arguments.help, arguments.hydra_help, arguments.cfg, arguments.info is not None)
-    described, configs = Described(), []
+    described, configs = compose.Described(), []
     try:
         if not any((*shows, arguments.shell_completion, arguments.experimental_rerun)):
             load_plugins()  # before Hydra: what it cannot compose is explained by what is registered
-            described = described_jobs(source, arguments.overrides, multirun)
-            configs = [checked_config(composed, schema) for _, composed in described.jobs]
+            described = compose.described_jobs(source, arguments.overrides, multirun)
+            configs = [compose.checked_config(composed, schema) for _, composed in described.jobs]
             if not multirun and (name := getattr(getattr(configs[0], "tracking", None), "sweep", None)) is not None:
                 raise ConfigError(f"tracking.sweep={name} names the folder of a sweep; add -m (--multirun)")
     except Exception as error:
@@ -84,17 +68,19 @@ def run(
                 load_ahead(loads)
             if sweep is not None and described.complete:
                 lines = [overrides for overrides, _ in described.jobs]
-                swept = swept_keys(lines)
+                swept = compose.swept_keys(lines)
                 planned = []
                 for overrides, config in zip(lines, configs, strict=True):
-                    choices = dict(line.partition("=")[::2] for line in changed_in(overrides, swept))
-                    name = config.tracking.folder or run_folder(config.experiment, overrides, swept)
+                    choices = dict(line.partition("=")[::2] for line in compose.changed_in(overrides, swept))
+                    name = config.tracking.folder or compose.run_folder(config.experiment, overrides, swept)
                     config.tracking.folder = name
                     planned.append(SweepJob(name, choices, config.seed, config=config))
-                around = sweep(planned, run_folder(configs[0].experiment, arguments.overrides, swept))
+                around = resolve_name(sweep)(
+                    planned, compose.run_folder(configs[0].experiment, arguments.overrides, swept)
+                )
         with around as each.sweep:
             try:
-                hydra.main(f"pkg://{CONFIG_MODULE}", config_name, version_base=VERSION_BASE)(each)()
+                hydra.main(f"pkg://{compose.CONFIG_MODULE}", config_name, version_base=compose.VERSION_BASE)(each)()
             except JobError as error:
                 each.failures.append(error)
             except Exception as error:

@@ -82,7 +82,6 @@ def locked(path: Path | str, waiting: Callable[[], None] = lambda: None) -> Iter
 
 
 def _sync(path: Path) -> None:
-    """Force a file, or a folder's list of names, onto the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

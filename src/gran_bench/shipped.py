@@ -21,11 +21,7 @@ DEFAULT_MODEL = "holdout30rpm"
 
 
 def shipped_scene(name: str, changes: Mapping[str, object] | None = None) -> Scene:
-    """The scene of ``conf/scene/<name>.yaml``.
-
-    Args:
-        name: ``drum``, ``drum_mu05``, ``drum_slice``, ``drum_small``.
-        changes: dotted keys below ``scene``, such as ``{"material.friction": 0.5}``.
+    """The scene of ``conf/scene/<name>.yaml``, with changes of keys below ``scene``: ``{"material.friction": 0.5}``.
 
     Raises:
         ConfigError: no such scene (names those there are), or a change that the schema does not allow.
@@ -51,10 +47,7 @@ def shipped_scene(name: str, changes: Mapping[str, object] | None = None) -> Sce
 
 
 def shipped_model(name: str = DEFAULT_MODEL) -> Path:
-    """The file of a trained model that ships with the package, to be read with `surrogate.checkpoint.load_model`.
-
-    Args:
-        name: of the recipe that trained it, such as ``holdout30rpm``.
+    """The file, for `load_model`, of a model that ships with the package, by the name of the recipe that trained it.
 
     Raises:
         ConfigError: no such model; names those there are.

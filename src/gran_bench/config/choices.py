@@ -60,10 +60,6 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
     check_radius(config.model, scene.filling.diameter, period)
     if (check := getattr(config.model, "check", None)) is not None:
         check(scene)
-    yield from (*_of_boundary(config), *_of_loss(config), *_of_rollout(config))
-
-
-def _of_boundary(config: TrainConfig) -> Iterator[str]:
     model, boundary, kind = config.model.name, config.boundary, config.boundary.kind
     if MODELS[model].own_walls and kind != "own":
         remedy = "leave boundary as it is (boundary=contact), or choose model=radial or model=ccnn"
@@ -78,9 +74,6 @@ def _of_boundary(config: TrainConfig) -> Iterator[str]:
             remedy = f"leave it at {shown(usual)}, or choose {users}"
             remedy += " with model=radial or model=ccnn" if kind == "own" else ""
             yield f"boundary.{name}={shown(value)} changes nothing for boundary.kind={kind}; {remedy}"
-
-
-def _of_loss(config: TrainConfig) -> Iterator[str]:
     loss, model, terms, gravity = config.loss, config.model.name, loss_terms(), config.scene.gravity
     if not weighed_terms(loss):
         yield f"loss.{terms[0]}=0 and every other term is 0 too; give one of {', '.join(terms)} a weight"
@@ -94,9 +87,6 @@ def _of_loss(config: TrainConfig) -> Iterator[str]:
         if getattr(loss, term) > 0 and not any(gravity):
             given = f"loss.{term}={getattr(loss, term):g} is measured in units of gravity"
             yield f"{given}, and scene.gravity={gravity} has none; choose loss.{term}=0"
-
-
-def _of_rollout(config: TrainConfig) -> Iterator[str]:
     rollout, scene, first, last = config.rollout, config.scene, config.rollout.frames, config.rollout.final_frames
     available = round((scene.end_time - scene.start_time) / scene.frame_interval)
     for name, frames in (("frames", first), ("final_frames", last or 0)):

@@ -27,9 +27,8 @@ def check_consistency(config: object) -> None:
     if isinstance(config, schema.BenchmarkConfig):
         _check_benchmark(config)
     if isinstance(config, schema.TrainConfig):
-        _check_trainable(config.scene)
-        check_model(config.model)
         _check_training(config)
+        check_model(config.model)
         check_choices(config)
     if isinstance(config, schema.TrainConfig | schema.EvaluateConfig):
         _check_judge(config)
@@ -146,7 +145,8 @@ def _check_dataset(dataset: schema.DatasetConfig) -> Iterator[str]:
 
 
 @raising
-def _check_trainable(scene: schema.SceneConfig) -> Iterator[str]:
+def _check_training(config: schema.TrainConfig) -> Iterator[str]:
+    scene, first, last = config.scene, config.optim.learning_rate, config.optim.final_learning_rate
     kind, speeds, filling = scene.container.kind, scene.rotation.speeds_rpm, scene.filling
     if filling.count < 1:
         yield f"scene.filling.count={filling.count} leaves nothing to learn from; choose a value ≥ 1"
@@ -166,11 +166,6 @@ def _check_trainable(scene: schema.SceneConfig) -> Iterator[str]:
     }.items():
         if differs:
             yield f"scene.filling.{name} no surrogate can learn; train on a drum of equal spheres that have settled"
-
-
-@raising
-def _check_training(config: schema.TrainConfig) -> Iterator[str]:
-    scene, first, last = config.scene, config.optim.learning_rate, config.optim.final_learning_rate
     available, needed = round((scene.end_time - scene.start_time) / scene.frame_interval), LONGEST_HORIZON
     if available < needed:
         given = f"scene.end_time={scene.end_time:g} makes cases of {available} frames"

@@ -54,11 +54,17 @@ def is_full_disk(error: Exception) -> bool:
 
 
 def _composition(error: HydraException, schema: type) -> str:
-    """Hydra could not put the config together."""
     message = str(error)
     if found := re.search(r"(?:In '([^']+)': )?Could not override '([^']+)'\. No match in the defaults list", message):
-        added = re.search(r"use \+(\S+)", message)
-        return _unknown_group(found[2], added[1] if added else found[2], found[1], schema)
+        within, group = found[1], found[2]  # the file that asks for it, if it was not typed
+        typed, keys = (re.search(r"use \+(\S+)", message) or {1: group})[1], hints_of(schema)
+        if group == RECIPES and RECIPES in keys:
+            return f"{typed}: a recipe is added; write +{typed}"
+        groups = [name for name in section_names(schema) if resources.files(CONF).joinpath(name).is_dir()]
+        has = f"its groups are {', '.join(groups)}" if groups else f"its keys are {', '.join(keys)}"
+        if within is not None:
+            return f"{within} changes {group}, which this command does not have; {has}"
+        return f"{typed}: this command has no group {group}; {has}"
     if found := re.search(r"Could not override '([^']+)'\.?\s+To append to your config use \+(\S+)=(.*)", message):
         key, value = found[1], found[3].strip()
         if key.startswith("hydra."):
@@ -73,18 +79,6 @@ def _composition(error: HydraException, schema: type) -> str:
     if found := re.search(r"Ambiguous value for argument '([^']+)'", message):
         return f"{found[1]}: several values; add -m to run each, or write KEY=[A,B] for a list"
     return _first_line(error)
-
-
-def _unknown_group(group: str, typed: str, within: str | None, schema: type) -> str:
-    """A group that this command does not choose from, typed or asked for by the file ``within``."""
-    keys = hints_of(schema)
-    if group == RECIPES and RECIPES in keys:
-        return f"{typed}: a recipe is added; write +{typed}"
-    groups = [name for name in section_names(schema) if resources.files(CONF).joinpath(name).is_dir()]
-    has = f"its groups are {', '.join(groups)}" if groups else f"its keys are {', '.join(keys)}"
-    if within is not None:
-        return f"{within} changes {group}, which this command does not have; {has}"
-    return f"{typed}: this command has no group {group}; {has}"
 
 
 def _first_line(error: Exception) -> str:

@@ -23,11 +23,7 @@ CHOSEN = {registry.place: registry for registry in (MODELS, WALLS)}
 
 
 def read_config(schema: type[Config], values: Mapping[str, Any]) -> Config:
-    """The config that ``values`` describe, read strictly and held against every rule.
-
-    Args:
-        schema: a dataclass of ``gran_bench.config``.
-        values: nested plain values, as ``OmegaConf.to_container(config, resolve=True)`` gives them.
+    """The config that nested plain values describe, read strictly and held against every rule.
 
     Raises:
         ConfigError: an unknown key (with the nearest right one), a wrong type, a missing or an illegal value.

@@ -33,11 +33,9 @@ def load_plugins() -> None:
             point.load()
         except Exception as error:
             _state["loaded"] = False
-            package = f" of the package {point.dist.name}" if point.dist else ""
-            raise ConfigError(
-                f"the plugin {point.name}{package} ({point.value}) cannot be loaded: {type(error).__name__}: "
-                f"{' '.join(str(error).split())}; mend it or uninstall it"
-            ) from error
+            plugin = f"{point.name}{f' of the package {point.dist.name}' if point.dist else ''} ({point.value})"
+            why = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            raise ConfigError(f"the plugin {plugin} cannot be loaded: {why}; mend it or uninstall it") from error
 
 
 class Registry(Mapping[str, Entry], Generic[Entry]):
@@ -56,18 +54,15 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         if not name.isidentifier():
             raise ConfigError(f"{self.what} {name!r}: choose a name of letters, digits and _, no digit first")
         if self._owners.get(name, owner) != owner:
-            raise ConfigError(
-                f"{self.what} {name}, registered by {owner}: {self._owners[name]} has one of that name; choose another"
-            )
+            has = f"{self._owners[name]} has one of that name"
+            raise ConfigError(f"{self.what} {name}, registered by {owner}: {has}; choose another")
         self._entries[name], self._owners[name] = entry, owner
 
     def section(self, config: Config, names: tuple[str, ...], entry: Entry) -> Config:
         """Register an entry under some names with the dataclass of its keys, which gets the key that chooses it."""
         if not (is_dataclass(config) and issubclass(config, Section)):
-            raise ConfigError(
-                f"{config.__name__}, registered as {' and '.join(names)}, is no dataclass of gran_bench.Section; write "
-                "@dataclass below the decorator and derive it from Section"
-            )
+            given = f"{config.__name__}, registered as {' and '.join(names)}, is no dataclass of gran_bench.Section"
+            raise ConfigError(f"{given}; write @dataclass below the decorator and derive it from Section")
         stand_at(config, self.place)
         if self.chooser not in config.__dataclass_fields__:
             add_key(config, self.chooser, "str", key(names[0], one_of(*names)))
@@ -76,7 +71,6 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return config
 
     def owner(self, name: str) -> str:
-        """The package that registered a name."""
         load_plugins()
         return self._owners[name]
 

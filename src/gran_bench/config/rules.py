@@ -201,7 +201,6 @@ def _is_list(hint: Any) -> bool:
 
 
 def _checked_list(kind: Any, rule: Rule | None, value: Any, dotted: str) -> Any:
-    """A list or a tuple; a tuple of a given length is a vector (x, y, z)."""
     elements = get_args(kind)
     if not isinstance(value, list | tuple):
         raise ConfigError(f"{dotted}={shown(value)} is no list; write {dotted}=[{shown(value)}]")

@@ -80,7 +80,6 @@ def _hash(name: str, rooms: tuple[str, ...], packages: Iterable[str]) -> str:
 
 
 def _package_digest(package: str) -> str:
-    """Of the bare code of a plugin: its one module, or all modules of its package."""
     module = importlib.import_module(package)
     folders, file = getattr(module, "__path__", ()), getattr(module, "__file__", None)
     files = [path for folder in map(Path, folders) for path in sorted(folder.rglob("*.py"))] or [Path(file or "")]

@@ -149,12 +149,7 @@ def train_stage(
 
 
 def judge_stage(
-    record: RunRecord,
-    model: Surrogate,
-    plan: Plan,
-    model_keys: dict[str, Any],
-    training: dict[str, Any],
-    run: tracking.Run,
+    record: RunRecord, model: Surrogate, plan: Plan, card: dict[str, Any], training: dict[str, Any], run: tracking.Run
 ) -> dict[str, Any]:
     """Roll out, judge, draw and record; returns the summary."""
     config, folder = record.config, record.identity.folder
@@ -163,13 +158,13 @@ def judge_stage(
     with record.clock.stage("figures"), drawn_for(folder.name):
         tell("figures")
         place = folder / FIGURES
-        figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, model_keys["name"])
+        figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, card["name"])
         if (folder / LOSSES).exists():
             figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
     summary = {
         "experiment": training["experiment"],
         "provenance": provenance(),
-        "model": model_keys,
+        "model": card,
         "training": training,
         "frame_ms": 1e3 * plan.scene.frame_interval,
         "wall_seconds": record.clock.seconds,
@@ -180,7 +175,6 @@ def judge_stage(
 
 
 def _refuse_unfair(config: EvaluateConfig, origin: dict[str, Any]) -> None:
-    """Refuse to call a speed or a packing unseen that the model was trained on."""
     dataset = config.dataset
     speeds = dataset.validation_speeds_rpm or dataset.holdout_speeds_rpm
     # The other sense of rotation is the mirror image.

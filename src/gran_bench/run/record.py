@@ -38,14 +38,10 @@ class RunRecord:
     def carry_out(
         self, work: Callable[[tracking.Run], dict[str, Any]], outgrown: Callable[[dict[str, Any]], bool]
     ) -> dict[str, Any]:
-        """Do the work in the run's own folder and tracked run, unless it is finished; print the summary.
+        """Do the work, which gives a summary, in the run's folder and tracked run; print the summary.
 
-        Args:
-            work: gets the open run; returns the summary.
-            outgrown: gets the summary of a finished run; whether the command now asks for more than that.
-
-        Raises:
-            TrackingError: the tracking store failed; the summary was written and printed nevertheless.
+        A finished run is not done again, unless the command has outgrown it. Where the tracking store fails, the
+        summary is written and printed nevertheless, before the `TrackingError`.
         """
         folder, summary, failure = self.identity.folder, None, None
         folder.mkdir(parents=True, exist_ok=True)
@@ -116,7 +112,6 @@ class Clock:
         self._path: Path | None = None
 
     def keep_in(self, path: Path) -> None:
-        """Go on from the times in a file, and keep them there from now on."""
         earlier = json.loads(path.read_text("utf-8")) if path.exists() else {}
         self._path = path
         for name in {**earlier, **self.seconds}:

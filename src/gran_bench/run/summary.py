@@ -207,7 +207,6 @@ def _row(name: str, found: str, last: str) -> str:
 
 
 def _figure(row: Mapping[str, Any], key: str = "value") -> str:
-    """A figure of a row with the row's unit; millimetres for metres."""
     if row[key] is None:
         return "undefined"
     factor, unit = (1e3, "mm") if row["unit"] == "m" else (1.0, row["unit"])

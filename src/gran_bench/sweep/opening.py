@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from gran_bench import tracking
 from gran_bench.config import TrackingConfig
@@ -36,25 +36,20 @@ from gran_bench.sweep.task import Sweep
 KEPT_OF_TRAINING = ("steps", "planned_steps", "seconds", "stopped_by", "loss", "parameters")
 
 
-@dataclass(frozen=True)
-class Found:
-    """A finished run of a job."""
+class Found(NamedTuple):
+    """A finished run of a job: where it is, its row, and what puts it into a store that does not know it."""
 
-    where: str  # for people
-    row: SweepRun  # of the sweep's table
-    record: Callable[[RunRecord], None]  # puts it into a store that does not know it
+    where: str
+    row: SweepRun
+    record: Callable[[RunRecord], None]
 
 
 @contextmanager
 def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
-    """Prepare a sweep, let its jobs run in the block, and report.
-
-    Args:
-        planned: its jobs with their checked configs, in the order of their numbers.
-        name: of its folder, unless the config names one.
+    """Prepare a sweep, let its jobs run in the block, and report; the name is of its folder, unless the config has one.
 
     Raises:
-        ConfigError, TrackingError, runs.SweepFileError: two jobs are one run; the store fails; a file is damaged.
+        ConfigError, TrackingError, SweepFileError: two jobs are one run; the store fails; a file is damaged.
     """
     _refuse_twins(planned)
     config: TrackingConfig = planned[0].config.tracking
@@ -95,11 +90,11 @@ def _refuse_twins(planned: Sequence[SweepJob]) -> None:
         if twin is not job:
             keys = [key for key in sorted(job.choices) if job.choices[key] != twin.choices.get(key)]
             one, other = (" ".join(f"{key}={it.choices.get(key)}" for key in keys) or it.run for it in (twin, job))
-            raise ConfigError(
-                f"{one} and {other}: two jobs of the sweep ({job.run}) would train the same weights; give each value "
-                "once, and sweep a key where it decides the weights, by a command with tracking.sweep=NAME (python -m "
-                "gran_bench.evaluate judges a model again)"
+            remedy = (
+                "give each value once, and sweep a key where it decides them, by a command with tracking.sweep=NAME"
             )
+            remedy += " (python -m gran_bench.evaluate judges a model again)"
+            raise ConfigError(f"{one} and {other}: two jobs ({job.run}) would train the same weights; {remedy}")
 
 
 def _make_data(jobs: Sequence[SweepJob]) -> None:
@@ -207,7 +202,6 @@ def _row(job: SweepJob, ended: float, facts: Mapping[str, str], **found: Any) ->
 
 
 def _axes(planned: Sequence[SweepJob]) -> dict[str, Any]:
-    """Parameters of the parent run: the values of each swept key."""
     keys = sorted({key for job in planned for key in job.choices})
     values = {key: list(dict.fromkeys(job.choices.get(key, "default") for job in planned)) for key in keys}
     return {"sweep": {key.lstrip("+"): ",".join(v) for key, v in values.items() if len(v) > 1}, "jobs": len(planned)}

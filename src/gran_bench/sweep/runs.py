@@ -46,8 +46,7 @@ class Planned:
         return tuple(sorted(self.choices.items())), self.seed
 
     @property
-    def whole(self) -> tuple[object, ...]:
-        """The choice with what determines training and judgement."""
+    def whole(self) -> tuple[object, ...]:  # with what determines training and judgement
         return self.choice, self.key, self.judged_by
 
     @property

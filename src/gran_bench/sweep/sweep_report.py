@@ -135,7 +135,6 @@ def body(stands: table.Standing, figures: Sequence[str]) -> str:
 
 
 def _judged(runs: Sequence[SweepRun]) -> str:
-    """On what the runs were judged, in words: whoever chooses by a validation speed must say so."""
     judged = sorted({run.facts["judged"] for run in runs if "judged" in run.facts})
     words = [
         f"{speed}, {'the validation speed, by which one may choose' if kind == 'validation' else 'held out'}"
@@ -159,12 +158,10 @@ class Reach:
 
     @property
     def factor(self) -> float:
-        """Worst over best."""
         return self.worst[1] / self.best[1] if self.best[1] > 0 else math.nan
 
     @property
     def counts(self) -> bool:
-        """Whether the difference is more than chance gives."""
         return self.factor > self.chance
 
 

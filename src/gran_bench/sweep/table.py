@@ -34,7 +34,6 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """Label and unit."""
         return f"{self.label}, {self.unit}" if self.unit else self.label
 
 
@@ -160,7 +159,6 @@ def best_choices(runs: Sequence[SweepRun]) -> dict[str, tuple[str, float]]:
 
 
 def _shown(figures: pd.Series, digits: int) -> str:
-    """Mean and spread of a choice's figures."""
     if undefined := int(figures.isna().sum()):
         return f"undefined in {undefined}"
     if figures.empty:

@@ -239,7 +239,6 @@ def load_ahead(modules: Sequence[str]) -> None:
 
 
 def _run(task: Task, overrides: list[str], number: int) -> None:
-    """The whole life of a job's process."""
     threading.Thread(target=_stop_with, args=(multiprocessing.parent_process(), os.getppid()), daemon=True).start()
     try:
         code = 0 if task.apart(overrides, number) else SAID
@@ -257,7 +256,6 @@ def _stop_with(parent: Any, server: int) -> None:
 
 
 def _last_words(code: int) -> str:
-    """Why a process ended without a word of its own."""
     memory = "(often a lack of memory; try hydra.launcher.n_jobs=1)"
     if code == LOST:
         return f"the process that jobs are forked from was ended {memory}"
