@@ -27,7 +27,7 @@ from gran_bench.scene import build_scene
 
 CONFIG_MODULE = "gran_bench.conf"
 VERSION_BASE = "1.3"
-# The house's launcher (`launcher.ProcessLauncher`) by the name under which Hydra makes it: Hydra takes only launchers
+# The house's launcher (`sweep.task.ProcessLauncher`) by the name under which Hydra makes it: Hydra takes only launchers
 # whose names begin with this word.
 LAUNCHER = "hydra_plugins.gran_bench.ProcessLauncher"
 

@@ -132,6 +132,11 @@ def quiet_without_reader() -> Iterator[None]:
         sys.exit(128 + signal.SIGPIPE)
 
 
+def tell(line: str) -> None:
+    """One line on stderr, so that stdout holds tables alone."""
+    print(line, file=sys.stderr, flush=True)
+
+
 def main(parent: int, words: list[str]) -> int:
     """Run a module here, or a command, to its end or until the parent is gone; the exit code as a shell gives it."""
 

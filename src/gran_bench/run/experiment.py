@@ -22,11 +22,11 @@ from gran_bench.evaluation import evaluate
 from gran_bench.evaluation.plan import Plan
 from gran_bench.files import write_text
 from gran_bench.plots import draw_evaluation, drawn_for, loss_curves
-from gran_bench.processes import StopRequest, stop_on_signals
+from gran_bench.processes import StopRequest, stop_on_signals, tell
 from gran_bench.provenance import provenance
 from gran_bench.provenance.source_digest import model_code
 from gran_bench.run.identity import RunIdentity, hash_of, identify, judged_by, judging_plan, splits, wants_more
-from gran_bench.run.record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, tell, training_metrics
+from gran_bench.run.record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, training_metrics
 from gran_bench.run.summary import FIGURES, cut_short, record_judgement
 from gran_bench.scene import build_scene
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model

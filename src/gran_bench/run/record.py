@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ import pandas as pd
 from gran_bench import tracking
 from gran_bench.config import EvaluateConfig, TrainConfig
 from gran_bench.files import locked, write_atomically, write_text
+from gran_bench.processes import tell
 from gran_bench.provenance import command, provenance
 from gran_bench.run.identity import RunIdentity
 from gran_bench.run.summary import FIGURES, finished_summary, params_of, record_judgement, summary_table, write_summary
@@ -146,8 +146,3 @@ class LossLog:
 
     def drop_after(self, step: int) -> None:
         self.rows = [row for row in self.rows if row["step"] <= step]
-
-
-def tell(line: str) -> None:
-    """One line of progress, on stderr, so that stdout holds the table alone."""
-    print(line, file=sys.stderr, flush=True)

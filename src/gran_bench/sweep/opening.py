@@ -22,11 +22,11 @@ from gran_bench.config.registry import MODELS
 from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import DatasetError, ensure_cases
 from gran_bench.files import locked
-from gran_bench.processes import stop_on_signals
+from gran_bench.processes import stop_on_signals, tell
 from gran_bench.provenance import command, commit
 from gran_bench.provenance.source_digest import judging_code, taken_hashes, training_code
 from gran_bench.run.identity import hash_of, identify, judging_plan, splits, wants_more
-from gran_bench.run.record import Clock, RunRecord, tell
+from gran_bench.run.record import Clock, RunRecord
 from gran_bench.run.summary import SUMMARY, broken_rollouts, finished_summary, flat_metrics, judged_words
 from gran_bench.sweep import runs
 from gran_bench.sweep.runs import SweepFile, SweepJob, SweepRun, read_runs

@@ -31,7 +31,7 @@ from gran_bench.compose import LAUNCHER, Source, checked_config, run_folder
 from gran_bench.config import TrainConfig
 from gran_bench.config.override_errors import explain, is_full_disk
 from gran_bench.config.rules import ConfigError
-from gran_bench.processes import WATCH_SECONDS
+from gran_bench.processes import WATCH_SECONDS, tell
 from gran_bench.provenance import command, remember_command
 from gran_bench.provenance.source_digest import go_by
 from gran_bench.scene import SceneError
@@ -114,13 +114,13 @@ class Task:
         """Whether a job of a sweep need not be started, and why, on stderr."""
         if self.sweep is None or number not in self.sweep.done:
             return False
-        _tell(f"{self.sweep.title(number)}: {self.sweep.done[number]}")
+        tell(f"{self.sweep.title(number)}: {self.sweep.done[number]}")
         return True
 
     def died(self, number: int, why: str) -> None:
         """Say, in the job's log too, that its process ended without a word."""
         message = f"{why}; the same command goes on from its last checkpoint"
-        _tell(f"error: {self._title(number)}{message}")
+        tell(f"error: {self._title(number)}{message}")
         if self.sweep is not None:
             with suppress(OSError), open(self.sweep.log(number), "a", encoding="utf-8") as log:
                 log.write(f"error: {message}\n")
@@ -136,7 +136,7 @@ class Task:
         from gran_bench.run.summary import headline
 
         go_by(self.sweep.hashes)
-        _tell(f"{self.sweep.title(number)} starts; log: {self.sweep.log(number)}")
+        tell(f"{self.sweep.title(number)} starts; log: {self.sweep.log(number)}")
         with self.sweep.logged(number):
             try:
                 summary = self.function(self._config(composed, overrides, number))
@@ -146,7 +146,7 @@ class Task:
                 complain(error, self.schema)  # last in the log; the terminal hears it from whoever called
                 raise
         found = ", ".join(f"{name} {value:.3g}" for name, value in headline(summary).items())
-        _tell(f"{self.sweep.title(number)} finished: {found}")
+        tell(f"{self.sweep.title(number)} finished: {found}")
 
     def _config(self, composed: DictConfig, overrides: Sequence[str], number: int) -> Any:
         config = checked_config(composed, self.schema)
@@ -168,15 +168,11 @@ def complain(error: Exception, schema: type, prefix: str = "") -> int:
     message = explain(error, schema)
     if message is None:
         traceback.print_exception(error)
-        _tell(f"error: {prefix}{type(error).__name__}: {error}; nobody foresaw it, so the whole way to it is above")
+        tell(f"error: {prefix}{type(error).__name__}: {error}; nobody foresaw it, so the whole way to it is above")
         return FAILED
-    _tell(f"error: {prefix}{message}")
+    tell(f"error: {prefix}{message}")
     house_failure = type(error).__module__.startswith("gran_bench.") and not isinstance(error, ConfigError | SceneError)
     return FAILED if house_failure or is_full_disk(error) else REFUSED
-
-
-def _tell(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 class JobError(RuntimeError):
