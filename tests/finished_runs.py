@@ -10,8 +10,7 @@ from beds import drum, flowing
 
 from gran_bench.metrics import judge
 from gran_bench.state import Trajectory
-from gran_bench.sweep.runs import SweepRun, failed_run
-from gran_bench.sweep.sweep_file import SweepFile, SweepJob
+from gran_bench.sweep.runs import FAILED, SweepFile, SweepJob, SweepRun, read_runs, write_runs
 
 SCENE = drum(end_time=1.8)
 ANGLE, ANGLE_FLOORS = "headline/angle error deg", "headline/angle error floors"
@@ -66,14 +65,14 @@ def run(radius: str, seed: int, angle: float, w1: float = 0.1, name: str = "", *
     values = {"figures": figures, "facts": facts, "ended_at": "2025-01-01T00:00:00+00:00"}
     key = f"{radius}{seed}".replace(".", "").ljust(12, "0")
     name = name or f"r+model.radius-{radius}+seed-{seed}"
-    return SweepRun(name, key, "j", "finished", choices, seed, **values | changes)
+    return SweepRun(name, choices, seed, key, "j", **values | changes)
 
 
 def lost(radius: str, seed: int, reason: str = "the loss is not finite at update 7") -> SweepRun:
     choices = {"model.radius": radius, "seed": str(seed)}
-    return failed_run(
-        SweepJob(f"r+model.radius-{radius}+seed-{seed}", choices, seed, f"{radius}{seed}", "j", "this"), reason
-    )
+    name, key = f"r+model.radius-{radius}+seed-{seed}", f"{radius}{seed}"
+    facts = {"log": f"logs/{name}-{key}.log", "made_with": "this"}
+    return SweepRun(name, choices, seed, key, "j", FAILED, "2025-01-01T00:00:00+00:00", reason, facts=facts)
 
 
 def job_of(one: SweepRun) -> SweepJob:
@@ -81,8 +80,7 @@ def job_of(one: SweepRun) -> SweepJob:
 
 
 def sweep_in(folder: Path, *runs: SweepRun, jobs: int = 0) -> None:
-    for one in runs:
-        one.write(folder)
+    write_runs(folder, [*read_runs(folder), *runs])
     listed = [job_of(one) for one in runs]
     waiting = ({"model.radius": "0.2", "seed": str(i)} for i in range(jobs))
     listed += [SweepJob(f"waits {i}", choices, i, f"w{i}", "j", "this") for i, choices in enumerate(waiting)]

@@ -10,12 +10,12 @@ import pytest
 import torch
 
 import gran_bench.conf
+from gran_bench.compose import checked_config, compose
 from gran_bench.config import TrainConfig
 from gran_bench.config.choices import loss_terms
 from gran_bench.config.reading import validate
 from gran_bench.dataset import DatasetError, Windows, ensure_cases, split_cases
 from gran_bench.dataset.case_file import read_case
-from gran_bench.entry import checked_config, compose
 from gran_bench.losses import LossError
 from gran_bench.run.experiment import make_model
 from gran_bench.scene import build_scene

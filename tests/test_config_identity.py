@@ -1,51 +1,54 @@
-"""Which keys of a config tell two trainings apart: those that decide their weights, unless others switch them off."""
+"""Which keys of a config decide the weights of a training: they give a run its key."""
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
-from gran_bench.compose import Source, checked_config, compose, described_jobs
+from gran_bench.compose import checked_config, compose
 from gran_bench.config import TrainConfig
-from gran_bench.config.identity import telling_keys
+from gran_bench.config.identity import UNDECIDING, deciding_keys
+from gran_bench.config.reading import dotted_keys
+
+
+def train_config(*overrides: str) -> TrainConfig:
+    return checked_config(compose("train", overrides), TrainConfig)
 
 
 @pytest.mark.parametrize(
-    ("switched_off", "changes"),
+    "override",
     [
-        ("loss.frame_weights=rising", ["rollout.frames=1"]),
-        ("loss.spin_frame_weights=rising", ["loss.spin=0"]),
-        ("loss.spin_frame_weights=rising", ["loss.spin=1", "rollout.frames=1"]),
-        ("loss.discount=0.5", ["loss.frame_weights=inverse"]),
-        ("loss.discount=0.5", ["loss.frame_weights=discounted", "rollout.frames=1"]),
-        ("rollout.gradient_through_time=false", ["rollout.frames=1"]),
-        ("rollout.final_from=0.3", ["rollout.final_frames=null"]),
-        ("rollout.growth=linear", ["rollout.frames=2", "rollout.final_frames=2"]),
-        ("rollout.independent_noise=false", ["rollout.noise=0"]),
-        ("optim.decay_steps=4", ["optim.schedule=cosine"]),
-        ("optim.final_learning_rate=1e-5", ["optim.schedule=constant"]),
-        ("trainer.startup_seconds=0.5", ["trainer.startup_fraction=0"]),
+        *("judge.speeds_rpm=[30]", "tracking.sweep=x", "judge.gif=false", "tracking.root=/else"),
+        *("dataset.root=x", "dataset.workers=1", "dataset.replicas=3", "dataset.unseen_packing_seed=2"),
+        *("trainer.minutes=3", "trainer.checkpoint_every=1", "trainer.checkpoint_steps=1", "trainer.log_every=1"),
     ],
 )
-def test_a_key_that_others_switch_off_tells_no_two_runs_apart(switched_off, changes):
-    switched_on = [
-        *("rollout.frames=2", "rollout.final_frames=3", "rollout.noise=1e-4", "rollout.independent_noise=true"),
-        *("loss.spin=1", "loss.frame_weights=discounted", "optim.schedule=steps", "trainer.startup_fraction=0.5"),
-    ]
-
-    def told(*overrides: str) -> dict:
-        composed = compose("train", ["+experiment=smoke", "model=contact", "rollout=contact", *overrides])
-        return telling_keys(checked_config(composed, TrainConfig))
-
-    growth = ["rollout.final_frames=null"] if "rollout.frames=1" in changes else []
-    assert told(*switched_on, *growth, *changes, switched_off) == told(*switched_on, *growth, *changes)
-    assert told(*switched_on, switched_off) != told(*switched_on)
+def test_a_key_that_leaves_the_weights_as_they_are_is_not_among_those_that_decide(override):
+    assert deciding_keys(train_config(override)) == deciding_keys(train_config())
 
 
-@pytest.mark.parametrize("name", ["sweep_loss", "sweep_rollout", "sweep_radius", "sweep_boundary"])
-def test_no_two_jobs_of_a_shipped_sweep_are_one_run(name):
-    jobs = described_jobs(Source("train"), [f"+experiment={name}"], multirun=True).jobs
-    configs = [checked_config(composed, TrainConfig) for _, composed in jobs]
-    keys = [json.dumps(telling_keys(config), sort_keys=True) for config in configs]
-    assert len(set(keys)) == len(keys)
+@pytest.mark.parametrize(
+    "override",
+    [
+        *("seed=1", "device=cpu", "threads=1", "model.iterations=4", "loss.spin=0.1", "rollout.noise=0"),
+        *("rollout.growth=linear", "optim.accumulate=3", "trainer.budget=time"),
+        *("trainer.steps=10", "trainer.startup_fraction=0", "dataset.packing_seed=3", "dem.time_step=1e-4"),
+        *("dataset.training_speeds_rpm=[20]", "scene.material.friction=0.4", "model=ccnn"),
+    ],
+)
+def test_a_key_that_changes_the_weights_decides(override):
+    assert deciding_keys(train_config(override, "judge.speeds_rpm=[]")) != deciding_keys(train_config())
+
+
+def test_walls_decide_where_the_model_looks_at_them():
+    assert "boundary" not in deciding_keys(train_config())
+    seen, unseen = (deciding_keys(train_config("model=ccnn", f"boundary={kind}")) for kind in ("spheres", "none"))
+    assert seen != unseen
+
+
+def test_a_cap_of_minutes_decides_nothing_and_a_budget_of_minutes_does():
+    one, two = (deciding_keys(train_config("trainer.budget=time", f"trainer.minutes={m}")) for m in (1, 2))
+    assert one != two
+
+
+def test_every_undeciding_key_is_a_key():
+    assert set(dotted_keys(TrainConfig)) >= UNDECIDING

@@ -15,12 +15,13 @@ import pytest
 from beds import flowing
 from finished_runs import SCENE, broken, lost, run, summary_of
 
-from gran_bench.files import read_part, write_part
+from gran_bench.files import write_part
 from gran_bench.report.command import PAGE, renew_pages, report_command
 from gran_bench.report.result_page import ResultPageError, write_page
 from gran_bench.report.tables import drum_table, failures_table, scenes_table
 from gran_bench.stress.page import early_ends
-from gran_bench.sweep.overview import reaches
+from gran_bench.sweep.runs import write_runs
+from gran_bench.sweep.sweep_report import reaches
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
@@ -32,6 +33,11 @@ found = benchmark_records.found
 def tracked() -> list[str]:
     words = ["git", "-C", str(ROOT), "ls-files", "results", "docs", "data_gen"]
     return subprocess.run(words, capture_output=True, encoding="utf-8", check=False).stdout.splitlines()
+
+
+def read_part(path: Path, part: str) -> str:
+    """What stands between the marks of a part of a page; empty where there is none."""
+    return path.read_text("utf-8").partition(f"<!-- {part} -->\n")[2].partition("<!-- end -->\n")[0].strip()
 
 
 # ---- the committed pages ---------------------------------------------------------------------------------
@@ -141,8 +147,7 @@ def test_every_table_says_what_failed(tmp_path: Path, found: dict, fails: bool):
     summary |= {"provenance": made, "training": summary["training"] | made}
     (tmp_path / "holdout30rpm/summary.json").write_text(json.dumps(summary))
     (tmp_path / "benchmark/quick/drum/benchmark.json").write_text(json.dumps(found))
-    for one in (run("0.08", 0, 1.0), run("0.1", 0, 2.0), lost("0.2", 0)):
-        one.write(tmp_path / "sweeps/sweep_radius")
+    write_runs(tmp_path / "sweeps/sweep_radius", [run("0.08", 0, 1.0), run("0.1", 0, 2.0), lost("0.2", 0)])
     drum, scenes = "\n".join(drum_table(tmp_path)), "\n".join(scenes_table(tmp_path))
     assert re.search(r"\| net \| 0\.6 \| 0\.6 \|.*\|  \|", drum)
     assert "DEM 0.2 ms: 0.9 s, 1 floors | net: 0.6 s, 1.8 floors | the surrogate is 1.5 times as fast |" in scenes

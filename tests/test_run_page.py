@@ -12,8 +12,16 @@ from PIL import Image
 
 from gran_bench.config import LossConfig, RolloutConfig, TrackingConfig
 from gran_bench.plots.style import drawing, drawn_for
-from gran_bench.run.page import description, loss_in_words, params_of, rollout_in_words, undefined_figures
-from gran_bench.run.summary import flat_metrics, headline, missed_requirements
+from gran_bench.run.summary import (
+    description,
+    flat_metrics,
+    headline,
+    loss_in_words,
+    missed_requirements,
+    params_of,
+    rollout_in_words,
+    undefined_figures,
+)
 from gran_bench.tracking import HEADLINE, HEADLINE_FIGURES, Store, shown_name
 from gran_bench.tracking.store import legal_name
 from gran_bench.tracking.views import COLUMN_METRICS, VIEW_TAG, experiment_tags, view_state
@@ -52,8 +60,8 @@ def test_the_view_shows_metrics_and_params_that_exist(summary: dict):
 
 @pytest.mark.parametrize("model", ["contact", "radial", "ccnn"])
 def test_the_views_params_exist_in_every_model(model: str):
+    from gran_bench.compose import checked_config, compose
     from gran_bench.config import TrainConfig
-    from gran_bench.entry import checked_config, compose
     from gran_bench.tracking.opening import dotted
 
     config = checked_config(compose("train", ["+experiment=smoke", f"model={model}"]), TrainConfig)

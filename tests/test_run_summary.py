@@ -13,8 +13,7 @@ from finished_runs import REPLICAS, SCENE, broken, summary_of
 
 from gran_bench.metrics import Judgement, judge
 from gran_bench.metrics.outside import counted
-from gran_bench.run.page import description
-from gran_bench.run.summary import flat_metrics, headline, read_summary, summary_table, write_summary
+from gran_bench.run.summary import description, flat_metrics, headline, read_summary, summary_table, write_summary
 
 
 def failed_rows(summary: dict[str, Any]) -> int:

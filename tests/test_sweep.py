@@ -12,117 +12,90 @@ from finished_runs import ANGLE, ANGLE_FLOORS, SCENE, broken, job_of, lost, run,
 
 from gran_bench.config import TrainConfig
 from gran_bench.run.identity import RunIdentity
-from gran_bench.run.summary import headline
-from gran_bench.sweep.opening import _finished
-from gran_bench.sweep.overview import write_overview
-from gran_bench.sweep.runs import (
-    SweepRun,
-    copied_run,
-    finished_run,
-    fold_runs,
-    read_runs,
-    recorded_runs,
-    write_runs,
-)
-from gran_bench.sweep.standing import cut_short, read_standing, standing, unequal_updates
-from gran_bench.sweep.sweep_file import SweepFile, SweepFileError, SweepJob
-from gran_bench.sweep.sweep_report import report_sweep
-from gran_bench.sweep.table import axes_of, best_choices, choices_frame, newest, runs_frame, shown_table
+from gran_bench.run.summary import headline, write_summary
+from gran_bench.sweep.opening import _fill_table
+from gran_bench.sweep.runs import SweepFile, SweepFileError, SweepJob, SweepRun, read_runs, write_runs
+from gran_bench.sweep.sweep_report import report_sweep, write_overview
+from gran_bench.sweep.table import axes_of, best_choices, read_standing, runs_frame, shown_table, standing
 
 RESULTS = Path(__file__).parents[1] / "results"
 
 
-# ---- what a run leaves, and the table that has it afterwards -----------------------------------------------
+# ---- the rows of a table -----------------------------------------------------------------------------------
 
 
-def test_a_finished_run_leaves_a_few_kilobytes_that_hold_both_packings(tmp_path: Path):
+def ready(one: SweepRun, root: Path, made_with: str = "this") -> SweepJob:
+    """The job of a run whose data are there, and nothing else of it."""
+    identity = RunIdentity(root / "runs" / one.run, one.key, one.judged_by, "")
+    return replace(job_of(one), made_with=made_with, config=TrainConfig(), identity=identity)
+
+
+def test_a_finished_run_leaves_a_row_that_holds_both_packings(tmp_path: Path):
     summary = summary_of(flowing(SCENE, seed=3), broken(7), failed_frames=(None, 7))
     summary["training"] |= {"loss": 0.1, "data_digest": "d", "model_sha256": "s"}
     summary |= {"judged_by": "judge", "provenance": {"commit": "abc"}}
-    left = finished_run(SweepJob("name", {"seed": "0"}, 0, "0123456789ab", "judge"), summary)
-    path = left.write(tmp_path)
-    assert path == tmp_path / "runs" / "name-01234567.json"
-    assert path.stat().st_size < 10_000
-    assert read_runs(tmp_path) == [left]
-    assert left.figures.get(ANGLE) == summary["judged"]["shared"]["errors"]["surface_angle"]["value"]
-    assert left.figures["headline/requirements failed"] == headline(summary)["requirements failed"]
-    assert left.figures["unseen/failures/non_finite_states"] == 24
-    assert left.facts["broken_rollouts"] == "30rpm_unseen at frame 7"
+    job = ready(SweepRun("name", {"seed": "0"}, 0, "0123456789ab", "judge"), tmp_path)
+    write_summary(job.identity.folder, summary)
+    assert _fill_table(tmp_path / "sweeps" / "mine", [job])[0].where.endswith(str(job.identity.folder))
+    (row,) = read_runs(tmp_path / "sweeps" / "mine")
+    assert row.figures.get(ANGLE) == summary["judged"]["shared"]["errors"]["surface_angle"]["value"]
+    assert row.figures["headline/requirements failed"] == headline(summary)["requirements failed"]
+    assert row.figures["unseen/failures/non_finite_states"] == 24
+    assert row.facts["broken_rollouts"] == "30rpm_unseen at frame 7"
 
 
-def test_the_table_keeps_every_word_and_every_bit_of_what_jobs_left_and_their_files_go(tmp_path: Path):
-    summary = summary_of(flowing(SCENE, seed=3), broken(7), failed_frames=(None, 7))
-    summary["training"] |= {"loss": 0.1 + 0.2, "data_digest": "d", "model_sha256": "s"}
-    summary |= {"judged_by": "judge", "provenance": {"command": 'train "a=b, c"\nd', "versions": "null"}}
-    choices = {"model.radius": "0.10", "scene": "null", "dataset": "1e3"}
-    runs = [finished_run(SweepJob("a", choices, 3, "0" * 12, "judge"), summary), lost("0.1", 0), run("0.2", 1, 1 / 3)]
-    for one in runs:
-        one.write(tmp_path)
-    fold_runs(tmp_path)
-    assert list((tmp_path / "runs").iterdir()) == []
-    assert read_runs(tmp_path) == runs
-    table = (tmp_path / "runs.csv").read_bytes()
-    fold_runs(tmp_path)
-    assert (tmp_path / "runs.csv").read_bytes() == table
+def test_the_table_keeps_every_word_and_every_bit(tmp_path: Path):
+    odd = {"command": 'train "a=b, c"\nd', "versions": "null"}
+    training = {"steps": 5, "stopped_by": "steps", "loss": 0.1 + 0.2}
+    runs = [run("0.10", 3, 2 / 3, facts=odd, training=training), lost("0.1", 0), run("0.2", 1, 1 / 3)]
+    runs[0].choices.update({"scene": "null", "dataset": "1e3"})
+    path = write_runs(tmp_path, runs)
+    kept = read_runs(tmp_path)
+    assert sorted(kept, key=str) == sorted(runs, key=str)
+    table = path.read_bytes()
+    assert write_runs(tmp_path, kept).read_bytes() == table
 
 
-def test_a_job_that_is_done_again_replaces_its_row(tmp_path: Path):
-    failed = lost("0.1", 0)
-    failed.write(tmp_path)
-    fold_runs(tmp_path)
-    finished = replace(failed, status="finished", reason="")
-    finished.write(tmp_path)
-    assert read_runs(tmp_path) == [finished], "before it is folded"
-    fold_runs(tmp_path)
-    assert read_runs(tmp_path) == [finished]
+def test_a_job_failed_where_its_log_ends_so_and_one_that_is_done_again_replaces_its_row(tmp_path: Path):
+    folder, root = tmp_path / "sweeps" / "mine", tmp_path
+    failed, stopped = (ready(run(radius, 0, 1.0), root) for radius in ("0.1", "0.2"))
+    (folder / "logs").mkdir(parents=True)
+    (folder / failed.log_name).write_text("---- a life\nerror: it was cold\n---- another\nerror: the loss is lost\n")
+    (folder / stopped.log_name).write_text("---- a life\nerror: it was cold\n---- another\nstopped at update 7\n")
+    assert _fill_table(folder, [failed, stopped]) == {}
+    assert [(row.run, row.reason) for row in read_runs(folder)] == [(failed.run, "the loss is lost")]
+    summary = summary_of(flowing(SCENE, seed=3))
+    summary |= {"judged_by": "j", "provenance": {}}
+    write_summary(failed.identity.folder, summary)
+    assert list(_fill_table(folder, [failed, stopped])) == [0]
+    assert [(row.run, row.status) for row in read_runs(folder)] == [(failed.run, "finished")]
 
 
-def test_what_any_sweep_has_recorded_is_known_by_key_and_judge_but_a_failure_is_not(tmp_path: Path):
-    good, bad = run("0.08", 0, 1.0), lost("0.1", 0)
-    one, two = tmp_path / "sweeps" / "one", tmp_path / "sweeps" / "two"
-    write_runs(one, [good])  # as a clone has it
-    bad.write(two)
-    assert recorded_runs(tmp_path) == ({(good.key, "j"): [(one, good)]}, [])
-
-
-def test_the_second_sweep_shows_a_run_that_it_shares_like_its_own(tmp_path: Path):
-    theirs, folder = run("0.08", 0, 1.0), tmp_path / "sweeps" / "mine"
-    job = SweepJob("mine+boundary-spheres", {"boundary": "spheres"}, 0, theirs.key, "j", "here")
-    copied_run(theirs, job, tmp_path / "sweeps" / "theirs").write(folder)
-    SweepFile("mine", "k", "train", "gran-bench", [job]).write(folder)
-    stands = read_standing(folder)
-    ((mine,), others, waiting) = stands.counted, stands.others, stands.waiting
-    assert (mine.run, mine.choices, others, waiting) == (job.run, job.choices, [], [])
-    assert mine.figures == theirs.figures
-    assert mine.facts["copied_from"] == f"theirs, {theirs.run}"
-
-
-@pytest.mark.parametrize("name", ["runs/x.json", "runs.csv"])
-def test_a_damaged_file_of_one_sweep_hides_no_run_of_another(tmp_path: Path, name: str):
-    good = run("0.08", 0, 1.0)
-    good.write(tmp_path / "sweeps" / "two")
-    damaged = tmp_path / "sweeps" / "one" / name
+def test_a_finished_row_of_any_sweep_is_known_whatever_else_failed_or_is_damaged(tmp_path: Path, capsys):
+    good, bad = run("0.08", 0, 1.0, training={"stopped_by": "steps"}), lost("0.1", 0)
+    theirs, mine = tmp_path / "sweeps" / "theirs", tmp_path / "sweeps" / "mine"
+    write_runs(theirs, [good, bad])  # as a clone has it
+    damaged = tmp_path / "sweeps" / "one" / "runs.csv"
     damaged.parent.mkdir(parents=True)
     damaged.write_text("{\n[")
-    found, (complaint,) = recorded_runs(tmp_path)
-    assert found == {(good.key, "j"): [(tmp_path / "sweeps" / "two", good)]}
-    assert str(damaged) in str(complaint)
+    jobs = [replace(ready(good, tmp_path), run="mine", choices={"boundary": "spheres"}), ready(bad, tmp_path)]
+    assert list(_fill_table(mine, jobs)) == [0]
+    assert f"not looked at: {damaged}" in capsys.readouterr().err
+    # It has a row of its own here, like a run of this sweep.
+    SweepFile("mine", "k", "train", "gran-bench", jobs).write(mine)
+    stands = read_standing(mine)
+    ((row,), others) = stands.counted, stands.others
+    assert (row.run, row.choices, row.figures, others) == ("mine", jobs[0].choices, good.figures, [])
+    assert row.facts["copied_from"] == f"theirs, {good.run}"
+    assert [job.run for job in stands.waiting] == [bad.run]
 
 
-@pytest.mark.parametrize("text", ["{", "[]", '{"run": "x"}'])
-def test_a_damaged_file_is_named(tmp_path: Path, text: str):
-    path = tmp_path / "runs" / "x.json"
-    path.parent.mkdir()
-    path.write_text(text)
-    with pytest.raises(SweepFileError, match=rf"{re.escape(str(path))}.*delete it"):
-        read_runs(tmp_path)
-
-
-@pytest.mark.parametrize("damage", ["header", "short row", "no number"])
+@pytest.mark.parametrize("damage", ["no table", "header", "short row", "no number"])
 def test_a_damaged_table_is_named(tmp_path: Path, damage: str):
     path = write_runs(tmp_path, [run("0.08", 0, 1.0)])
     header, row = path.read_text("utf-8").splitlines()
     texts = {
+        "no table": "{\n[",
         "header": f"x{header}\n{row}\n",
         "short row": f"{header}\n{row.rpartition(',')[0]}\n",
         "no number": f"{header}\n{row.replace('80.0', 'many')}\n",
@@ -138,12 +111,9 @@ def test_a_damaged_table_is_named(tmp_path: Path, damage: str):
 def test_a_choice_has_the_mean_and_the_spread_of_its_seeds():
     runs = [run("0.08", 0, 1.0), run("0.08", 1, 3.0), run("0.1", 0, 5.0)]
     assert axes_of(runs) == ["model.radius"]
-    first, second = (row for _, row in choices_frame(runs).iterrows())
-    assert (first["model.radius"], first["n"], first["failed"]) == ("0.08", 2, 0)
-    assert first[ANGLE_FLOORS] == 4.0
-    assert first[f"{ANGLE_FLOORS}_spread"] == pytest.approx(2 * 2**0.5)
-    assert (second["n"], second[ANGLE_FLOORS]) == (1, 10.0)
-    assert "4.00 ± 2.83" in shown_table(runs)
+    _, _, first, second = shown_table(runs).splitlines()
+    assert [cell.strip() for cell in first.split("|")[1:5]] == ["0.08", "2", "0", "4.00 ± 2.83"]
+    assert [cell.strip() for cell in second.split("|")[1:5]] == ["0.1", "1", "0", "10.00"]
     assert best_choices(runs)["angle error floors"] == ("model.radius=0.08", 4.0)
 
 
@@ -152,24 +122,21 @@ def test_values_are_in_the_order_of_their_numbers():
     assert list(frame["model.radius"]) == ["0.0625", "0.08", "0.1", "1e-1"]
 
 
-def test_a_failed_run_stays_in_the_table_and_its_choice_is_not_the_best():
-    runs = [run("0.08", 0, 0.5), lost("0.08", 1), run("0.1", 0, 5.0)]
-    first, _ = (row for _, row in choices_frame(runs).iterrows())
-    assert (first["n"], first["failed"]) == (1, 1)
-    assert best_choices(runs)["angle error floors"] == ("model.radius=0.1", 10.0)
-
-
-def test_a_figure_that_is_undefined_in_one_seed_is_so_for_the_choice():
-    undefined = run("0.08", 1, 1.0)
+def test_a_failed_run_and_an_undefined_figure_stay_in_the_table_and_their_choice_is_not_the_best():
+    undefined = run("0.2", 1, 1.0)
     del undefined.figures[ANGLE_FLOORS]
-    table = shown_table([run("0.08", 0, 1.0), undefined])
-    assert "undefined in 1" in table
+    runs = [run("0.08", 0, 0.5), lost("0.08", 1), run("0.1", 0, 5.0), run("0.2", 0, 1.0), undefined]
+    _, _, failed, _, half = shown_table(runs).splitlines()
+    assert [cell.strip() for cell in failed.split("|")[1:5]] == ["0.08", "1", "1", "1.00"]
+    assert "undefined in 1" in half
+    assert best_choices(runs)["angle error floors"] == ("model.radius=0.1", 10.0)
 
 
 def test_a_newer_run_of_the_same_choices_takes_the_place_of_an_older_one():
     old = run("0.08", 0, 9.0)
     new = replace(run("0.08", 0, 1.0), key="f" * 12, ended_at="2026-01-01T00:00:00+00:00")
-    assert newest([new, old]) == ([new], [old])
+    stands = standing(None, [new, old])
+    assert (stands.counted, stands.others) == ([new], [old])
 
 
 # ---- which runs count --------------------------------------------------------------------------------------
@@ -210,10 +177,8 @@ def test_a_run_of_an_earlier_command_that_was_made_otherwise_does_not_count(earl
 def test_a_finished_row_of_the_table_is_made_with_what_its_command_goes_by_now(tmp_path: Path):
     folder, old = tmp_path / "sweeps" / "mine", made(run("0.1", 0, 1.0, training={"stopped_by": "steps"}), "old")
     write_runs(folder, [old])
-    identity = RunIdentity(tmp_path / "runs" / "nothing", old.key, old.judged_by, "")
-    job = replace(job_of(old), made_with="new", config=TrainConfig(), identity=identity)
-    summaries, rows = _finished(folder, [job])
-    assert (summaries, rows) == ({}, {0: (folder, old)})
+    (found,) = _fill_table(folder, [ready(old, tmp_path, "new")]).values()
+    assert found.where == f"its row is in {folder}"
     assert read_runs(folder) == [made(old, "new")]
 
 
@@ -238,49 +203,17 @@ def test_every_page_counts_waiting_jobs_alike(tmp_path: Path):
     # A job waits although as many runs have ended as there are jobs: one is of another command.
     waits, now, earlier = run("0.2", 0, 1.0), run("0.1", 0, 1.0), run("0.08", 0, 1.0)
     sweep_in(folder, now, waits)
-    (folder / "runs" / waits.file_name).unlink()
-    earlier.write(folder)
+    write_runs(folder, [now, earlier])
     assert "2 runs finished, 0 failed, 1 wait" in report_sweep(folder).text
     assert "2 runs finished, 0 failed, 1 wait" in write_overview(tmp_path).read_text("utf-8")
 
 
-def test_the_page_says_where_equal_time_bought_unequal_updates_of_one_model(tmp_path: Path):
-    def trained(model: str, seed: int, steps: int, stopped_by: str = "time") -> SweepRun:
-        one = run("0.1", seed, 1.0, name=f"{model}-{seed}", training={"steps": steps, "stopped_by": stopped_by})
-        choices, facts = {"model": model, "seed": str(seed)}, one.facts | {"model": model}
-        return replace(one, key=one.run, choices=choices, facts=facts)
-
-    runs = [
-        trained("contact", 0, 1000),
-        trained("contact", 1, 1501),
-        trained("radial", 0, 200),
-        trained("radial", 1, 300),
-    ]
-    sweep_in(tmp_path, *runs)
-    text = report_sweep(tmp_path).text
-    assert "Equal processor time bought `contact` 1000 to 1501 updates: compare with care." in text
-    assert "`radial` 200" not in text
-    assert "| updates" in text
-    assert unequal_updates([trained("contact", 0, 10, "steps"), trained("contact", 1, 90, "steps")]) == []
-
-
-def test_the_page_lists_what_does_not_count(tmp_path: Path):
-    old, now = run("0.08", 0, 9.0), replace(run("0.08", 0, 1.0), key="f" * 12)
+def test_the_page_lists_what_does_not_count_and_what_the_clock_has_cut(tmp_path: Path):
+    cut = {"steps": 1000, "planned_steps": 4000, "stopped_by": "time"}
+    old, now = run("0.08", 0, 9.0), replace(run("0.08", 0, 1.0, training=cut), key="f" * 12)
+    write_runs(tmp_path, [old])
     sweep_in(tmp_path, now)
-    old.write(tmp_path)
     text = report_sweep(tmp_path).text
     assert "1 runs finished" in text
-    assert f"- not counted, of other code, data or budget: `{old.file_name}`" in text
-
-
-def test_the_page_says_where_the_clock_has_cut_budgets_of_steps(tmp_path: Path):
-    def trained(seed: int, steps: int, planned: int | None) -> SweepRun:
-        stopped_by = "steps" if steps == planned else "time"
-        training = {"steps": steps, "planned_steps": planned, "stopped_by": stopped_by}
-        return replace(run("0.1", seed, 1.0, name=f"R{seed}", training=training), key=f"R{seed}")
-
-    sweep_in(tmp_path, trained(0, 4000, 4000), trained(1, 1000, 4000), trained(2, 3000, 4000))
-    text = report_sweep(tmp_path).text
-    assert "The clock has cut the training of 2 of 3 runs, one after 25% of its updates: compare with care." in text
-    assert "Equal processor time" not in text
-    assert cut_short([trained(0, 4000, 4000), trained(1, 700, None)]) == []
+    assert f"- not counted, of other code, data or budget: `{old.run}-{old.key[:8]}`" in text
+    assert f"- cut by the clock, goes on with more trainer.minutes: `{now.run}`" in text

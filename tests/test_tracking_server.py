@@ -18,7 +18,7 @@ from mlflow.artifacts import download_artifacts
 from mlflow.entities import Run as MlflowRun
 
 from gran_bench.config import TrackingConfig
-from gran_bench.sweep.sweep_file import SweepFile
+from gran_bench.sweep.runs import SweepFile
 from gran_bench.sweep.sweep_report import SweepReport, report_to_parent
 from gran_bench.tracking import (
     Child,

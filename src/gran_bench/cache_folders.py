@@ -1,7 +1,6 @@
-"""Where libraries keep what they have compiled or looked up, if their own folders cannot be written.
+"""Where Numba and Matplotlib keep what they have compiled or looked up, if their own folders cannot be written.
 
-Numba refuses to define a kernel that it has no place to keep, and Matplotlib makes a new folder for each process. So
-the package chooses a folder for both before it loads them.
+Numba refuses to define a kernel that it has no place to keep, and Matplotlib makes a new folder for each process.
 """
 
 from __future__ import annotations
@@ -14,56 +13,42 @@ from pathlib import Path
 
 
 def provide_cache_folders() -> None:
-    """Name a temporary folder to each library that has none of its own, for this process and those that it starts.
-
-    The folder is the same for every command of a user, so that kernels are compiled once.
-    """
-    home, numba, matplotlib = _home(), "NUMBA_CACHE_DIR", "MPLCONFIGDIR"
+    """Name to each library that has none of its own a temporary folder, the same for every command of a user."""
+    home, numba, matplotlib = Path(os.path.expanduser("~")), "NUMBA_CACHE_DIR", "MPLCONFIGDIR"
+    if not home.is_absolute():  # of a user without any
+        home = Path(os.devnull)
     cache = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
     config = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
-    # Numba looks for the first of its places, Matplotlib needs both of its own.
-    kernels = [Path(__file__).parent / "__pycache__", cache / "numba"]
-    fonts = [config / "matplotlib", cache / "matplotlib"]
-    missing = []
-    if not any(map(_is_writable, [*_chosen(numba), *kernels])):
-        missing.append(numba)
-    if not all(map(_is_writable, _chosen(matplotlib) or fonts)):
-        missing.append(matplotlib)
+    # The user's choice, or the library's own places: Numba takes any, Matplotlib needs both.
+    kernels = [*filter(None, [os.environ.get(numba)]), Path(__file__).parent / "__pycache__", cache / "numba"]
+    fonts = [*filter(None, [os.environ.get(matplotlib)])] or [config / "matplotlib", cache / "matplotlib"]
+    missing = {}
+    if not any(map(_is_writable, kernels)):
+        missing[numba] = "compiled kernels"
+    if not all(map(_is_writable, fonts)):
+        missing[matplotlib] = "a list of fonts"
     if not missing:
         return
     try:
         folder = _temporary()
     except OSError:  # no place at all; the libraries say so themselves
         return
-    os.environ.update({name: str(folder) for name in missing})
+    os.environ.update(dict.fromkeys(missing, str(folder)))
     if numba in missing and "numba" in sys.modules:  # which has read its variable already
         sys.modules["numba"].config.CACHE_DIR = str(folder)
-    kept = " and ".join({numba: "compiled kernels", matplotlib: "a list of fonts"}[name] for name in missing)
     print(
-        f"no folder of this user's can be written to keep {kept} in: {folder} is used "
+        f"no folder of this user's can be written to keep {' and '.join(missing.values())} in: {folder} is used "
         f"({' and '.join(missing)} would choose another)",
         file=sys.stderr,
         flush=True,
     )
 
 
-def _chosen(variable: str) -> list[Path]:
-    """The folder that the user has chosen, if any."""
-    return [Path(os.environ[variable])] if os.environ.get(variable) else []
-
-
-def _home() -> Path:
-    """The user's home; of a user without any, a folder that cannot be made."""
-    home = Path(os.path.expanduser("~"))
-    return home if home.is_absolute() else Path(os.devnull)
-
-
-def _is_writable(folder: Path) -> bool:
+def _is_writable(folder: Path | str) -> bool:
     """Whether files can be made in a folder, which may be still to be made."""
-    folder = folder.absolute()
-    while not os.path.exists(folder) and folder.parent != folder:
-        folder = folder.parent
-    return os.path.isdir(folder) and os.access(folder, os.W_OK | os.X_OK)
+    folder = Path(folder).absolute()
+    there = next((place for place in (folder, *folder.parents) if os.path.exists(place)), folder)
+    return os.path.isdir(there) and os.access(there, os.W_OK | os.X_OK)
 
 
 def _temporary() -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import ConfigCompositionException
 from omegaconf import DictConfig, OmegaConf
 
 from gran_bench.config import GenerateConfig, TrainConfig
@@ -25,7 +27,7 @@ from gran_bench.scene import build_scene
 
 CONFIG_MODULE = "gran_bench.conf"
 VERSION_BASE = "1.3"
-# The house's launcher (`launcher.ProcessLauncher`) by the name under which Hydra makes it: Hydra takes only launchers
+# The house's launcher (`sweep.task.ProcessLauncher`) by the name under which Hydra makes it: Hydra takes only launchers
 # whose names begin with this word.
 LAUNCHER = "hydra_plugins.gran_bench.ProcessLauncher"
 
@@ -48,21 +50,14 @@ ConfigStore.instance().store("processes", ProcessLauncherConfig, group="hydra/la
 
 @dataclass(frozen=True)
 class Source:
-    """Where configs come from.
+    """Where configs come from."""
 
-    Attributes:
-        config_name: of the primary config in ``conf/``.
-        config_dir: a folder that is searched before the package's (``--config-dir``); None for none.
-        config_path: a folder that is searched instead of the package's (``--config-path``); None for none.
-    """
-
-    config_name: str
-    config_dir: str | None = None
-    config_path: str | None = None
+    config_name: str  # of the primary config in `conf/`
+    config_dir: str | None = None  # a folder that is searched before the package's (--config-dir)
+    config_path: str | None = None  # a folder that is searched instead of the package's (--config-path)
 
     @property
     def flags(self) -> list[str]:
-        """The flags of a command line that choose this source."""
         folders = {"--config-dir": self.config_dir, "--config-path": self.config_path}
         return [f"{flag}={folder}" for flag, folder in folders.items() if folder is not None]
 
@@ -77,9 +72,16 @@ class Source:
             yield
 
     def composed(self, overrides: Sequence[str], hydra_too: bool = False) -> DictConfig:
-        """What Hydra composes for one job, within ``opened()``."""
         search = [f"hydra.searchpath=[file://{Path(self.config_dir).resolve()}]"] if self.config_dir else []
-        return hydra.compose(self.config_name, [*overrides, *search], return_hydra_config=hydra_too)
+        try:
+            return hydra.compose(self.config_name, [*overrides, *search], return_hydra_config=hydra_too)
+        except ConfigCompositionException as error:
+            # What the other overrides choose says which keys there are in the place of an unknown one.
+            unknown = re.search(r"Could not override '([^']+)'", str(error))
+            others = [line for line in overrides if not unknown or not line.startswith(f"{unknown[1]}=")]
+            if len(others) < len(overrides):
+                error.without = self.composed(others)
+            raise
 
 
 def compose(
@@ -93,17 +95,11 @@ def compose(
 
 @dataclass(frozen=True)
 class Described:
-    """The jobs that a command line describes.
+    """The jobs that a command line describes."""
 
-    Attributes:
-        jobs: overrides and composed config of each job, in the order in which Hydra numbers them.
-        complete: false where a sweeper draws values as it goes: then ``jobs`` is one that stands for what is fixed.
-        apart: whether the house's launcher gives each job a process of its own.
-    """
-
-    jobs: list[tuple[list[str], DictConfig]] = field(default_factory=list)
-    complete: bool = True
-    apart: bool = False
+    jobs: list[tuple[list[str], DictConfig]] = field(default_factory=list)  # overrides and config, in Hydra's order
+    complete: bool = True  # false where a sweeper draws values as it goes: then one job stands for what is fixed
+    apart: bool = False  # whether the house's launcher gives each job a process of its own
 
 
 def described_jobs(source: Source, overrides: Sequence[str], multirun: bool) -> Described:
@@ -112,56 +108,42 @@ def described_jobs(source: Source, overrides: Sequence[str], multirun: bool) -> 
     A recipe holds its axes in ``hydra.sweeper.params``; the same key on the command line takes their place.
 
     Raises:
-        ConfigError: a recipe that is a sweep, without ``-m``; a sweep without a job.
+        ConfigError: a recipe that is a sweep, without ``-m`` or among others; a sweep without a job.
         HydraException: what Hydra cannot compose.
     """
     with source.opened():
         # As Hydra does: what is swept on the command line is no part of the config that chooses the sweeper.
         parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
-        fixed = [
-            line
-            for line, override in zip(overrides, parser.parse_overrides(list(overrides)), strict=True)
-            if not (multirun and override.is_sweep_override())
-        ]
+        typed = zip(overrides, parser.parse_overrides(list(overrides)), strict=True)
+        fixed = [line for line, override in typed if not (multirun and override.is_sweep_override())]
         chosen = source.composed(fixed, hydra_too=True).hydra
-        sweeper, apart = chosen.sweeper, chosen.launcher._target_ == LAUNCHER
-        axes = OmegaConf.to_container(sweeper.params, resolve=True) if sweeper.get("params") else {}
+        axes = _axes(chosen.sweeper)
         if not multirun:
             if axes:
                 raise ConfigError(f"this recipe is a sweep over {', '.join(axes)}; add -m (--multirun) to run its jobs")
             return Described([(list(overrides), source.composed(overrides))])
-        if not sweeper._target_.endswith(f".{BasicSweeper.__name__}"):
+        apart = chosen.launcher._target_ == LAUNCHER
+        if not chosen.sweeper._target_.endswith(f".{BasicSweeper.__name__}"):
             return Described([(fixed, source.composed(fixed))], complete=False, apart=apart)
         lines = [*(f"{key}={values}" for key, values in axes.items()), *overrides]
         parsed = parser.parse_overrides(lines)
         (jobs,) = BasicSweeper.split_arguments(parsed, None)
-        if not jobs:
-            empty = next(
-                line
-                for line, override in zip(lines, parsed, strict=True)
-                if override.is_sweep_override() and not any(True for _ in override.sweep_string_iterator())
-            )
-            raise ConfigError(f"{empty} has no value, so there is no job to run; give at least one")
-        if "experiment" in swept_keys(jobs):
-            _refuse_nested_sweeps(source, jobs, axes)
+        for line, override in zip(lines, parsed, strict=True):
+            if override.is_sweep_override() and not any(True for _ in override.sweep_string_iterator()):
+                raise ConfigError(f"{line} has no value, so there is no job to run; give at least one")
+        # Hydra would run a recipe that is a sweep once, and forget its axes.
+        for job in jobs if "experiment" in swept_keys(jobs) else ():
+            if lost := sorted({*_axes(source.composed(job, hydra_too=True).hydra.sweeper)} - {*axes}):
+                recipe = next(line.partition("=")[2] for line in job if line.lstrip("+").startswith("experiment="))
+                raise ConfigError(
+                    f"experiment={recipe} is itself a sweep over {', '.join(lost)}, which one among several recipes "
+                    f"would lose; give each a command of its own: -m +experiment={recipe}"
+                )
         return Described([(job, source.composed(job)) for job in jobs], apart=apart)
 
 
-def _refuse_nested_sweeps(source: Source, jobs: Sequence[list[str]], axes: Collection[str]) -> None:
-    """Refuse a job whose recipe is a sweep: Hydra would run it once and forget its axes.
-
-    Raises:
-        ConfigError: names the recipe and the remedy.
-    """
-    for job in jobs:
-        params = source.composed(job, hydra_too=True).hydra.sweeper.get("params") or {}
-        lost = sorted(set(params) - set(axes))
-        if lost:
-            recipe = next(line.partition("=")[2] for line in job if line.lstrip("+").startswith("experiment="))
-            raise ConfigError(
-                f"experiment={recipe} is itself a sweep over {', '.join(lost)}, which one among several recipes would "
-                f"lose; give each a command of its own: -m +experiment={recipe}"
-            )
+def _axes(sweeper: DictConfig) -> dict[str, str]:
+    return OmegaConf.to_container(sweeper.params, resolve=True) if sweeper.get("params") else {}
 
 
 def checked_config(composed: DictConfig, schema: type[Config]) -> Config:
@@ -170,19 +152,16 @@ def checked_config(composed: DictConfig, schema: type[Config]) -> Config:
     Raises:
         ConfigError, SceneError, StateError, TimeStepError: what cannot be, in one line.
     """
-    values = OmegaConf.to_container(composed, resolve=True)
-    assert isinstance(values, dict)
-    config = read_config(schema, values)
+    config = read_config(schema, OmegaConf.to_container(composed, resolve=True))
     if isinstance(config, TrainConfig | GenerateConfig):
         # Imported here, so that a typo need not wait for SciPy.
         from gran_bench.dem.initial_checks import check_initial_state
         from gran_bench.dem.time_step import choose_time_step
 
-        scene = build_scene(config.scene)
+        scene, data = build_scene(config.scene), config.dataset
         filled = scene.fresh_filling(seed=0)
         if scene.filling.positions:  # sites of a lattice are apart and inside
             check_initial_state(scene, filled)
-        data = config.dataset
         if scene.takes_speeds:
             speeds = data.training_speeds_rpm + data.validation_speeds_rpm + data.holdout_speeds_rpm
             scene = scene.at_speed(max(speeds, key=abs, default=0.0))
@@ -190,55 +169,23 @@ def checked_config(composed: DictConfig, schema: type[Config]) -> Config:
     return config
 
 
-def override(key: str, text: object) -> str:
-    """An override that gives a key a text as it is, such as a path, whatever letters of Hydra's grammar it has.
-
-    Args:
-        key: dotted.
-        text: without line breaks.
-    """
-    # Within quotes Hydra reads a backslash as itself, but for those before a quote.
-    quoted = re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), str(text))
-    return f"{key}='{quoted.replace('${', chr(92) + '${')}'"
-
-
 def swept_keys(jobs: Sequence[Sequence[str]]) -> frozenset[str]:
-    """The keys that the jobs of a sweep have more than one value of.
-
-    Args:
-        jobs: overrides of each.
-    """
-    values: dict[str, set[str]] = {}
-    for overrides in jobs:
-        for line in overrides:
-            key, _, value = line.lstrip("+~").partition("=")
-            values.setdefault(key, set()).add(value)
+    """The keys that the jobs of a sweep, given by their overrides, have more than one value of."""
+    values = defaultdict(set)
+    for key, _, value in (line.lstrip("+~").partition("=") for overrides in jobs for line in overrides):
+        values[key].add(value)
     return frozenset(key for key, found in values.items() if len(found) > 1)
 
 
 def changed_in(overrides: Sequence[str], swept: Collection[str] = ()) -> list[str]:
-    """The overrides, sorted and without ``+``, that change what is trained; the recipe's name is not among them.
-
-    Args:
-        overrides: of one job.
-        swept: keys that tell jobs of a sweep apart, so that they are named whatever they decide.
-    """
-    return sorted(
-        line.lstrip("+~")
-        for line in overrides
-        if line.lstrip("+~").partition("=")[0] in swept
-        or not any(re.match(rf"{re.escape(key)}(?=[=./@]|$)", line.lstrip("+~")) for key in UNNAMED)
-    )
+    """The overrides of a job, sorted and without ``+``, that change what is trained, and all of swept keys."""
+    unnamed = re.compile(rf"({'|'.join(map(re.escape, UNNAMED))})(?=[=./@]|$)")
+    lines = sorted(line.lstrip("+~") for line in overrides)
+    return [line for line in lines if line.partition("=")[0] in swept or not unnamed.match(line)]
 
 
 def run_folder(experiment: str, overrides: Sequence[str], swept: Collection[str] = ()) -> str:
-    """The folder of a run: the recipe's name, then what was changed in it, so that no two different runs share one.
-
-    Args:
-        experiment: the recipe's name.
-        overrides: of the run.
-        swept: keys that are named whatever they decide, as in `changed_in`; the recipe is named already.
-    """
+    """The folder of a run: the recipe's name, then what was changed in it, so that no two different runs share one."""
     changed = changed_in(overrides, set(swept) - {"experiment"})
     # Only letters that a path in a Hydra override may have without quotes.
     name = re.sub(r"[^\w.+-]", "_", "+".join([experiment, *changed]).replace("=", "-"))

@@ -1,57 +1,31 @@
-"""What every entry does around its task: Hydra composes, the schema checks, the task runs, errors take one line.
-
-A config that cannot be is refused before Hydra starts a job, so that nothing is computed and no folder is left.
-"""
+"""What every entry does around its task: Hydra composes, the schema checks, the task runs, errors take one line."""
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import TYPE_CHECKING, Any, NoReturn
+from pkgutil import resolve_name
+from typing import Any, NoReturn
 
 import hydra
 from hydra._internal.utils import get_args_parser
 
-from gran_bench.compose import (
-    CONFIG_MODULE,
-    VERSION_BASE,
-    Described,
-    Source,
-    changed_in,
-    checked_config,
-    compose,
-    described_jobs,
-    run_folder,
-    swept_keys,
-)
+from gran_bench import compose
 from gran_bench.config.override_errors import explain
 from gran_bench.config.registry import load_plugins
 from gran_bench.config.rules import ConfigError
 from gran_bench.processes import quiet_without_reader
 from gran_bench.provenance import program
-from gran_bench.sweep.launcher import JobError, load_ahead, register_launcher
-from gran_bench.sweep.sweep_file import SweepJob
-from gran_bench.sweep.task import FAILED, REFUSED, Task, complain
-
-if TYPE_CHECKING:
-    from gran_bench.sweep.jobs import Sweep
-
-__all__ = ["FAILED", "REFUSED", "checked_config", "complain", "compose", "run", "run_folder"]
-
-# Called with the jobs of a multirun and the name of its folder; what the block gets goes to each job.
-OpenSweep = Callable[[Sequence[SweepJob], str], AbstractContextManager["Sweep"]]
+from gran_bench.sweep.runs import SweepJob
+from gran_bench.sweep.task import FAILED, REFUSED, JobError, Task, complain, load_ahead, register_launcher
 
 
+@quiet_without_reader()
 def run(
-    task: Callable[[Any], object],
-    config_name: str,
-    schema: type,
-    sweep: OpenSweep | None = None,
-    loads: Sequence[str] = (),
+    task: Callable[[Any], object], config_name: str, schema: type, sweep: str | None = None, loads: Sequence[str] = ()
 ) -> NoReturn:
     """Run ``task`` on the config that the command line describes: once, or with ``--multirun`` once a job.
 
@@ -60,32 +34,27 @@ def run(
     is one line on stderr.
 
     Args:
-        task: called with the checked config; what it returns is dropped, but for a sweep's.
-        config_name: of the primary config in ``conf/``.
-        schema: the dataclass of ``gran_bench.config`` that the config must fit.
-        sweep: what a multirun does around its jobs; None for nothing.
+        task: called with the checked config.
+        config_name: of the primary config in ``conf/``, which must fit ``schema``.
+        sweep: ``package.module:name`` of what gets the jobs of a multirun and the name of its folder, and gives the
+            block that is around them.
         loads: modules that a job needs, loaded ahead where jobs get processes of their own.
     """
-    with quiet_without_reader():
-        _run(task, config_name, schema, sweep, loads)
-
-
-def _run(
-    task: Callable[[Any], object], config_name: str, schema: type, sweep: OpenSweep | None, loads: Sequence[str]
-) -> NoReturn:
     # Makes Hydra raise its errors instead of printing them, also in the processes that a launcher starts.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     register_launcher()
     arguments = get_args_parser().parse_args()
     multirun = arguments.multirun or "hydra.mode=MULTIRUN" in arguments.overrides
-    source = Source(arguments.config_name or config_name, arguments.config_dir, arguments.config_path)
-    described, configs = Described(), []
+    source = compose.Source(arguments.config_name or config_name, arguments.config_dir, arguments.config_path)
+    shows = (arguments.help, arguments.hydra_help, arguments.cfg, arguments.info is not None)
+    described, configs = compose.Described(), []
     try:
-        if _starts_work(arguments):
+        if not any((*shows, arguments.shell_completion, arguments.experimental_rerun)):
             load_plugins()  # before Hydra: what it cannot compose is explained by what is registered
-            described = described_jobs(source, arguments.overrides, multirun)
-            configs = [checked_config(composed, schema) for _, composed in described.jobs]
-            _refuse_lonely_sweep(configs, multirun)
+            described = compose.described_jobs(source, arguments.overrides, multirun)
+            configs = [compose.checked_config(composed, schema) for _, composed in described.jobs]
+            if not multirun and (name := getattr(getattr(configs[0], "tracking", None), "sweep", None)) is not None:
+                raise ConfigError(f"tracking.sweep={name} names the folder of a sweep; add -m (--multirun)")
     except Exception as error:
         complain(error, schema)
         sys.exit(FAILED if explain(error, schema) is None else REFUSED)
@@ -98,11 +67,27 @@ def _run(
             if described.apart:
                 load_ahead(loads)
             if sweep is not None and described.complete:
-                swept = swept_keys([overrides for overrides, _ in described.jobs])
-                name = run_folder(configs[0].experiment, arguments.overrides, swept)
-                around = sweep(_planned(described, configs), name)
+                lines = [overrides for overrides, _ in described.jobs]
+                swept = compose.swept_keys(lines)
+                planned = []
+                for overrides, config in zip(lines, configs, strict=True):
+                    choices = dict(line.partition("=")[::2] for line in compose.changed_in(overrides, swept))
+                    name = config.tracking.folder or compose.run_folder(config.experiment, overrides, swept)
+                    config.tracking.folder = name
+                    planned.append(SweepJob(name, choices, config.seed, config=config))
+                around = resolve_name(sweep)(
+                    planned, compose.run_folder(configs[0].experiment, arguments.overrides, swept)
+                )
         with around as each.sweep:
-            _run_in_hydra(each, config_name)
+            try:
+                hydra.main(f"pkg://{compose.CONFIG_MODULE}", config_name, version_base=compose.VERSION_BASE)(each)()
+            except JobError as error:
+                each.failures.append(error)
+            except Exception as error:
+                if error not in each.failures:
+                    raise
+        if each.failures and not multirun:
+            raise each.failures[0]
     except KeyboardInterrupt as stop:
         number = getattr(signal.Signals, str(stop), signal.SIGINT)
         print(f"stopped by {number.name}; the same command goes on from here", file=sys.stderr)
@@ -111,47 +96,6 @@ def _run(
         raise
     except Exception as error:
         sys.exit(max(FAILED, complain(error, schema)))
-    if not each.failures:
-        sys.exit(0)
-    if multirun:  # said already, where it happened
+    if each.failures:  # said already, where it happened
         print("error: at least one job of the multirun failed; its message is above", file=sys.stderr)
-        sys.exit(FAILED)
-    if isinstance(each.failures[0], BrokenPipeError):
-        raise each.failures[0]
-    sys.exit(complain(each.failures[0], schema))
-
-
-def _run_in_hydra(task: Task, config_name: str) -> None:
-    """Let Hydra compose and launch; afterwards ``task.failures`` holds the failed jobs, which were reported already."""
-    decorate = hydra.main(config_path=f"pkg://{CONFIG_MODULE}", config_name=config_name, version_base=VERSION_BASE)
-    try:
-        decorate(task)()
-    except JobError as error:
-        task.failures.append(error)
-    except Exception as error:
-        if error not in task.failures:
-            raise
-
-
-def _planned(described: Described, configs: Sequence[Any]) -> list[SweepJob]:
-    """The jobs of a sweep, each with the name of its run; the name holds every swept key."""
-    swept, planned = swept_keys([overrides for overrides, _ in described.jobs]), []
-    for (overrides, _), config in zip(described.jobs, configs, strict=True):
-        run_name = config.tracking.folder or run_folder(config.experiment, overrides, swept)
-        config.tracking.folder = run_name
-        choices = dict(line.partition("=")[::2] for line in changed_in(overrides, swept))
-        planned.append(SweepJob(run_name, choices, config.seed, config=config))
-    return planned
-
-
-def _refuse_lonely_sweep(configs: Sequence[Any], multirun: bool) -> None:
-    for config in configs:
-        tracking = getattr(config, "tracking", None)
-        if tracking is not None and tracking.sweep is not None and not multirun:
-            raise ConfigError(f"tracking.sweep={tracking.sweep} names the folder of a sweep; add -m (--multirun)")
-
-
-def _starts_work(arguments: argparse.Namespace) -> bool:
-    """Whether the command runs jobs, instead of showing something about them."""
-    shows = (arguments.help, arguments.hydra_help, arguments.cfg, arguments.info is not None)
-    return not any((*shows, arguments.shell_completion, arguments.experimental_rerun))
+    sys.exit(FAILED if each.failures else 0)

@@ -1,7 +1,6 @@
 """Files that are whole or not there at all, and locks that die with the process that holds them.
 
-A file is written under a temporary name in its own folder, flushed, fsynced and renamed. Power may fail or
-``kill -9`` may strike at any moment: the final name is absent, old and whole, or new and whole.
+A file is written under a temporary name in its own folder, fsynced and renamed, whenever power fails or a kill strikes.
 """
 
 from __future__ import annotations
@@ -14,22 +13,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-_TEMPORARY = ".tmp"
-
 
 @contextmanager
 def whole_file(path: Path | str) -> Iterator[Path]:
-    """Yield a temporary name to write to; it takes the final name when the block ends well.
-
-    An exception inside the block removes the temporary file and leaves an older file of the final name as it
-    was.
-
-    Args:
-        path: final name; its folder is made where it is missing.
-    """
+    """Yield a temporary name to write to; it takes the final name, in a folder that is made, if the block ends well."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}{_TEMPORARY}")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         yield temporary
         _sync(temporary)
@@ -59,12 +49,7 @@ def write_text(path: Path | str, text: str) -> None:
 def write_part(path: Path, part: str, text: str, title: str = "", heading: str = "") -> None:
     """Renew what stands between the marks ``<!-- part -->`` and ``<!-- end -->`` of a page; the rest is people's.
 
-    Args:
-        path: of the page; made where it is missing.
-        part: its name; a page without it gets it at its end.
-        text: between the marks.
-        title: of a new page, in words.
-        heading: above a part that the page does not have yet, in words.
+    A page is made with a title where it is missing; a part that it does not have comes to its end, under a heading.
     """
     page = path.read_text("utf-8") if path.exists() else f"# {title}\n" if title else ""
     opening, closing = f"<!-- {part} -->\n", "<!-- end -->\n"
@@ -75,31 +60,16 @@ def write_part(path: Path, part: str, text: str, title: str = "", heading: str =
     write_text(path, before + opening + f"{text.strip()}\n" + closing + rest.partition(closing)[2])
 
 
-def read_part(path: Path, part: str) -> str:
-    """What stands between the marks of a part of a page; empty where there is none."""
-    return path.read_text("utf-8").partition(f"<!-- {part} -->\n")[2].partition("<!-- end -->\n")[0].strip()
-
-
 def remove_leftovers(path: Path | str) -> None:
-    """Remove the temporary files that killed writers of ``path`` left behind.
-
-    Only for whoever holds the lock of ``path``: nobody else may be writing it.
-    """
+    """Remove what killed writers of ``path`` left behind; only for whoever holds the lock of ``path``."""
     path = Path(path)
-    for leftover in path.parent.glob(f".{glob.escape(path.name)}.*{_TEMPORARY}"):
+    for leftover in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
         leftover.unlink(missing_ok=True)
 
 
 @contextmanager
 def locked(path: Path | str, waiting: Callable[[], None] = lambda: None) -> Iterator[None]:
-    """Hold an exclusive lock on a lock file; the operating system frees it when the process ends in any way.
-
-    The lock file stays: removing it would let two processes lock two files of one name.
-
-    Args:
-        path: the lock file; made where it is missing.
-        waiting: called once if another process holds the lock.
-    """
+    """Hold an exclusive lock on a file, which stays; ``waiting`` is called once if another process holds it."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path, "ab") as file:
@@ -112,7 +82,6 @@ def locked(path: Path | str, waiting: Callable[[], None] = lambda: None) -> Iter
 
 
 def _sync(path: Path) -> None:
-    """Force a file, or a folder's list of names, onto the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

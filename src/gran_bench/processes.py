@@ -1,9 +1,8 @@
 """Processes: children that end with whoever started them, and SIGTERM and Ctrl-C as one polite request.
 
-A child gets a session of its own, so that Ctrl-C is for its parent, which then ends it; but neither that nor
-``kill -9`` of the parent would reach it there. So what runs in it is ``python -m gran_bench.processes``, which looks
-whether the parent is still there, and ends itself and its whole group where it is not. A module of the package runs in
-that process; any other command is started by it, and its exit code handed on.
+A child gets a session of its own, where Ctrl-C and ``kill -9`` of its parent do not reach it. So it runs
+``python -m gran_bench.processes``, which ends itself and its whole group once the parent is gone. A module of the
+package runs in that process; any other command is started by it, and its exit code handed on.
 """
 
 from __future__ import annotations
@@ -27,44 +26,29 @@ import gran_bench
 
 WATCH_SECONDS = 0.2  # between two looks whether the parent is still there
 ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+Child = subprocess.Popen
 
 
 class MissingProgramError(RuntimeError):
     """A program that is needed is not installed; the message names it and the remedy."""
 
 
-def start_module(
-    module: str, *arguments: str, environment: Mapping[str, str] | None = None, **pipes: Any
-) -> subprocess.Popen:
+def start_module(module: str, *arguments: str, environment: Mapping[str, str] | None = None, **pipes: Any) -> Child:
     """A process of ``python -m module arguments`` of this package, found wherever the process works.
 
-    Args:
-        module: full name.
-        arguments: of its command line.
-        environment: beside that of this process.
-        pipes: further keys of `subprocess.Popen`.
+    The environment is beside that of this process; ``pipes`` are further keys of `subprocess.Popen`.
     """
     return _started(["-m", module, *arguments], environment, pipes)
 
 
-def start_program(
-    command: Sequence[str], environment: Mapping[str, str] | None = None, **pipes: Any
-) -> subprocess.Popen:
-    """A process of any other command.
-
-    Raises:
-        MissingProgramError: the program is not installed.
-    """
+def start_program(command: Sequence[str], environment: Mapping[str, str] | None = None, **pipes: Any) -> Child:
+    """A process of any other command, as `start_module` does; a `MissingProgramError` where it is not installed."""
     require_program(command[0], "install it")
     return _started(["--", *command], environment, pipes)
 
 
 def require_program(name: str, remedy: str) -> None:
-    """Refuse, before any work, what needs a program that is not there.
-
-    Raises:
-        MissingProgramError: it is not.
-    """
+    """Refuse, before any work and as a `MissingProgramError`, what needs a program that is not there."""
     if shutil.which(name) is None:
         raise MissingProgramError(f"{name} is not on this machine; {remedy}")
 
@@ -74,18 +58,14 @@ def watched(*words: str) -> list[str]:
     return [sys.executable, "-P", "-m", "gran_bench.processes", str(os.getpid()), *words]
 
 
-def _started(words: list[str], environment: Mapping[str, str] | None, pipes: dict[str, Any]) -> subprocess.Popen:
+def _started(words: list[str], environment: Mapping[str, str] | None, pipes: dict[str, Any]) -> Child:
     sources = str(Path(gran_bench.__file__).parent.parent)
     paths = os.pathsep.join([sources, *filter(None, [os.environ.get("PYTHONPATH")])])
-    return subprocess.Popen(
-        watched(*words),
-        env=os.environ | {"PYTHONPATH": paths} | dict(environment or {}),
-        start_new_session=True,
-        **pipes,
-    )
+    environment = os.environ | {"PYTHONPATH": paths} | dict(environment or {})
+    return subprocess.Popen(watched(*words), env=environment, start_new_session=True, **pipes)
 
 
-def kill_group(process: subprocess.Popen) -> None:
+def kill_group(process: Child) -> None:
     """``kill -9`` of a process and of all in its group, where it has not ended by itself."""
     if process.poll() is None:  # once it is reaped, its number may be another's
         with suppress(ProcessLookupError):
@@ -93,23 +73,11 @@ def kill_group(process: subprocess.Popen) -> None:
         process.wait()
 
 
-def end_with_parent(parent: int) -> None:
-    """Kill the group of this process, itself too, once its parent is another one than ``parent``; in a thread."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(WATCH_SECONDS)
-        os.killpg(0, signal.SIGKILL)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
 class StopRequest:
     """Whether someone asked this process to stop.
 
-    Outside ``deferred()`` a signal interrupts at once (``KeyboardInterrupt``); inside it only sets
-    ``requested``, so that the work in progress can reach a state worth saving. A second signal interrupts
-    even there.
+    Outside ``deferred()`` a signal interrupts at once (``KeyboardInterrupt``); inside it only sets ``requested``, so
+    that the work in progress can reach a state worth saving. A second signal interrupts even there.
     """
 
     def __init__(self) -> None:
@@ -125,7 +93,6 @@ class StopRequest:
 
     @contextmanager
     def deferred(self) -> Iterator[None]:
-        """A stretch of work that polls ``requested`` itself."""
         self._deferring = True
         try:
             yield
@@ -135,10 +102,7 @@ class StopRequest:
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopRequest]:
-    """Handle SIGTERM and SIGINT for the span of the block; the old handlers come back after it.
-
-    Outside the main thread Python allows no handlers: there the request is never set.
-    """
+    """Handle SIGTERM and SIGINT for the span of the block; never set outside the main thread, which has no handlers."""
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():
         yield request
@@ -168,9 +132,20 @@ def quiet_without_reader() -> Iterator[None]:
         sys.exit(128 + signal.SIGPIPE)
 
 
+def tell(line: str) -> None:
+    """One line on stderr, so that stdout holds tables alone."""
+    print(line, file=sys.stderr, flush=True)
+
+
 def main(parent: int, words: list[str]) -> int:
     """Run a module here, or a command, to its end or until the parent is gone; the exit code as a shell gives it."""
-    end_with_parent(parent)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH_SECONDS)
+        os.killpg(0, signal.SIGKILL)
+
+    threading.Thread(target=watch, daemon=True).start()
     if words[0] == "-m":
         sys.argv = words[1:]
         runpy.run_module(words[1], run_name="__main__", alter_sys=True)

@@ -21,11 +21,7 @@ DEFAULT_MODEL = "holdout30rpm"
 
 
 def shipped_scene(name: str, changes: Mapping[str, object] | None = None) -> Scene:
-    """The scene of ``conf/scene/<name>.yaml``.
-
-    Args:
-        name: ``drum``, ``drum_mu05``, ``drum_slice``, ``drum_small``.
-        changes: dotted keys below ``scene``, such as ``{"material.friction": 0.5}``.
+    """The scene of ``conf/scene/<name>.yaml``, with changes of keys below ``scene``: ``{"material.friction": 0.5}``.
 
     Raises:
         ConfigError: no such scene (names those there are), or a change that the schema does not allow.
@@ -51,10 +47,7 @@ def shipped_scene(name: str, changes: Mapping[str, object] | None = None) -> Sce
 
 
 def shipped_model(name: str = DEFAULT_MODEL) -> Path:
-    """The file of a trained model that ships with the package, to be read with `surrogate.checkpoint.load_model`.
-
-    Args:
-        name: of the recipe that trained it, such as ``holdout30rpm``.
+    """The file, for `load_model`, of a model that ships with the package, by the name of the recipe that trained it.
 
     Raises:
         ConfigError: no such model; names those there are.
@@ -62,10 +55,9 @@ def shipped_model(name: str = DEFAULT_MODEL) -> Path:
     checked_value(str, Name(), name, "model")
     package = Path(gran_bench.__file__).parent
     # An installed package carries the models; a clone has them where their results are.
-    places = [package / "models", package.parents[1] / "results"]
-    for place in places:
-        if (place / name / "model.pt").is_file():
-            return place / name / "model.pt"
-    there = sorted({found.parent.name for place in places for found in place.glob("*/model.pt")})
-    remedy = f"choose {' or '.join(there)}" if there else "give the file of a model of your own"
-    raise ConfigError(f"model {name}: none of that name ships with the package; {remedy}")
+    places = (package.parents[1] / "results", package / "models")
+    models = {path.parent.name: path for place in places for path in place.glob("*/model.pt")}
+    if name not in models:
+        remedy = f"choose {' or '.join(sorted(models))}" if models else "give the file of a model of your own"
+        raise ConfigError(f"model {name}: none of that name ships with the package; {remedy}")
+    return models[name]

@@ -1,6 +1,5 @@
 """Open the MLflow UI on the recorded runs.
 
-python -m gran_bench.ui
 python -m gran_bench.ui port=5001
 """
 

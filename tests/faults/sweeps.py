@@ -15,13 +15,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gran_bench.compose import override
+from overrides import override
+
 from gran_bench.processes import kill_group, start_program
 from gran_bench.run.record import MODEL
 from gran_bench.run.summary import SUMMARY
 from gran_bench.surrogate.checkpoint import load_card
-from gran_bench.sweep.runs import FINISHED, read_runs
-from gran_bench.sweep.sweep_file import SWEEPS
+from gran_bench.sweep.runs import FINISHED, SWEEPS, read_runs
 from gran_bench.tracking.address import DATABASE
 
 SWEEP = "kills"  # name of the sweep

@@ -14,11 +14,9 @@ from gran_bench.compose import Source, changed_in, checked_config, described_job
 from gran_bench.config import TrainConfig
 from gran_bench.config.override_errors import explain
 from gran_bench.run import experiment
-from gran_bench.sweep.jobs import Sweep
 from gran_bench.sweep.opening import open_sweep
-from gran_bench.sweep.runs import read_runs
-from gran_bench.sweep.sweep_file import SweepJob
-from gran_bench.sweep.task import Task
+from gran_bench.sweep.runs import SweepJob, read_runs
+from gran_bench.sweep.task import Sweep, Task, complain
 from gran_bench.tracking import TrackingError
 
 
@@ -45,7 +43,12 @@ def do(sweep: Sweep, jobs: list[SweepJob], number: int) -> None:
     """What a job of the sweep does, but for its log."""
     if number not in sweep.done:
         jobs[number].config.tracking.parent = sweep.parent
-        sweep.finished(number, experiment.run_experiment(jobs[number].config))
+        with sweep.logged(number):
+            try:
+                experiment.run_experiment(jobs[number].config)
+            except Exception as error:
+                complain(error, TrainConfig)
+                raise
 
 
 @pytest.fixture
@@ -129,7 +132,6 @@ def test_a_full_disk_is_one_clear_line_and_what_was_finished_stays(full_at, plac
         message = explain(full.value, TrainConfig)
         assert message.startswith("the disk takes no more")
         assert "free space, and the same command goes on" in message
-        sweep.failed(1, message)
     trained = next(root.glob("runs/R0.065-*/training.json"))
     before = trained.stat().st_mtime_ns
     assert not list(root.rglob("*.tmp"))
@@ -179,8 +181,7 @@ def test_a_job_whose_data_cannot_be_made_stops_no_other(place: Path, tmp_path: P
     with open_sweep(jobs, "mine") as sweep:
         assert sweep.jobs[1].key == ""
         do(sweep, jobs, 0)
-        with pytest.raises(Exception, match=r"cannot be made|could not be made") as failure:
+        with pytest.raises(Exception, match=r"cannot be made|could not be made"):
             do(sweep, jobs, 1)
-        sweep.failed(1, str(failure.value))
     runs = read_runs(tmp_path / "results" / "sweeps" / "kills")
     assert [(run.run, run.status) for run in runs] == [("R0.06", "finished"), ("R0.065", "failed")]

@@ -6,11 +6,11 @@ from dataclasses import asdict
 from pathlib import Path
 
 import torch
+from overrides import override
 
-from gran_bench.compose import override
+from gran_bench.compose import checked_config, compose
 from gran_bench.config import ContainerConfig, FillingConfig, SceneConfig, TrainConfig
 from gran_bench.dataset import CaseSpec, Windows, ensure_cases, read_case, split_cases
-from gran_bench.entry import checked_config, compose
 from gran_bench.scene import Scene, build_scene
 from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import ModelCard, save_model

@@ -15,8 +15,8 @@ import pytest
 from gran_bench.benchmark.command import run_benchmark
 from gran_bench.benchmark.page import PAGE
 from gran_bench.benchmark.results import RESULTS
+from gran_bench.compose import checked_config, compose
 from gran_bench.config import BenchmarkConfig
-from gran_bench.entry import checked_config, compose
 
 OVERRIDES = [
     *("scene=drum_small", "scene.filling.count=120", "scene.container.length=0.25", "scene.end_time=1.8"),

@@ -7,7 +7,7 @@ from dataclasses import fields
 
 from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig, LossConfig, TrainConfig
 from gran_bench.config.registry import MODELS
-from gran_bench.config.rules import ConfigError, Section
+from gran_bench.config.rules import Section, raising, shown
 
 PAIR_FADE = 0.1  # of a diameter: the last part of the contact network's reach, over which an answer fades
 
@@ -21,21 +21,6 @@ BOUNDARY_KEYS = {
 TERMS_OF_GRAVITY = ("energy", "speed_distribution")
 
 
-def check_choices(config: TrainConfig) -> None:
-    """Hold loss, rollout, boundary and radius against the model that is to be trained with them.
-
-    Raises:
-        ConfigError: names a dotted key, its value, what cannot use it and the remedy.
-    """
-    scene = config.scene
-    period = scene.container.length if getattr(scene.container, "periodic_axis", False) else 0.0
-    check_radius(config.model, scene.filling.diameter, period)
-    if (check := getattr(config.model, "check", None)) is not None:
-        check(scene)
-    for complaint in (*_of_boundary(config), *_of_loss(config), *_of_rollout(config)):
-        raise ConfigError(complaint)
-
-
 def loss_terms() -> list[str]:
     """Keys of ``loss`` that are weights of a term."""
     return [entry.name for entry in fields(LossConfig) if entry.type == "float" and entry.name != "discount"]
@@ -46,94 +31,69 @@ def weighed_terms(loss: LossConfig) -> list[str]:
     return [term for term in loss_terms() if getattr(loss, term) > 0]
 
 
-def check_radius(model: Section, diameter: float, period: float) -> None:
-    """Hold a model's radius against the spheres that it is for.
+@raising
+def check_radius(model: Section, diameter: float, period: float) -> Iterator[str]:
+    """Refuse, as a `ConfigError`, a radius that reaches too little or too far; a plugin's model has a `check`.
 
     Args:
-        model: what is trained; one that is not the house's has a `check` of its own.
         diameter: of the spheres, m.
         period: length of the periodic axis, m; 0 for none.
-
-    Raises:
-        ConfigError: a radius that reaches too little or too far.
     """
-    if not isinstance(model, ContactModelConfig | CconvModelConfig):
-        return
-    given = f"model.radius={model.radius:g}"
-    if isinstance(model, CconvModelConfig):
-        if model.radius <= diameter:
-            raise ConfigError(f"{given} reaches no neighbour; choose more than the particle diameter, {diameter:g} m")
-        return
-    smallest = (1.0 + PAIR_FADE) * diameter
-    if model.radius < smallest * (1.0 - 1e-9):
-        raise ConfigError(
-            f"{given} leaves no room for a contact to fade; choose at least {smallest:g} m, "
-            f"{1.0 + PAIR_FADE:g} particle diameters"
-        )
-    if period and 2.0 * model.radius > period:
-        raise ConfigError(
-            f"{given} sees a neighbour through both ends of the period, scene.container.length={period:g}; choose at "
-            f"most {0.5 * period:g} m, or model=radial"
-        )
+    if isinstance(model, CconvModelConfig) and model.radius <= diameter:
+        remedy = f"choose more than the particle diameter, {diameter:g} m"
+        yield f"model.radius={model.radius:g} reaches no neighbour; {remedy}"
+    if isinstance(model, ContactModelConfig):
+        diameters, given = 1.0 + PAIR_FADE, f"model.radius={model.radius:g}"
+        if model.radius < diameters * diameter * (1.0 - 1e-9):
+            remedy = f"choose at least {diameters * diameter:g} m, {diameters:g} particle diameters"
+            yield f"{given} leaves no room for a contact to fade; {remedy}"
+        if period and 2.0 * model.radius > period:
+            ends = f"both ends of the period, scene.container.length={period:g}"
+            yield f"{given} sees a neighbour through {ends}; choose at most {0.5 * period:g} m, or model=radial"
 
 
-def _of_boundary(config: TrainConfig) -> Iterator[str]:
-    model, boundary = config.model.name, config.boundary
-    if MODELS[model].own_walls != (boundary.kind == "own"):
-        if boundary.kind == "own":
-            yield (
-                f"boundary.kind=own is how the contact network sees walls, and model={model} does not; choose "
-                "boundary=spheres, boundary=analytic or boundary=none"
-            )
-        else:
-            yield (
-                f"boundary.kind={boundary.kind} changes nothing for model={model}, which has walls of its own; leave "
-                f"boundary as it is (boundary=contact), or choose model=radial or model=ccnn"
-            )
+@raising
+def check_choices(config: TrainConfig) -> Iterator[str]:
+    """Refuse, as a `ConfigError`, loss, rollout, boundary and radius that the model to be trained cannot use."""
+    scene = config.scene
+    period = scene.container.length if getattr(scene.container, "periodic_axis", False) else 0.0
+    check_radius(config.model, scene.filling.diameter, period)
+    if (check := getattr(config.model, "check", None)) is not None:
+        check(scene)
+    model, boundary, kind = config.model.name, config.boundary, config.boundary.kind
+    if MODELS[model].own_walls and kind != "own":
+        remedy = "leave boundary as it is (boundary=contact), or choose model=radial or model=ccnn"
+        yield f"boundary.kind={kind} changes nothing for model={model}, which has walls of its own; {remedy}"
+    if kind == "own" and not MODELS[model].own_walls:
+        remedy = "choose boundary=spheres, boundary=analytic or boundary=none"
+        yield f"boundary.kind=own is how the contact network sees walls, and model={model} does not; {remedy}"
     for entry in fields(BoundaryConfig):
-        value = getattr(boundary, entry.name)
-        if entry.name != "kind" and entry.name not in BOUNDARY_KEYS[boundary.kind] and value != entry.default:
-            shown, usual = (str(v).lower() if isinstance(v, bool) else f"{v:g}" for v in (value, entry.default))
-            users = " or ".join(f"boundary={kind}" for kind, keys in BOUNDARY_KEYS.items() if entry.name in keys)
-            wanted = f"{users} with model=radial or model=ccnn" if boundary.kind == "own" else users
-            yield (
-                f"boundary.{entry.name}={shown} changes nothing for boundary.kind={boundary.kind}; leave it at "
-                f"{usual}, or choose {wanted}"
-            )
-
-
-def _of_loss(config: TrainConfig) -> Iterator[str]:
-    loss, model, terms = config.loss, config.model.name, loss_terms()
+        name, value, usual = entry.name, getattr(boundary, entry.name), entry.default
+        if name != "kind" and name not in BOUNDARY_KEYS[kind] and value != usual:
+            users = " or ".join(f"boundary={one}" for one, keys in BOUNDARY_KEYS.items() if name in keys)
+            remedy = f"leave it at {shown(usual)}, or choose {users}"
+            remedy += " with model=radial or model=ccnn" if kind == "own" else ""
+            yield f"boundary.{name}={shown(value)} changes nothing for boundary.kind={kind}; {remedy}"
+    loss, model, terms, gravity = config.loss, config.model.name, loss_terms(), config.scene.gravity
     if not weighed_terms(loss):
         yield f"loss.{terms[0]}=0 and every other term is 0 too; give one of {', '.join(terms)} a weight"
     if loss.spin > 0 and not MODELS[model].spin:
-        yield (
-            f"loss.spin={loss.spin:g} needs a model that predicts spin, and model={model} does not; choose "
-            "loss.spin=0 or model=contact"
-        )
+        given, remedy = f"loss.spin={loss.spin:g}", "choose loss.spin=0 or model=contact"
+        yield f"{given} needs a model that predicts spin, and model={model} does not; {remedy}"
     if loss.momentum > 0 and MODELS[model].conserves_momentum:
-        yield (
-            f"loss.momentum={loss.momentum:g} has nothing to teach model={model}, whose pairs conserve momentum "
-            "exactly; choose loss.momentum=0, or model=radial or model=ccnn"
-        )
+        given = f"loss.momentum={loss.momentum:g} has nothing to teach model={model}"
+        yield f"{given}, which conserves momentum exactly; choose loss.momentum=0, or model=radial or model=ccnn"
     for term in TERMS_OF_GRAVITY:
-        if getattr(loss, term) > 0 and not any(config.scene.gravity):
-            yield (
-                f"loss.{term}={getattr(loss, term):g} is measured in units of gravity, and scene.gravity="
-                f"{config.scene.gravity} has none; choose loss.{term}=0"
-            )
-
-
-def _of_rollout(config: TrainConfig) -> Iterator[str]:
-    rollout, scene = config.rollout, config.scene
+        if getattr(loss, term) > 0 and not any(gravity):
+            given = f"loss.{term}={getattr(loss, term):g} is measured in units of gravity"
+            yield f"{given}, and scene.gravity={gravity} has none; choose loss.{term}=0"
+    rollout, scene, first, last = config.rollout, config.scene, config.rollout.frames, config.rollout.final_frames
     available = round((scene.end_time - scene.start_time) / scene.frame_interval)
-    for name in ("frames", "final_frames"):
-        if (getattr(rollout, name) or 0) > available:
-            yield (f"rollout.{name}={getattr(rollout, name)} is longer than a case; choose at most {available} frames")
-    if rollout.final_frames is None and rollout.growth == "linear":
+    for name, frames in (("frames", first), ("final_frames", last or 0)):
+        if frames > available:
+            yield f"rollout.{name}={frames} is longer than a case; choose at most {available} frames"
+    if last is None and rollout.growth == "linear":
         yield "rollout.growth=linear has nothing to grow to; give rollout.final_frames, or choose rollout.growth=jump"
-    if rollout.final_frames is not None and rollout.final_frames < rollout.frames:
-        yield (
-            f"rollout.final_frames={rollout.final_frames} is fewer than rollout.frames={rollout.frames}; choose at "
-            f"least {rollout.frames}, or rollout.final_frames=null to look equally far all the time"
-        )
+    if last is not None and last < first:
+        remedy = f"choose at least {first}, or rollout.final_frames=null to look equally far all the time"
+        yield f"rollout.final_frames={last} is fewer than rollout.frames={first}; {remedy}"

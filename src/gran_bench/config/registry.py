@@ -1,15 +1,14 @@
 """Which models, terms of the loss, metrics and containers there are: the house's and those of plugins, in one way.
 
-A plugin is a package that registers something when it is imported, and that says so in the entry-point group
-``gran_bench.plugins``. Plugins are loaded once in each process, when a registry is first read.
+A plugin is a package of the entry-point group ``gran_bench.plugins`` that registers something when it is imported.
 """
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, is_dataclass
 from importlib.metadata import entry_points
+from pkgutil import resolve_name
 from typing import Any, Generic, TypeVar
 
 from gran_bench.config.rules import ConfigError, Section, add_key, at_least, key, one_of, stand_at
@@ -21,66 +20,57 @@ Entry = TypeVar("Entry")
 Config = TypeVar("Config", bound=type[Section])
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_state: dict[str, Any] = {"begun": False, "failure": None, "weights": None}
+_state: dict[str, Any] = {"loaded": False, "weights": None}
 
 
 def load_plugins() -> None:
-    """Import every plugin that is installed, once a process.
-
-    Raises:
-        ConfigError: a plugin cannot be imported; names it, its package and the remedy.
-    """
-    if _state["failure"] is not None:
-        raise ConfigError(_state["failure"])
-    if _state["begun"]:
+    """Import every plugin that is installed, once a process; a `ConfigError` where one cannot be imported."""
+    if _state["loaded"]:
         return
-    _state["begun"] = True  # first of all: a plugin that is being imported may read a registry
+    _state["loaded"] = True  # first of all: a plugin that is being imported may read a registry
     for point in sorted(entry_points(group=GROUP)):
         try:
             point.load()
         except Exception as error:
-            package = f" of the package {point.dist.name}" if point.dist else ""
-            _state["failure"] = (
-                f"the plugin {point.name}{package} ({point.value}) cannot be loaded: {type(error).__name__}: "
-                f"{' '.join(str(error).split())}; mend it or uninstall it"
-            )
-            raise ConfigError(_state["failure"]) from error
+            _state["loaded"] = False
+            plugin = f"{point.name}{f' of the package {point.dist.name}' if point.dist else ''} ({point.value})"
+            why = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            raise ConfigError(f"the plugin {plugin} cannot be loaded: {why}; mend it or uninstall it") from error
 
 
 class Registry(Mapping[str, Entry], Generic[Entry]):
-    """What has been registered, by name; reading it loads the plugins.
+    """What has been registered, by name; reading it loads the plugins."""
 
-    Args:
-        what: one entry, for messages.
-    """
-
-    def __init__(self, what: str) -> None:
-        self.what = what
+    def __init__(self, what: str, place: str = "", chooser: str = "") -> None:
+        self.what = what  # one entry, for messages
+        self.place = place  # of the section of a config that an entry describes
+        self.chooser = chooser  # the section's key that chooses the entry
         self._entries: dict[str, Entry] = {}
         self._owners: dict[str, str] = {}
 
-    def add(self, name: str, entry: Entry, owner: str) -> None:
-        """Register an entry. The package that owns a name may register it again, as when its module is reloaded.
-
-        Args:
-            name: an identifier.
-            entry: what the name stands for.
-            owner: module that it is of.
-
-        Raises:
-            ConfigError: no identifier, or the name of another package.
-        """
-        owner = owner.partition(".")[0]
+    def add(self, name: str, entry: Entry, module: str) -> None:
+        """Register an entry of a module. The package that owns a name may register it again, as when it is reloaded."""
+        owner = module.partition(".")[0]
         if not name.isidentifier():
             raise ConfigError(f"{self.what} {name!r}: choose a name of letters, digits and _, no digit first")
         if self._owners.get(name, owner) != owner:
-            raise ConfigError(
-                f"{self.what} {name}, registered by {owner}: {self._owners[name]} has one of that name; choose another"
-            )
+            has = f"{self._owners[name]} has one of that name"
+            raise ConfigError(f"{self.what} {name}, registered by {owner}: {has}; choose another")
         self._entries[name], self._owners[name] = entry, owner
 
+    def section(self, config: Config, names: tuple[str, ...], entry: Entry) -> Config:
+        """Register an entry under some names with the dataclass of its keys, which gets the key that chooses it."""
+        if not (is_dataclass(config) and issubclass(config, Section)):
+            given = f"{config.__name__}, registered as {' and '.join(names)}, is no dataclass of gran_bench.Section"
+            raise ConfigError(f"{given}; write @dataclass below the decorator and derive it from Section")
+        stand_at(config, self.place)
+        if self.chooser not in config.__dataclass_fields__:
+            add_key(config, self.chooser, "str", key(names[0], one_of(*names)))
+        for name in names:
+            self.add(name, entry, config.__module__)
+        return config
+
     def owner(self, name: str) -> str:
-        """The package that registered a name."""
         load_plugins()
         return self._owners[name]
 
@@ -98,76 +88,48 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return iter(dict(self._entries))
 
     def __len__(self) -> int:
-        load_plugins()
-        return len(self._entries)
+        return len(list(iter(self)))
 
 
 @dataclass(frozen=True)
 class Builder:
-    """A section of the config, and the function that makes something of it.
-
-    Attributes:
-        config: the section's class.
-        build: the function, or ``package.module:name``, which is imported when it is needed.
-    """
+    """A section of the config, and the function that makes something of it, perhaps as ``package.module:name``."""
 
     config: type[Section]
     build: Callable[..., Any] | str
 
     def __call__(self, *arguments: Any) -> Any:
-        """What the function makes of its arguments."""
-        function = self.build
-        if isinstance(function, str):
-            module, _, name = function.partition(":")
-            function = getattr(importlib.import_module(module), name)
-        return function(*arguments)
+        return (resolve_name(self.build) if isinstance(self.build, str) else self.build)(*arguments)
 
 
 @dataclass(frozen=True)
 class Model(Builder):
-    """A model that training can name.
+    """A model that training can name."""
 
-    Attributes:
-        own_walls: whether it sees walls in a way of its own, so that ``boundary`` decides nothing.
-        spin: whether it predicts spin.
-        conserves_momentum: whether its pairs do, exactly.
-        code: rooms of the house that its weights pass through; a plugin's are all of its package.
-    """
-
-    own_walls: bool = True
-    spin: bool = False
-    conserves_momentum: bool = False
-    code: tuple[str, ...] = ()
+    own_walls: bool = True  # sees walls in a way of its own, so that `boundary` decides nothing
+    spin: bool = False  # predicts spin
+    conserves_momentum: bool = False  # its pairs do, exactly
+    code: tuple[str, ...] = ()  # rooms of the house that its weights pass through; a plugin's are all of its package
 
 
 @dataclass(frozen=True)
 class Wall(Builder):
-    """A container that a scene can name.
+    """A container that a scene can name."""
 
-    Attributes:
-        drum: whether it turns about y at the speeds of a data set, so that a model can be trained in it.
-    """
-
-    drum: bool = False
+    drum: bool = False  # turns about y at the speeds of a data set, so that a model can be trained in it
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A figure of a trajectory.
-
-    Attributes:
-        label: for people.
-        unit: SI, or the exception that it names.
-        measure: gets a trajectory and its scene; gives a number, a ``Measured`` or a ``Series``.
-    """
+    """A figure of a trajectory: its words, its unit, and the function that measures it (see `register_metric`)."""
 
     label: str
     unit: str
     measure: Callable[..., Any]
 
 
-MODELS: Registry[Model] = Registry("model")
-WALLS: Registry[Wall] = Registry("container")
+MODELS: Registry[Model] = Registry("model", "model", "name")
+WALLS: Registry[Wall] = Registry("container", "scene.container", "kind")
 LOSS_TERMS: Registry[Callable[..., Any]] = Registry("term of the loss")
 METRICS: Registry[Metric] = Registry("metric")
 # Keys of `loss` that plugins have added.
@@ -185,7 +147,6 @@ def register_model(
     """Let ``model.name`` be one of ``names``; decorates the dataclass of the model's keys.
 
     Args:
-        names: of the model.
         build: the `Surrogate`'s class, or ``package.module:Class``. It is called with the config and the scene; where
             the walls are not its own, with the config, the ``boundary`` and the scene.
         own_walls, spin, conserves_momentum, code: as in `Model`.
@@ -193,36 +154,21 @@ def register_model(
     Raises:
         ConfigError: no dataclass of `Section`, or a name that another package has.
     """
-
-    def register(config: Config) -> Config:
-        _stand(config, "model", "name", names)
-        for name in names:
-            MODELS.add(name, Model(config, build, own_walls, spin, conserves_momentum, code), config.__module__)
-        return config
-
-    return register
+    return lambda config: MODELS.section(config, names, Model(config, build, own_walls, spin, conserves_momentum, code))
 
 
 def register_wall(*names: str, build: Callable[..., Any] | str, drum: bool = False) -> Callable[[Config], Config]:
     """Let ``scene.container.kind`` be one of ``names``; decorates the dataclass of the container's keys.
 
     Args:
-        names: of the container.
         build: a function, or ``package.module:function``, of the container's config and the scene's; gives a
             `Container`.
         drum: as in `Wall`.
 
     Raises:
-        ConfigError: no dataclass of `Section`, or a name that another package has.
+        ConfigError: as for `register_model`.
     """
-
-    def register(config: Config) -> Config:
-        _stand(config, "scene.container", "kind", names)
-        for name in names:
-            WALLS.add(name, Wall(config, build, drum), config.__module__)
-        return config
-
-    return register
+    return lambda config: WALLS.section(config, names, Wall(config, build, drum))
 
 
 def holds_weights(section: Config) -> Config:
@@ -234,8 +180,7 @@ def holds_weights(section: Config) -> Config:
 def register_loss(term: Function) -> Function:
     """Let ``loss`` have a key of the function's name: the weight of a term, 0 unless it is given.
 
-    Args:
-        term: gets a `FrameAhead`; gives a scalar tensor without unit, differentiable in the prediction.
+    The term gets a `FrameAhead`; it gives a scalar tensor without unit, differentiable in the prediction.
 
     Raises:
         ConfigError: a name that another package, or another key of ``loss``, has.
@@ -255,11 +200,8 @@ def register_metric(label: str, unit: str) -> Callable[[Function], Function]:
     """Let every judgement have a figure of the function's name, beside the DEM's and its noise floor.
 
     The function gets a trajectory and its scene. It gives a number, or a `Measured`, which may be undefined with a
-    reason; or a `Series` with a value a state, whose mean is the figure and which is compared state by state.
-
-    Args:
-        label: for people.
-        unit: SI; ``-`` for none.
+    reason; or a `Series` with a value a state, whose mean is the figure and which is compared state by state. The unit
+    is SI; ``-`` for none.
 
     Raises:
         ConfigError: a name that another package has.
@@ -270,15 +212,3 @@ def register_metric(label: str, unit: str) -> Callable[[Function], Function]:
         return measure
 
     return register
-
-
-def _stand(config: type, place: str, chooser: str, names: tuple[str, ...]) -> None:
-    """Let a dataclass be a section at ``place``, with the key that chooses it."""
-    if not (is_dataclass(config) and issubclass(config, Section)):
-        raise ConfigError(
-            f"{config.__name__}, registered as {' and '.join(names)}, is no dataclass of gran_bench.Section; write "
-            "@dataclass below the decorator and derive it from Section"
-        )
-    stand_at(config, place)
-    if chooser not in config.__dataclass_fields__:
-        add_key(config, chooser, "str", key(names[0], one_of(*names)))

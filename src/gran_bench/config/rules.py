@@ -12,15 +12,18 @@ import re
 import sys
 import types
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 TYPE_WORDS = {float: "a number", int: "a whole number", bool: "true or false", str: "a word"}
 MISSING = "???"  # Hydra's mark of a value that the user must choose
 LONGEST_SHOWN = 80  # characters of a refused value
-
 LONGEST_NAME = 150  # bytes; file systems end at 255, and a key and an extension follow
+
+hints_of = functools.cache(get_type_hints)
+# Registered sections by the place where they stand.
+_standing: dict[str, list[type[Section]]] = defaultdict(list)
 
 
 class ConfigError(ValueError):
@@ -38,16 +41,15 @@ class Range:
     unit: str = ""
 
     def holds(self, value: float) -> bool:
-        """Whether ``value`` is a finite number of the interval."""
         above = value > self.low if self.open_low else value >= self.low
         below = value < self.high if self.open_high else value <= self.high
         return abs(value) < math.inf and above and below
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
+        if math.isinf(self.low):
+            return f"a finite value{unit and ' in' + unit}"
         if math.isinf(self.high):
-            if math.isinf(self.low):
-                return f"a finite value{unit and ' in' + unit}"
             return f"a value {'>' if self.open_low else '≥'} {self.low:g}{unit}"
         left, right = "(" if self.open_low else "[", ")" if self.open_high else "]"
         return f"a value in {left}{self.low:g}, {self.high:g}{right}{unit}"
@@ -60,7 +62,6 @@ class OneOf:
     words: tuple[str, ...]
 
     def holds(self, value: str) -> bool:
-        """Whether ``value`` is one of the words."""
         return value in self.words
 
     def __str__(self) -> str:
@@ -69,10 +70,9 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Name:
-    """A word that a file or a folder is called by; never a path, and never a pattern to a shell."""
+    """A word that a file or a folder is called by on any file system; never a path, and never a pattern to a shell."""
 
     def holds(self, value: str) -> bool:
-        """Whether ``value`` can be a part of a file's name on any file system."""
         return re.fullmatch(r"\w[\w.+-]*", value) is not None and len(value.encode()) <= LONGEST_NAME
 
     def __str__(self) -> str:
@@ -111,13 +111,10 @@ def key(default: Any, rule: Rule) -> Any:
 
 
 class Section:
-    """A section of a config: what is put into a key is held against the key's type and rule at once.
+    """A section of a config: what is put into a key is held against the key's type and rule at once (`ConfigError`).
 
     A word without a rule may be any but the empty one. Tuples, arrays and NumPy's numbers become lists and plain
     numbers, so that a config made in Python is the one that a command line would have made.
-
-    Raises:
-        ConfigError: names the dotted key, the value and what is legal.
     """
 
     place = ""  # where the section stands in a whole config, dotted, with a dot at its end
@@ -137,14 +134,7 @@ def stand_at(section: type[Section], place: str) -> None:
 
 
 def add_key(section: type[Section], name: str, hint: str, entry: Any) -> None:
-    """Give a section's class one more key, the last one.
-
-    Args:
-        section: a dataclass.
-        name: of the key.
-        hint: its type, as an annotation has it.
-        entry: as `key` gives it.
-    """
+    """Give a section's dataclass one more key, the last: its type as an annotation has it, and what `key` gives."""
     for known in fields(section):  # dataclass() reads its fields from the class again
         again = field(default=known.default, default_factory=known.default_factory, metadata=known.metadata)
         setattr(section, known.name, again)
@@ -157,17 +147,7 @@ def add_key(section: type[Section], name: str, hint: str, entry: Any) -> None:
 
 
 def checked(schema: type[Section], name: str, value: Any, place: str | None = None) -> Any:
-    """``value`` as the key ``name`` of a section holds it.
-
-    Args:
-        schema: the section's class, which has the rule.
-        name: of the key.
-        value: to hold against it.
-        place: of the section, dotted, with a dot at its end; None: where sections of its class stand.
-
-    Raises:
-        ConfigError: an unknown key, a wrong type or a value outside the rule.
-    """
+    """``value`` as the key ``name`` of a section holds it, else a `ConfigError`; ``place`` ends with a dot."""
     dotted, hints = (schema.place if place is None else place) + name, hints_of(schema)
     if name not in hints:
         raise ConfigError(f"{dotted}={shown(value)}: no such key; the keys are {', '.join(hints)}")
@@ -183,7 +163,6 @@ def checked_value(hint: Any, rule: Rule | None, value: Any, dotted: str) -> Any:
     Args:
         hint: bool, int, float, str, a list or a tuple of them, or classes; perhaps or None.
         rule: of a number or a word, or of each in a list; a number without a rule is finite.
-        value: to hold against both.
         dotted: the key's name for the message.
 
     Raises:
@@ -192,7 +171,7 @@ def checked_value(hint: Any, rule: Rule | None, value: Any, dotted: str) -> Any:
     if value is None and is_optional(hint):
         return None
     or_null = ", or null" if is_optional(hint) else ""
-    kinds = tuple(dict.fromkeys([*(m for m in members_of(hint) if m is not type(None)), *sections_of(hint)]))
+    kinds = tuple(dict.fromkeys([*(m for m in _members_of(hint) if m is not type(None)), *sections_of(hint)]))
     kind = kinds[0]
     if not _is_list(kind) and kind not in TYPE_WORDS:
         if not isinstance(value, kinds):
@@ -222,7 +201,6 @@ def _is_list(hint: Any) -> bool:
 
 
 def _checked_list(kind: Any, rule: Rule | None, value: Any, dotted: str) -> Any:
-    """A list or a tuple; a tuple of a given length is a vector (x, y, z)."""
     elements = get_args(kind)
     if not isinstance(value, list | tuple):
         raise ConfigError(f"{dotted}={shown(value)} is no list; write {dotted}=[{shown(value)}]")
@@ -235,46 +213,34 @@ def _checked_list(kind: Any, rule: Rule | None, value: Any, dotted: str) -> Any:
 
 
 def check_arguments(**arguments: tuple[Any, Any]) -> None:
-    """Refuse arguments of a public function that are of another type than it takes: ``scene=(scene, Scene)``.
-
-    Raises:
-        ConfigError: names the argument, the value and the type.
-    """
+    """Refuse, as a `ConfigError`, arguments of another type than a function takes: ``scene=(scene, Scene)``."""
     for name, (value, hint) in arguments.items():
         checked_value(hint, None, value, name)
 
 
-def recheck(config: Section) -> None:
-    """Hold every value of a config against its key again: a list may have been changed in place.
+def raising(complaints: Callable[..., Iterable[str]]) -> Callable[..., None]:
+    """The check that raises, as a `ConfigError`, the first sentence that a function complains with."""
 
-    Raises:
-        ConfigError: names the dotted key, the value and what is legal.
-    """
-    for entry in fields(config):
-        value = getattr(config, entry.name)
-        setattr(config, entry.name, value)
-        if is_dataclass(value):
-            recheck(value)
+    @functools.wraps(complaints)
+    def check(*arguments: Any) -> None:
+        for complaint in complaints(*arguments):
+            raise ConfigError(complaint)
+
+    return check
 
 
-hints_of = functools.cache(get_type_hints)
-# Registered sections by the place where they stand.
-_standing: dict[str, list[type[Section]]] = defaultdict(list)
-
-
-def members_of(hint: Any) -> tuple[Any, ...]:
-    """The types of a union; of any other type, itself alone."""
+def _members_of(hint: Any) -> tuple[Any, ...]:
     return get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
 
 
 def is_optional(hint: Any) -> bool:
     """Whether null will do."""
-    return type(None) in members_of(hint)
+    return type(None) in _members_of(hint)
 
 
 def sections_of(hint: Any) -> Iterator[type[Section]]:
     """The sections that a key of this type may hold, registered ones included; none where it holds values."""
-    members = [member for member in members_of(hint) if is_dataclass(member)]
+    members = [member for member in _members_of(hint) if is_dataclass(member)]
     registered = [one for member in members for one in _standing.get(getattr(member, "place", ""), ())]
     yield from dict.fromkeys([*members, *registered])
 

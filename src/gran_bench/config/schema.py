@@ -139,12 +139,8 @@ class DemConfig(Section, place="dem"):
 
     engine: str = key("numba", one_of("numba", "numpy"))
     time_step: float | None = key(None, positive("s"))  # null: a stated fraction of min(Rayleigh time, contact time)
-    skin: float | None = key(
-        None, positive("m")
-    )  # Verlet skin; null: chosen by the clock; changes no bit of the result
-    threads: int | None = key(
-        None, at_least(1)
-    )  # of the numba engine; null: chosen by the clock; changes no bit of the result
+    skin: float | None = key(None, positive("m"))  # Verlet; null: chosen by the clock; changes no bit
+    threads: int | None = key(None, at_least(1))  # of numba; null: chosen by the clock; changes no bit
     precision: str = key("float64", one_of("float64", "float32"))  # of contact forces; positions stay float64
     # The arms that spins add slip with; full_radius: as LAMMPS measures it.
     slip: str = key("contact_point", one_of("contact_point", "full_radius"))

@@ -12,16 +12,3 @@ from gran_bench.provenance.origin import (
     stamp,
     write_table,
 )
-
-__all__ = [
-    "command",
-    "commit",
-    "hardware",
-    "library_versions",
-    "program",
-    "provenance",
-    "read_table",
-    "remember_command",
-    "stamp",
-    "write_table",
-]

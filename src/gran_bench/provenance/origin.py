@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from datetime import date
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 
 import psutil
@@ -28,48 +30,30 @@ _remembered: str | None = None
 
 
 def hardware() -> str:
-    """One line: processor and the width of its vectors, cores, memory, accelerator.
+    """One line: processor and the width of its vectors, by which jitted kernels go, cores, memory, accelerator."""
+    import torch  # only here: it loads for seconds
 
-    Clouds sell processors of several generations under one name, and the jitted kernels go by the width.
-    """
-    processor, flags = platform.processor() or platform.machine(), []
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                processor = line.split(":", 1)[1].strip()
-            if line.startswith("flags"):
-                flags = line.split(":", 1)[1].split()
-                break
-    except OSError:
-        pass
-    vectors = next((f" ({name})" for flag, name in VECTORS.items() if flag in flags), "")
+    listed = Path("/proc/cpuinfo")
+    facts = dict(re.findall(r"^([\w ]+?)\s*: (.*)$", listed.read_text(), re.MULTILINE)) if listed.exists() else {}
+    processor = facts.get("model name") or platform.processor() or platform.machine()
+    vectors = next((f" ({name})" for flag, name in VECTORS.items() if flag in facts.get("flags", "").split()), "")
     memory = psutil.virtual_memory().total / 2**30
-    return f"{processor}{vectors}, {os.cpu_count()} cores, {memory:.0f} GiB, {_accelerator()}"
-
-
-def _accelerator() -> str:
-    import torch
-
-    return torch.cuda.get_device_name() if torch.cuda.is_available() else "no GPU"
+    accelerator = torch.cuda.get_device_name() if torch.cuda.is_available() else "no GPU"
+    return f"{processor}{vectors}, {os.cpu_count()} cores, {memory:.0f} GiB, {accelerator}"
 
 
 def commit() -> str:
-    """The checked-out commit, with ``+`` where the tree has changes; the version for an installed wheel.
-
-    Changes below ``results/`` don't count: they are what a sweep writes while its runs go on, and decide nothing.
-    """
+    """The checked-out commit, with ``+`` where the tree has changes but in ``results/``; of a wheel its version."""
     folder = Path(gran_bench.__file__).resolve().parents[2]
     if not (folder / ".git").exists():
         return f"version {gran_bench.__version__}"
 
     def git(*arguments: str) -> str:
-        try:
-            done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=False)
-        except FileNotFoundError:  # no git here, which must not cost a result
-            return ""
-        return done.stdout.strip()
+        return subprocess.run(["git", "-C", folder, *arguments], capture_output=True, text=True, check=False).stdout
 
-    head = git("rev-parse", "--short=12", "HEAD") or "no commit"
+    head = shutil.which("git") and git("rev-parse", "--short=12", "HEAD").strip()
+    if not head:  # which must not cost a result
+        return "no commit"
     changed = git("status", "--porcelain", "--untracked-files=no", "--", ":(top)", ":(top,exclude)results")
     return head + ("+" if changed else "")
 
@@ -95,13 +79,7 @@ def command() -> str:
 
 def library_versions() -> str:
     """One line: the versions of the libraries whose numerics a run goes through."""
-    versions = {}
-    for library in LIBRARIES:
-        try:
-            versions[library] = version(library)
-        except PackageNotFoundError:
-            versions[library] = "missing"
-    return ", ".join(f"{name} {number}" for name, number in versions.items())
+    return ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
 
 
 def provenance() -> dict[str, str]:
@@ -117,23 +95,13 @@ def provenance() -> dict[str, str]:
 
 
 def stamp(made: Mapping[str, str]) -> str:
-    """Where a record comes from, in one line of Markdown.
-
-    Args:
-        made: as `provenance` gives it.
-    """
+    """Where a record comes from, as `provenance` gives it, in one line of Markdown."""
     said = {"command": "`{}`", "commit": "commit `{}`", "day": "{}", "hardware": "{}"}
     return f"*{', '.join(words.format(made[name]) for name, words in said.items() if made.get(name))}*"
 
 
 def write_table(path: Path, table: str, made: Mapping[str, str]) -> Path:
-    """Write a CSV whose first line is a comment that says where it comes from.
-
-    Args:
-        path: of the file.
-        table: in CSV.
-        made: as `provenance` gives it, or more.
-    """
+    """Write a table in CSV below a comment that says where it comes from, as `provenance` gives it or more."""
     write_text(path, f"# {json.dumps(dict(made), ensure_ascii=False)}\n{table}")
     return path
 

@@ -1,9 +1,7 @@
 """Which source decides a result, in written lists of rooms, and a hash of it that comments and layout don't change.
 
-A room is a file (``scene.py``), a folder (``dem``, with all below it) or a pattern (``metrics/*.py``) of the
-package; one with a ``-`` before it is taken out of those before it. What is in no list changes no weight and no figure:
-config (its values are in a run's key), tables, figures, tracking, sweeps. `tests/test_source_digest.py` holds the lists
-against the imports of their files. Of a plugin that takes part, all source of its package counts.
+A room is a file, a folder with all below it or a pattern (``metrics/*.py``) of the package; one with a ``-`` before it
+is taken out of those before it. A test holds the lists against imports. Of a plugin all source of its package counts.
 """
 
 from __future__ import annotations
@@ -42,15 +40,7 @@ _taken: dict[str, str] = {}
 
 
 def training_code(model: str, terms: Iterable[str] = ()) -> str:
-    """Hash (12 digits) of the source that decides the weights of a model.
-
-    Args:
-        model: its name, as in ``model.name``.
-        terms: of the loss that have a weight.
-
-    Raises:
-        ConfigError: a plugin that takes part has no source file.
-    """
+    """Hash (12 digits) of the source that decides the weights of a model trained with some terms of the loss."""
     plugins = {MODELS.owner(model), *(LOSS_TERMS.owner(term) for term in ADDED_TERMS.intersection(terms))}
     return _hash(f"training {model}", (*TRAINING, *MODELS[model].code), plugins)
 
@@ -81,53 +71,36 @@ def go_by(hashes: Mapping[str, str]) -> None:
 
 
 def _hash(name: str, rooms: tuple[str, ...], packages: Iterable[str]) -> str:
-    """The hash of rooms of the house, and of plugins' packages whole."""
     plugins = sorted({*packages} - {HOUSE})
     name = " with ".join([name, *plugins])
     if name not in _taken:
-        sources = [source_digest(rooms), *map(package_digest, plugins)]
+        sources = [source_digest(rooms), *map(_package_digest, plugins)]
         _taken[name] = (sources[0] if len(sources) == 1 else hashlib.sha256("".join(sources).encode()).hexdigest())[:12]
     return _taken[name]
 
 
-def package_digest(package: str) -> str:
-    """SHA-256 (64 hex digits) of the bare code of a plugin: its one module, or all modules of its package.
-
-    Raises:
-        ConfigError: it was registered in a session that has no file.
-    """
+def _package_digest(package: str) -> str:
     module = importlib.import_module(package)
     folders, file = getattr(module, "__path__", ()), getattr(module, "__file__", None)
     files = [path for folder in map(Path, folders) for path in sorted(folder.rglob("*.py"))] or [Path(file or "")]
     if not files[0].is_file():
         raise ConfigError(f"{package} registered something and has no source file to know it by; write a module")
-    digest = hashlib.sha256(package.encode())
-    for path in files:
-        digest.update(f"{path.name}\n{bare_code(path.read_text('utf-8'))}\n".encode())
-    return digest.hexdigest()
+    return _digest(package, [(path.name, path) for path in files])
 
 
 def source_digest(rooms: Iterable[str]) -> str:
-    """SHA-256 (64 hex digits) of the bare code of rooms, as `files_of` reads them.
+    """SHA-256 (64 hex digits) of the bare code of rooms: files, folders and patterns of the package."""
+    package = Path(gran_bench.__file__).parent
+    return _digest("", [(path.relative_to(package).as_posix(), path) for path in files_of(rooms)])
 
-    Args:
-        rooms: files, folders and patterns of the package.
 
-    Raises:
-        FileNotFoundError: there is no such room.
-    """
-    package, digest = Path(gran_bench.__file__).parent, hashlib.sha256()
-    for path in files_of(rooms):
-        digest.update(f"{path.relative_to(package).as_posix()}\n{bare_code(path.read_text('utf-8'))}\n".encode())
-    return digest.hexdigest()
+def _digest(name: str, files: Iterable[tuple[str, Path]]) -> str:
+    texts = (f"{place}\n{bare_code(path.read_text('utf-8'))}\n" for place, path in files)
+    return hashlib.sha256("".join([name, *texts]).encode()).hexdigest()
 
 
 def files_of(rooms: Iterable[str]) -> list[Path]:
-    """The source files of rooms, each once, in order.
-
-    Raises:
-        FileNotFoundError: there is no such room.
-    """
+    """The source files of rooms, each once, in order; a `FileNotFoundError` where there is no such room."""
     package, found = Path(gran_bench.__file__).parent, set()
     for room in rooms:
         name = room.removeprefix("-")

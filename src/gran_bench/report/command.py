@@ -14,9 +14,8 @@ from gran_bench.report.result_page import renew_page
 from gran_bench.report.tables import RUNS, drum_table, failures_table, scenes_table
 from gran_bench.run.summary import read_summary
 from gran_bench.stress import page as stress
-from gran_bench.sweep.overview import write_overview
-from gran_bench.sweep.sweep_file import SweepFileError, sweep_folders
-from gran_bench.sweep.sweep_report import report_sweeps
+from gran_bench.sweep.runs import SweepFileError, sweep_folders
+from gran_bench.sweep.sweep_report import report_sweeps, write_overview
 from gran_bench.verification import report as verification
 
 PAGE = "README.md"

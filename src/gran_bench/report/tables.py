@@ -18,8 +18,8 @@ from gran_bench.run.summary import missed_requirements, read_summary
 from gran_bench.stress.expectation import FAILED
 from gran_bench.stress.page import TABLE, count, early_ends
 from gran_bench.sweep.runs import FAILED as RUN_FAILED
-from gran_bench.sweep.standing import read_standing
-from gran_bench.sweep.sweep_file import SWEEPS
+from gran_bench.sweep.runs import SWEEPS
+from gran_bench.sweep.table import read_standing
 from gran_bench.verification.report import JSON
 
 # What is committed. A reader's own runs and sweeps lie beside these and are not on the page.

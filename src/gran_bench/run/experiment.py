@@ -22,13 +22,12 @@ from gran_bench.evaluation import evaluate
 from gran_bench.evaluation.plan import Plan
 from gran_bench.files import write_text
 from gran_bench.plots import draw_evaluation, drawn_for, loss_curves
-from gran_bench.processes import StopRequest, stop_on_signals
+from gran_bench.processes import StopRequest, stop_on_signals, tell
 from gran_bench.provenance import provenance
 from gran_bench.provenance.source_digest import model_code
 from gran_bench.run.identity import RunIdentity, hash_of, identify, judged_by, judging_plan, splits, wants_more
-from gran_bench.run.page import FIGURES, record_judgement
-from gran_bench.run.record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, tell, training_metrics
-from gran_bench.run.summary import cut_short
+from gran_bench.run.record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, training_metrics
+from gran_bench.run.summary import FIGURES, cut_short, record_judgement
 from gran_bench.scene import build_scene
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model
 from gran_bench.surrogate.contact.compiling import compile_kernels, kernels_missing
@@ -38,52 +37,37 @@ from gran_bench.trainer.start import device_named, make_model, training_windows
 
 
 def run_experiment(config: TrainConfig) -> dict[str, Any]:
-    """Run the experiment that a config describes, or what is left of it.
-
-    Args:
-        config: checked.
-
-    Returns:
-        The summary, as in ``summary.json``.
+    """Run the experiment that a config describes, or what is left of it; gives the summary, as in ``summary.json``.
 
     Raises:
         ConfigError: a value that no run can have.
         KeyboardInterrupt: SIGTERM or Ctrl-C; a resumable state is on disk and the MLflow run is KILLED.
     """
     validate(config)
-    scene = build_scene(config.scene)
+    scene, clock = build_scene(config.scene), Clock()
     tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
-    clock = Clock()
     with stop_on_signals() as stop:
         split = splits(config)
         tell(f"data: {len(split.all)} cases in {Path(config.dataset.root).resolve()}")
         with clock.stage("data"):
             ensure_cases(split.all, config.dataset.root, config.dataset.workers)
             windows = training_windows(config, split)
-        run_identity, plan = identify(config), judging_plan(config)
-        folder = run_identity.folder
-        record = RunRecord(run_identity, config, scene.name, clock)
+        record, plan = RunRecord(identify(config), config, scene.name, clock), judging_plan(config)
 
         def work(run: tracking.Run) -> dict[str, Any]:
             model = make_model(config, scene)
             _compile_ahead(config.model.name)
             device = next(model.parameters()).device
             tell(f"model {config.model.name}: {model.parameter_count} parameters on {device}")
-            with record.clock.stage("training"):
-                training = train_stage(config, model, windows, folder, run, stop)
+            with clock.stage("training"):
+                training = train_stage(config, model, windows, record.identity.folder, run, stop)
             return judge_stage(record, model, plan, asdict(config.model), training, run)
 
         return record.carry_out(work, lambda finished: wants_more(config, finished["training"]))
 
 
 def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
-    """Roll out and judge a model file, without training.
-
-    Args:
-        config: checked.
-
-    Returns:
-        The summary, as in ``summary.json``.
+    """Roll out and judge a model file, without training; gives the summary.
 
     Raises:
         CheckpointError: the file is no model.
@@ -93,12 +77,12 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
     validate(config)
     path = Path(config.checkpoint)
     model, card = load_model(path, device_named(config.device))
-    scene, digest = build_scene(read_config(SceneConfig, card.scene)), file_digest(path)
-    tell(f"model {card.model['name']}: {model.parameter_count} parameters from {path}, made for scene {scene.name}")
+    scene, name = build_scene(read_config(SceneConfig, card.scene)), card.model["name"]
+    tell(f"model {name}: {model.parameter_count} parameters from {path}, made for scene {scene.name}")
     _refuse_unfair(config, card.origin)
-    _compile_ahead(card.model["name"])
+    _compile_ahead(name)
     plan = Plan(scene, config.dem, config.dataset, config.judge)
-    key = hash_of(digest, judged_by(plan), model_code(card.model["name"]))
+    key = hash_of(file_digest(path), judged_by(plan), model_code(name))
     folder = Path(config.tracking.root) / "evaluations" / f"{path.resolve().parent.name}-{key[:8]}"
     identity = RunIdentity(folder, key, judged_by(plan), card.origin["data_digest"])
     record = RunRecord(identity, config, scene.name, Clock())
@@ -114,22 +98,14 @@ def _compile_ahead(model: str) -> None:
         compile_kernels(model)
 
 
-# ---- stages ----------------------------------------------------------------------------------------------
-
-
 def train_stage(
     config: TrainConfig, model: Surrogate, windows: Windows, folder: Path, run: tracking.Run, stop: StopRequest
 ) -> dict[str, Any]:
-    """Train, or load what training left; the model holds the weights to judge afterwards.
-
-    Returns:
-        What ``training.json`` says: steps done and planned, seconds, what stopped it, last loss, provenance, digest.
-    """
+    """Train, or load what training left, into the model; gives what ``training.json`` says."""
     if (folder / TRAINING).exists():
         training = json.loads((folder / TRAINING).read_text("utf-8"))
         if not wants_more(config, training):
-            _, weights = load_card(folder / MODEL)
-            model.load_state_dict(weights)
+            model.load_state_dict(load_card(folder / MODEL)[1])
             return training
         (folder / TRAINING).unlink()
     log = LossLog(folder / LOSSES)
@@ -146,15 +122,15 @@ def train_stage(
         run.log_metrics(training_metrics(row), int(row["step"]))
     try:
         with stop.deferred():
-            result = trainer.run()
+            result = asdict(trainer.run())
     except TrainingStopped as stopped:
         tell(str(stopped))
         raise KeyboardInterrupt(stop.signal_name) from None
-    if (cut := cut_short(asdict(result))) is not None:
+    if (cut := cut_short(result)) is not None:
         tell(cut)
     weights = trainer.final_weights()
     model.load_state_dict(weights)
-    training = asdict(result) | {
+    training = result | {
         "seed": config.seed,
         "experiment": config.experiment,
         "training_speeds_rpm": list(config.dataset.training_speeds_rpm),
@@ -173,28 +149,22 @@ def train_stage(
 
 
 def judge_stage(
-    record: RunRecord,
-    model: Surrogate,
-    plan: Plan,
-    model_keys: dict[str, Any],
-    training: dict[str, Any],
-    run: tracking.Run,
+    record: RunRecord, model: Surrogate, plan: Plan, card: dict[str, Any], training: dict[str, Any], run: tracking.Run
 ) -> dict[str, Any]:
     """Roll out, judge, draw and record; returns the summary."""
     config, folder = record.config, record.identity.folder
     with record.clock.stage("judging"):
         evaluation = evaluate(model, plan, folder, tell)
-    with record.clock.stage("figures"):
+    with record.clock.stage("figures"), drawn_for(folder.name):
         tell("figures")
         place = folder / FIGURES
-        with drawn_for(folder.name):
-            figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, model_keys["name"])
-            if (folder / LOSSES).exists():
-                figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
+        figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, card["name"])
+        if (folder / LOSSES).exists():
+            figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
     summary = {
         "experiment": training["experiment"],
         "provenance": provenance(),
-        "model": model_keys,
+        "model": card,
         "training": training,
         "frame_ms": 1e3 * plan.scene.frame_interval,
         "wall_seconds": record.clock.seconds,
@@ -205,7 +175,6 @@ def judge_stage(
 
 
 def _refuse_unfair(config: EvaluateConfig, origin: dict[str, Any]) -> None:
-    """Refuse to call a speed or a packing unseen that the model was trained on."""
     dataset = config.dataset
     speeds = dataset.validation_speeds_rpm or dataset.holdout_speeds_rpm
     # The other sense of rotation is the mirror image.
@@ -216,7 +185,5 @@ def _refuse_unfair(config: EvaluateConfig, origin: dict[str, Any]) -> None:
             "or choose the dataset= and judge= that it was trained with (dataset=small judge=quick for drum_small)"
         )
     if config.judge.unseen_packing and dataset.unseen_packing_seed == origin["packing_seed"]:
-        raise ConfigError(
-            f"dataset.unseen_packing_seed={dataset.unseen_packing_seed}: this model was trained on that packing; "
-            "choose another seed"
-        )
+        given = f"dataset.unseen_packing_seed={dataset.unseen_packing_seed}"
+        raise ConfigError(f"{given}: this model was trained on that packing; choose another seed")

@@ -11,7 +11,7 @@ from typing import Any
 from gran_bench.config import TrainConfig
 from gran_bench.config.choices import weighed_terms
 from gran_bench.config.identity import deciding_keys
-from gran_bench.dataset import CaseSpec, Split, dataset_digest, split_cases
+from gran_bench.dataset import Split, dataset_digest, split_cases
 from gran_bench.dataset.case_spec import key_hash
 from gran_bench.evaluation.plan import Plan
 from gran_bench.provenance.source_digest import judging_code, training_code
@@ -20,56 +20,23 @@ from gran_bench.scene import build_scene
 
 @dataclass(frozen=True)
 class RunIdentity:
-    """A run by what determines it.
+    """A run by what determines it, as hashes."""
 
-    Attributes:
-        folder: of its files.
-        key: hash of what determines the result of its training: deciding config keys, training data, training code.
-        judged_by: hash of what determines its judgement: judge's keys, the DEM's runs it is held against, judging code.
-        data_digest: of the training data.
-    """
-
-    folder: Path
-    key: str
-    judged_by: str
-    data_digest: str
-
-    @property
-    def name(self) -> str:
-        """The run's name for people, its folder's and its MLflow run's."""
-        return self.folder.name
+    folder: Path  # of its files
+    key: str  # of what determines the result of its training: deciding config keys, training data, training code
+    judged_by: str  # of what determines its judgement: judge's keys, the DEM's runs it is held against, judging code
+    data_digest: str  # of the training data
 
 
 def identify(config: TrainConfig) -> RunIdentity:
-    """The identity of the run that a config describes.
-
-    Args:
-        config: checked; its training cases are there.
-
-    Raises:
-        DatasetError: a training case is missing or damaged.
-    """
+    """The identity of the run that a checked config describes; a `DatasetError` where a training case is not there."""
     digest = dataset_digest(spec.path(config.dataset.root) for spec in splits(config).training)
     key = hash_of(deciding_keys(config), digest, training_code(config.model.name, weighed_terms(config.loss)))
-    folder = run_place(Path(config.tracking.root), config.tracking.folder or config.experiment, key)
+    runs = Path(config.tracking.root) / "runs"
+    folder = runs / f"{config.tracking.folder or config.experiment}-{key[:8]}"
+    if not folder.exists():  # perhaps another command began the run under another name: it goes on there
+        folder = next(iter(sorted(runs.glob(f"*-{key[:8]}"))), folder)
     return RunIdentity(folder, key, judged_by(judging_plan(config)), digest)
-
-
-def run_place(root: Path, name: str, key: str) -> Path:
-    """The folder of a run: the one that holds its key under whatever name, else one of the name.
-
-    So a run that another command began, a sweep or a single one, goes on there and is not done twice.
-
-    Args:
-        root: of the results.
-        name: of the run, for people.
-        key: of the run.
-    """
-    named = root / "runs" / f"{name}-{key[:8]}"
-    if named.exists():
-        return named
-    # A name may hold what `glob` takes for a pattern; a key never does.
-    return next(iter(sorted((root / "runs").glob(f"*-{key[:8]}"))), named)
 
 
 def splits(config: TrainConfig) -> Split:
@@ -82,23 +49,13 @@ def judging_plan(config: TrainConfig) -> Plan:
     return Plan(build_scene(config.scene), config.dem, config.dataset, config.judge)
 
 
-def all_cases(config: TrainConfig) -> list[CaseSpec]:
-    """Every run of the DEM that training and judging need."""
-    return [*splits(config).all, *judging_plan(config).cases]
-
-
 def judged_by(plan: Plan) -> str:
     """Hash of what a model is judged on and with: the config keys, every run of the DEM, the code of the judge."""
     return hash_of(asdict(plan.judge), [key_hash(spec.key) for spec in plan.cases], judging_code())
 
 
 def wants_more(config: TrainConfig, training: dict[str, Any]) -> bool:
-    """Whether a training that its time cap stopped has a larger cap now.
-
-    Args:
-        config: of the command.
-        training: what ``training.json`` says.
-    """
+    """Whether a training that its time cap stopped, as ``training.json`` says, has a larger cap now."""
     minutes = config.trainer.minutes
     if config.trainer.budget == "time" or training["stopped_by"] != "time":
         return False

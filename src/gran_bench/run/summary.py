@@ -1,19 +1,26 @@
-"""What a finished run says: ``summary.json`` for machines, a table for people, headline figures for both."""
+"""What a finished run says: ``summary.json`` for machines, a table and a page in the UI for people."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
+from gran_bench import tracking
+from gran_bench.config import EvaluateConfig, LossConfig, RolloutConfig, TrainConfig
+from gran_bench.config.choices import loss_terms
 from gran_bench.config.registry import METRICS
 from gran_bench.files import write_text
 from gran_bench.metrics.judgement import shown_multiple
 from gran_bench.metrics.outside import FailureCount, counted
-from gran_bench.tracking.names import HEADLINE
+from gran_bench.run.identity import RunIdentity
 
 SUMMARY = "summary.json"
+FIGURES = "figures"
+FIRST_FIGURES = ("flow_pattern.png", "angle_of_repose.png", "loss.png")  # in the description itself
 
 
 def write_summary(folder: Path, summary: dict[str, Any]) -> Path:
@@ -29,26 +36,34 @@ def read_summary(folder: Path) -> dict[str, Any] | None:
     return json.loads(path.read_text("utf-8")) if path.exists() else None
 
 
-def headline(summary: dict[str, Any]) -> dict[str, float]:
-    """The figures that a person looks at first, by the names that they have in MLflow.
+def finished_summary(identity: RunIdentity) -> dict[str, Any] | None:
+    """The summary of a run that is finished and judged as it would be now, else None."""
+    summary = read_summary(identity.folder)
+    return summary if summary is not None and summary["judged_by"] == identity.judged_by else None
 
-    A figure that is undefined is absent here; why, says the summary. A requirement fails for each row of the table
-    that says so: the judged ones, a speed that is not told apart, a rollout that broke down.
-    """
-    shared = summary["judged"]["shared"]
-    rollout = summary["rollouts"][f"{summary['judged_rpm']:g}rpm"]
-    found = {
-        "angle error deg": shared["errors"]["surface_angle"]["value"],
-        "angle error floors": shared["errors"]["surface_angle"]["multiple_of_floor"],
-        "com angle error deg": shared["errors"]["com_angle"]["value"],
-        "com angle error floors": shared["errors"]["com_angle"]["multiple_of_floor"],
-        "speed W1 m per s": shared["errors"]["speed_w1"]["value"],
-        "speed W1 floors": shared["errors"]["speed_w1"]["multiple_of_floor"],
-        "position error 10 frames mm": _scaled(summary["position_error"]["10_frames"]["m"], 1e3),
-        "rollout ms per frame": rollout["ms_per_frame_median"],
+
+def judged_words(summary: Mapping[str, Any]) -> str:
+    """On which speed a run was judged: ``validation, 35 rpm``."""
+    return f"{summary['judged_as']}, {summary['judged_rpm']:g} rpm"
+
+
+def headline(summary: Mapping[str, Any]) -> dict[str, float]:
+    """The figures that a person looks at first, by their names in MLflow; one that is undefined is absent."""
+    shared, last = summary["judged"]["shared"], summary["position_error"]["10_frames"]["m"]
+    found = {}
+    for name, key, unit in (
+        ("angle error", "surface_angle", "deg"),
+        ("com angle error", "com_angle", "deg"),
+        ("speed W1", "speed_w1", "m per s"),
+    ):
+        row = shared["errors"][key]
+        found |= {f"{name} {unit}": row["value"], f"{name} floors": row["multiple_of_floor"]}
+    found |= {
+        "position error 10 frames mm": None if last is None else 1e3 * last,
+        "rollout ms per frame": summary["rollouts"][f"{summary['judged_rpm']:g}rpm"]["ms_per_frame_median"],
         "training minutes": summary["training"]["seconds"] / 60.0,
-        "requirements failed": float(len(missed_requirements(summary))),
-        "rollouts failed": float(len(broken_rollouts(summary))),
+        "requirements failed": len(missed_requirements(summary)),
+        "rollouts failed": len(broken_rollouts(summary)),
     }
     for name in registered_metrics(shared):
         found[name], row = shared["figures"][name]["value"], shared["errors"][name]
@@ -61,10 +76,10 @@ def registered_metrics(judged: Mapping[str, Any]) -> list[str]:
     return [name for name in METRICS if name in judged["errors"]]
 
 
-def missed_requirements(summary: dict[str, Any]) -> list[str]:
+def missed_requirements(summary: Mapping[str, Any]) -> list[str]:
     """A line for each requirement that is not met: judged ones, speeds not told apart, rollouts that broke down."""
     missed = [
-        f"{row['label']}: {_figure(row['value'], row['unit'])} ({packing} packing)"
+        f"{row['label']}: {_figure(row)} ({packing} packing)"
         for packing, judged in summary["judged"].items()
         for row in judged["requirements"].values()
         if row["verdict"] == "fail"
@@ -76,58 +91,42 @@ def missed_requirements(summary: dict[str, Any]) -> list[str]:
     return missed + [f"rollout {name} broke down at frame {k}" for name, k in broken_rollouts(summary).items()]
 
 
-def broken_rollouts(summary: dict[str, Any]) -> dict[str, int]:
+def broken_rollouts(summary: Mapping[str, Any]) -> dict[str, int]:
     """The frame at which each rollout that broke down did so, by the rollout's name."""
     frames = {name: row["failed_frame"] for name, row in summary["rollouts"].items()}
     return {name: frame for name, frame in frames.items() if frame is not None}
 
 
-def rollout_warnings(summary: dict[str, Any]) -> list[str]:
+def rollout_warnings(summary: Mapping[str, Any]) -> list[str]:
     """A line for each difference between a rollout and the training of its model."""
     rollouts = summary["rollouts"].items()
     return [f"rollout {name} is an extrapolation: {line}" for name, row in rollouts for line in row.get("warnings", ())]
 
 
-def _scaled(value: float | None, factor: float) -> float | None:
-    return None if value is None else value * factor
-
-
-def flat_metrics(summary: dict[str, Any]) -> dict[str, float]:
+def flat_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
     """Every defined figure of a summary for the tracking store, as ``headline/name`` or ``packing/kind/name``.
 
     The UI draws a group for each first word, in the order of the alphabet: the headline figures come first.
     """
-    metrics: dict[str, Any] = {HEADLINE + name: value for name, value in headline(summary).items()}
+    metrics: dict[str, Any] = {tracking.HEADLINE + name: value for name, value in headline(summary).items()}
     for packing, judged in summary["judged"].items():
         for name, row in judged["errors"].items():
             metrics[f"{packing}/error/{name}"] = row["value"]
             metrics[f"{packing}/floors/{name}"] = row["multiple_of_floor"]
-        for name, row in judged["figures"].items():
-            metrics[f"{packing}/figure/{name}"] = row["value"]
-        for name, count in (judged["failures"] or {}).items():
-            metrics[f"{packing}/failures/{name}"] = count
-    for name, row in summary["nearest_case"].items():
-        metrics[f"nearest/{name}"] = row["nearest_rpm"]
-    for name, row in summary["position_error"].items():
-        metrics[f"position_error/{name}"] = row["m"]
+        metrics |= {f"{packing}/figure/{name}": row["value"] for name, row in judged["figures"].items()}
+        metrics |= {f"{packing}/failures/{name}": count for name, count in (judged["failures"] or {}).items()}
+    metrics |= {f"nearest/{name}": row["nearest_rpm"] for name, row in summary["nearest_case"].items()}
+    metrics |= {f"position_error/{name}": row["m"] for name, row in summary["position_error"].items()}
     for name, row in summary["rollouts"].items():
         metrics[f"rollout/{name}/ms_per_frame"] = row["ms_per_frame_median"]
         metrics[f"rollout/{name}/dem_ms_per_frame"] = row["dem_ms_per_frame"]
-    for name, seconds in summary["wall_seconds"].items():
-        metrics[f"wall_seconds/{name}"] = seconds
-    return {
-        name: float(value)
-        for name, value in metrics.items()
-        if isinstance(value, int | float) and not isinstance(value, bool)
-    }
+    metrics |= {f"wall_seconds/{name}": seconds for name, seconds in summary["wall_seconds"].items()}
+    numbers = {name: value for name, value in metrics.items() if isinstance(value, int | float)}
+    return {name: float(value) for name, value in numbers.items() if not isinstance(value, bool)}
 
 
 def cut_short(training: Mapping[str, Any]) -> str | None:
-    """A sentence that says that the clock has cut a budget of steps; None where it has not.
-
-    Args:
-        training: as in ``training.json``; one of before this was kept says nothing.
-    """
+    """A sentence that says that the clock has cut the steps of a training, as in ``training.json``, or None."""
     steps, planned = training["steps"], training.get("planned_steps")
     if planned is None or steps >= planned:
         return None
@@ -138,92 +137,156 @@ def cut_short(training: Mapping[str, Any]) -> str | None:
     )
 
 
-def summary_table(summary: dict[str, Any]) -> str:
+def summary_table(summary: Mapping[str, Any]) -> str:
     """The end of the terminal output: requirements met and missed, headline figures, where things are."""
-    lines = [f"{summary['experiment']}: {summary['model']['name']}, {summary['training']['parameters']} parameters"]
-    lines.append(
-        f"trained {summary['training']['steps']} updates in {summary['training']['seconds'] / 60:.1f} min "
-        f"(stopped by {summary['training']['stopped_by']})"
-    )
-    if (cut := cut_short(summary["training"])) is not None:
-        lines.append(cut)
+    return "\n".join(_lines(summary))
+
+
+def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
+    training, judged_rpm = summary["training"], f"{summary['judged_rpm']:g}"
+    yield f"{summary['experiment']}: {summary['model']['name']}, {training['parameters']} parameters"
+    minutes = training["seconds"] / 60
+    yield f"trained {training['steps']} updates in {minutes:.1f} min (stopped by {training['stopped_by']})"
+    if (cut := cut_short(training)) is not None:
+        yield cut
     for packing, judged in summary["judged"].items():
-        lines += ["", f"{summary['judged_rpm']:g} rpm, {summary['judged_as']}, {packing} packing"]
-        lines.append(f"  {'':<56}{'found':>16}  verdict")
+        yield from ("", f"{judged_rpm} rpm, {summary['judged_as']}, {packing} packing", _row("", "found", "verdict"))
         for row in judged["requirements"].values():
-            lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>16}  {row['verdict']}{_note(row)}")
-        lines.append(f"  {'distance from the DEM':<56}{'found':>16}  noise floor")
+            yield _row(row["label"], _figure(row), f"{row['verdict']}{_note(row)}")
+        yield _row("distance from the DEM", "found", "noise floor")
         for name in ("surface_angle", "com_angle", "speed_w1", *registered_metrics(judged)):
             row = judged["errors"][name]
             times = "" if row["multiple_of_floor"] is None else f" (× {shown_multiple(row['multiple_of_floor'])})"
-            floor = _figure(row["floor"], row["unit"])
-            lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>16}  {floor}{times}{_note(row)}")
+            yield _row(row["label"], _figure(row), f"{_figure(row, 'floor')}{times}{_note(row)}")
         if judged["failures"]:
-            lines += [f"  {line}" for line in FailureCount(**judged["failures"]).lines(judged.get("dem_outside"))]
-        lines += _unlike_the_dem(judged["figures"])
-    lines += ["", f"baselines at {summary['judged_rpm']:g} rpm, shared packing"]
-    lines.append(f"  {'':<56}{'angle':>16}{'speed W1':>14}{'a frame':>12}")
+            yield from (f"  {line}" for line in FailureCount(**judged["failures"]).lines(judged.get("dem_outside")))
+        # Figures that a further run of the DEM would not have (95 %); no requirement is about them.
+        unlike = [row for row in judged["figures"].values() if row["inside_interval"] is False]
+        if unlike:
+            yield _row("outside the interval of the DEM (95 %), no requirement", "found", "DEM")
+        for row in unlike:
+            low, high = (_figure({"value": end, "unit": row["unit"]}) for end in row["dem_interval"])
+            yield _row(row["label"], _figure(row), f"{low} … {high}")
+    yield from ("", f"baselines at {judged_rpm} rpm, shared packing")
+    yield f"  {'':<56}{'angle':>16}{'speed W1':>14}{'a frame':>12}"
     for name, errors in summary["baselines"].items():
-        angle, speed = (_figure(errors[key]["value"], errors[key]["unit"]) for key in ("surface_angle", "speed_w1"))
-        time = _figure(errors["ms_per_frame"], "ms") if "ms_per_frame" in errors else "not timed"
-        lines.append(f"  {name:<56}{angle:>16}{speed:>14}{time:>12}")
-    lines += ["", "tells speeds apart (the one DEM run at each speed that is nearest, by speed W1)"]
+        time = _figure(errors | {"unit": "ms"}, "ms_per_frame") if "ms_per_frame" in errors else "not timed"
+        yield f"  {name:<56}{_figure(errors['surface_angle']):>16}{_figure(errors['speed_w1']):>14}{time:>12}"
+    yield from ("", "tells speeds apart (the one DEM run at each speed that is nearest, by speed W1)")
+    alone = "  [the only speed, so there is none to be told from]" if len(summary["nearest_case"]) == 1 else ""
     for name, row in summary["nearest_case"].items():
         nearest = "undefined" if row["nearest_rpm"] is None else f"{row['nearest_rpm']:g} rpm"
-        alone = "  [the only speed, so there is none to be told from]" if len(summary["nearest_case"]) == 1 else ""
-        lines.append(f"  {name:<56}{nearest:>16}  {'pass' if row['is_own'] else 'fail'}{alone}")
+        yield _row(name, nearest, f"{'pass' if row['is_own'] else 'fail'}{alone}")
     for name, frame in broken_rollouts(summary).items():
-        lines.append(f"  {'rollout ' + name:<56}{f'failed at frame {frame}':>16}  fail")
-    lines += [f"  {line}" for line in rollout_warnings(summary)]
-    errors = summary["position_error"].values()
-    shown = ", ".join(_figure(row["m"], "m") for row in errors)
+        yield _row(f"rollout {name}", f"failed at frame {frame}", "fail")
+    yield from (f"  {line}" for line in rollout_warnings(summary))
+    shown = ", ".join(_figure(row | {"unit": "m"}, "m") for row in summary["position_error"].values())
     horizons = ", ".join(name.split("_")[0] for name in summary["position_error"])
-    lines += ["", f"position error after {horizons} frames: {shown}"]
-    rollout = summary["rollouts"][f"{summary['judged_rpm']:g}rpm"]
-    lines.append(
-        f"time for a frame of {summary['frame_ms']:g} ms: surrogate {_figure(rollout['ms_per_frame_median'], 'ms')}, "
-        f"this DEM {_figure(rollout['dem_ms_per_frame'], 'ms')} (one core; other work on the machine counts)"
+    yield from ("", f"position error after {horizons} frames: {shown}")
+    rollout = summary["rollouts"][f"{judged_rpm}rpm"] | {"unit": "ms"}
+    own, dem = (_figure(rollout, key) for key in ("ms_per_frame_median", "dem_ms_per_frame"))
+    yield (
+        f"time for a frame of {summary['frame_ms']:g} ms: surrogate {own}, this DEM {dem} (one core; other work on the "
+        "machine counts)"
     )
-    spent = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in summary["wall_seconds"].items())
-    lines.append(f"wall time: {spent}")
-    lines += ["", verdict(summary)]
-    return "\n".join(lines)
+    yield f"wall time: {', '.join(f'{name} {seconds:.0f} s' for name, seconds in summary['wall_seconds'].items())}"
+    yield from ("", verdict(summary))
 
 
-def verdict(summary: dict[str, Any]) -> str:
+def verdict(summary: Mapping[str, Any]) -> str:
     """Whether the requirements are met, and how many of the figures that none of them is about are unlike the DEM's."""
-    missed, unlike = (
-        len(missed_requirements(summary)),
-        sum(
-            row["inside_interval"] is False
-            for judged in summary["judged"].values()
-            for row in judged["figures"].values()
-        ),
-    )
+    figures = [row for judged in summary["judged"].values() for row in judged["figures"].values()]
+    missed, unlike = len(missed_requirements(summary)), sum(row["inside_interval"] is False for row in figures)
     words = f"{counted(missed, 'requirement')} NOT met" if missed else "all requirements met"
     further = "lies" if unlike == 1 else "lie"
     return words + (f"; {counted(unlike, 'figure')} {further} outside the DEM's interval" if unlike else "")
 
 
-def _unlike_the_dem(figures: dict[str, Any]) -> list[str]:
-    """Rows of the figures that a further run of the DEM would not have (95 %); no requirement is about them."""
-    unlike = [row for row in figures.values() if row["inside_interval"] is False]
-    if not unlike:
-        return []
-    lines = [f"  {'outside the interval of the DEM (95 %), no requirement':<56}{'found':>16}  DEM"]
-    for row in unlike:
-        low, high = (_figure(end, row["unit"]) for end in row["dem_interval"])
-        lines.append(f"  {row['label']:<56}{_figure(row['value'], row['unit']):>16}  {low} … {high}")
-    return lines
+def _row(name: str, found: str, last: str) -> str:
+    return f"  {name:<56}{found:>16}  {last}"
 
 
-def _figure(value: float | None, unit: str) -> str:
-    if value is None:
+def _figure(row: Mapping[str, Any], key: str = "value") -> str:
+    if row[key] is None:
         return "undefined"
-    if unit == "m":
-        value, unit = 1e3 * value, "mm"
-    return f"{value:.3g} {unit}".rstrip()
+    factor, unit = (1e3, "mm") if row["unit"] == "m" else (1.0, row["unit"])
+    return f"{factor * row[key]:.3g} {unit}".rstrip()
 
 
-def _note(row: dict[str, Any]) -> str:
+def _note(row: Mapping[str, Any]) -> str:
     return f"  [{row['note']}]" if row.get("note") else ""
+
+
+def params_of(config: TrainConfig | EvaluateConfig) -> dict[str, Any]:
+    """A run's parameters in the UI: its config, and in words what training minimised and how far it looked ahead."""
+    # Where a run is kept differs from run to run and decides nothing: as a parameter it would head each comparison.
+    params = {name: value for name, value in asdict(config).items() if name != "tracking"}
+    if isinstance(config, TrainConfig):
+        params |= {"loss terms": loss_in_words(config.loss), "frames ahead": rollout_in_words(config.rollout)}
+    return params
+
+
+def loss_in_words(loss: LossConfig) -> str:
+    """The terms with their weights, 1 left out, and how the frames ahead are weighed: ``position_l2 + 0.2 spin``."""
+    weights = {term: weight for term in loss_terms() if (weight := getattr(loss, term)) > 0}
+    words = [" + ".join(term if weight == 1.0 else f"{weight:g} {term}" for term, weight in weights.items())]
+    discounted = {"discounted": f"discounted {loss.discount:g}"}
+    if loss.frame_weights != "uniform":
+        words.append(discounted.get(loss.frame_weights, loss.frame_weights))
+    if "spin" in weights and loss.spin_frame_weights != loss.frame_weights:
+        words.append(f"spin {discounted.get(loss.spin_frame_weights, loss.spin_frame_weights)}")
+    return ", ".join(words)
+
+
+def rollout_in_words(rollout: RolloutConfig) -> str:
+    """Frames ahead at first and at the end, and whether the gradient goes through them: ``3 to 5``."""
+    words = f"{rollout.frames}"
+    if rollout.final_frames not in (None, rollout.frames):
+        words += f" to {rollout.final_frames}" + (", linear" if rollout.growth == "linear" else "")
+    return words if rollout.gradient_through_time else f"{words}, gradient cut"
+
+
+def record_judgement(run: tracking.Run, summary: dict[str, Any], folder: Path, figures: Iterable[Path]) -> None:
+    """Record what the judge said in an open run: metrics, tags, figures and a description that shows them."""
+    # At step 0, because the UI draws a value of a later step as a curve of one point, and else as a bar a run.
+    run.log_metrics(flat_metrics(summary), 0, supersede=True)
+    kept = list(figures)
+    for figure in kept:
+        run.log_artifact(figure, FIGURES)
+    run.set_tag("model", summary["model"]["name"])
+    run.set_tag("judged", judged_words(summary))
+    run.set_tag("mlflow.note.content", description(summary, folder, [path.name for path in kept], run.run_id))
+
+
+def description(summary: dict[str, Any], folder: Path, figures: Sequence[str], run_id: str | None) -> str:
+    """A run's description in Markdown, with the named figures among the artifacts of a tracked run."""
+    training, found, cut = summary["training"], headline(summary), cut_short(summary["training"])
+    lines = [
+        f"**{summary['model']['name']}**, {training['parameters']} parameters, {training['steps']} updates; "
+        f"{summary['judged_rpm']:g} rpm, {summary['judged_as']}. **{verdict(summary)}.**",
+        "",
+        *([f"**{cut[0].upper()}{cut[1:]}.**", ""] if cut is not None else []),
+        "| figure | value |",
+        "|---|---:|",
+        *(f"| {name} | {found[name]:.4g} |" for name in found),
+        *(f"| {name} | undefined |" for name in undefined_figures(summary)),
+        "",
+    ]
+    for heading, rows in {
+        "Not met:": missed_requirements(summary),
+        "Unlike the training:": rollout_warnings(summary),
+    }.items():
+        lines += [heading, "", *(f"- {row}" for row in rows), ""] if rows else []
+    if run_id is not None:
+        quoted = {name: quote(f"{FIGURES}/{name}", safe="") for name in figures}
+        places = {name: f"get-artifact?path={path}&run_uuid={run_id}" for name, path in quoted.items()}
+        lines += [f"![{name}]({places[name]})\n" for name in FIRST_FIGURES if name in places]
+        lines.append(f"All figures: {', '.join(f'[{name}]({place})' for name, place in places.items())}.")
+    lines += ["", f"Files: `{folder.as_posix()}`. Each figure carries the name `{folder.name}`."]
+    return "\n".join(lines)
+
+
+def undefined_figures(summary: dict[str, Any]) -> list[str]:
+    """Names of the headline figures that have no value, because what they measure does not exist in this run."""
+    found, registered = headline(summary), registered_metrics(summary["judged"]["shared"])
+    return [name for name in (*tracking.HEADLINE_FIGURES, *registered) if name not in found]

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from gran_bench.compose import checked_config, compose
 from gran_bench.config import BoundaryConfig, TrainConfig
 from gran_bench.config.reading import read_config
-from gran_bench.entry import checked_config, compose
 from gran_bench.metrics.outside import count_failures, distance_outside
 from gran_bench.rollout import Rollout, rollout
 from gran_bench.scene import Scene

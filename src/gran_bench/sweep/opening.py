@@ -1,78 +1,84 @@
 """A sweep around its jobs: data made once, finished runs found, parent and children in the store; at the end a report.
 
-The jobs themselves may run anywhere: what they need of their sweep is plain data (`jobs`) that travels to them.
+The jobs themselves may run anywhere: what they need of their sweep is plain data that travels to them.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from gran_bench import tracking
-from gran_bench.config import TrackingConfig, TrainConfig
+from gran_bench.config import TrackingConfig
 from gran_bench.config.choices import weighed_terms
-from gran_bench.config.identity import telling_keys
-from gran_bench.config.reading import validate
+from gran_bench.config.identity import deciding_keys
 from gran_bench.config.registry import MODELS
 from gran_bench.config.rules import ConfigError
-from gran_bench.dataset import CaseSpec, DatasetError, ensure_cases
+from gran_bench.dataset import DatasetError, ensure_cases
 from gran_bench.files import locked
-from gran_bench.processes import stop_on_signals
+from gran_bench.processes import stop_on_signals, tell
 from gran_bench.provenance import command, commit
 from gran_bench.provenance.source_digest import judging_code, taken_hashes, training_code
-from gran_bench.run.identity import all_cases, hash_of, identify, judged_by, judging_plan, wants_more
-from gran_bench.run.record import Clock, RunRecord, finished_summary, tell
-from gran_bench.sweep.jobs import Sweep
-from gran_bench.sweep.runs import SweepRun, budget_of, copied_run, finished_run, fold_runs, recorded_runs
-from gran_bench.sweep.sweep_file import SWEEPS, SweepFile, SweepJob
-from gran_bench.sweep.sweep_report import SweepReport, log_report, report_sweep
+from gran_bench.run.identity import hash_of, identify, judging_plan, splits, wants_more
+from gran_bench.run.record import Clock, RunRecord
+from gran_bench.run.summary import SUMMARY, broken_rollouts, finished_summary, flat_metrics, judged_words
+from gran_bench.sweep import runs
+from gran_bench.sweep.runs import SweepFile, SweepJob, SweepRun, read_runs
+from gran_bench.sweep.sweep_report import log_report, report_sweep
+from gran_bench.sweep.task import Sweep
+
+KEPT_OF_TRAINING = ("steps", "planned_steps", "seconds", "stopped_by", "loss", "parameters")
+
+
+class Found(NamedTuple):
+    """A finished run of a job: where it is, its row, and what puts it into a store that does not know it."""
+
+    where: str
+    row: SweepRun
+    record: Callable[[RunRecord], None]
 
 
 @contextmanager
 def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
-    """Prepare a sweep, let its jobs run in the block, and report.
-
-    Args:
-        planned: its jobs with their configs, in the order of their numbers.
-        name: of its folder, unless the config names one.
+    """Prepare a sweep, let its jobs run in the block, and report; the name is of its folder, unless the config has one.
 
     Raises:
-        ConfigError: two jobs are the same run, or a value that none can have.
-        TrackingError: the store cannot be opened; or, at the end, something could not be recorded.
-        SweepFileError: a file of the folder is damaged.
+        ConfigError, TrackingError, SweepFileError: two jobs are one run; the store fails; a file is damaged.
     """
-    for job in planned:
-        validate(job.config)
     _refuse_twins(planned)
     config: TrackingConfig = planned[0].config.tracking
-    folder = Path(config.root).resolve() / SWEEPS / (config.sweep or name)
+    folder = Path(config.root).resolve() / runs.SWEEPS / (config.sweep or name)
     with stop_on_signals(), locked(folder / ".lock", lambda: tell(f"another process runs {folder}; waiting for it")):
         tell(f"sweep of {len(planned)} jobs in {folder}")
-        fold_runs(folder)  # what a life that was killed has left
-        make_data([job.config for job in planned])
-        jobs = tuple(_identified(job) for job in planned)
+        _make_data(planned)
+        jobs = tuple(map(_identified, planned))
         key = hash_of("sweep", folder.name)  # all commands of a folder share its table, so they share its parent
         SweepFile(folder.name, key, command(), config.experiment, list(jobs)).write(folder)
-        summaries, rows = _finished(folder, jobs)
-        done = {number: f"finished before; its row is in {source}" for number, (source, _) in rows.items()}
-        done |= {n: f"finished before; its figures and summary are in {jobs[n].identity.folder}" for n in summaries}
-        sweep = Sweep(folder, jobs, done=done, hashes=taken_hashes())
-        with tracking.open_run(config, folder.name, key, _axes(planned), _tags(folder)) as parent:
-            sweep = replace(sweep, parent=parent.run_id)
-            _schedule(sweep, summaries, rows)
+        found = _fill_table(folder, jobs)
+        done = {number: f"finished before; {one.where}" for number, one in found.items()}
+        tags = {"command": command(), "commit": commit(), tracking.SWEEP_TAG: folder.name}
+        with tracking.open_run(config, folder.name, key, _axes(planned), tags) as parent:
+            _schedule(jobs, found, parent.run_id)
             try:
-                yield sweep
+                yield Sweep(folder, jobs, parent.run_id, done, taken_hashes())
             finally:
-                report = _report(sweep, config)
+                found = _fill_table(folder, jobs)
+                report = report_sweep(folder)
+                for run in report.failed:  # whose own process may not have closed it
+                    try:
+                        tracking.end_child(config, run.key, run.reason)
+                    except tracking.TrackingError as error:  # the report matters more
+                        tell(f"{run.run} is not closed in the store: {error}")
+                print(report.text, flush=True)
+                tell(f"table and figures of the sweep are in {folder}{tracking.how_to_compare(config)}")
                 log_report(parent, report)
-            parent.finish("FINISHED" if _whole(sweep, report) else "FAILED")
-
-
-# ---- before the jobs -------------------------------------------------------------------------------------
+            parent.finish("runs.FINISHED" if len(found) == len(jobs) else "runs.FAILED")
 
 
 def _refuse_twins(planned: Sequence[SweepJob]) -> None:
@@ -80,37 +86,28 @@ def _refuse_twins(planned: Sequence[SweepJob]) -> None:
     first: dict[str, SweepJob] = {}
     for job in planned:
         # Which data a run is trained on follows from its config too.
-        twin = first.setdefault(hash_of(telling_keys(job.config)), job)
-        if twin is job:
-            continue
-        keys = [key for key in sorted(job.choices) if job.choices[key] != twin.choices.get(key)]
-        one, other = (" ".join(f"{key}={it.choices.get(key)}" for key in keys) or it.run for it in (twin, job))
-        if judged_by(judging_plan(job.config)) != judged_by(judging_plan(twin.config)):
-            why = f"{' and '.join(keys)} only decides how it is judged; leave it out of this sweep, and judge what was"
-            why += " trained by `python -m gran_bench.evaluate` as often as you like"
-        else:
-            why = f"{' and '.join(keys)} decides nothing there" if keys else "a value is given twice"
-            why += "; leave it out of this sweep, or sweep it where it decides, by a command of its own with "
-            why += "tracking.sweep=NAME"
-        raise ConfigError(f"{one} and {other}: two jobs of the sweep ({job.run}) would be the same run, because {why}")
+        twin = first.setdefault(hash_of(deciding_keys(job.config)), job)
+        if twin is not job:
+            keys = [key for key in sorted(job.choices) if job.choices[key] != twin.choices.get(key)]
+            one, other = (" ".join(f"{key}={it.choices.get(key)}" for key in keys) or it.run for it in (twin, job))
+            remedy = (
+                "give each value once, and sweep a key where it decides them, by a command with tracking.sweep=NAME"
+            )
+            remedy += " (python -m gran_bench.evaluate judges a model again)"
+            raise ConfigError(f"{one} and {other}: two jobs ({job.run}) would train the same weights; {remedy}")
 
 
-def make_data(configs: Sequence[TrainConfig]) -> None:
-    """Make every run of the DEM that the jobs need and that is not there, so that no two jobs wait for each other.
-
-    What cannot be made is told and left to the jobs that need it: they fail, the others go on.
-
-    Args:
-        configs: of the jobs, checked.
-    """
-    wanted: dict[tuple[str, int], list[CaseSpec]] = defaultdict(list)
-    for config in configs:
-        wanted[config.dataset.root, config.dataset.workers] += all_cases(config)
+def _make_data(jobs: Sequence[SweepJob]) -> None:
+    """Make every run of the DEM that the jobs need and that is not there, so that no two jobs wait for each other."""
+    wanted = defaultdict(dict)
+    for data, specs in (
+        (job.config.dataset, (*splits(job.config).all, *judging_plan(job.config).cases)) for job in jobs
+    ):
+        wanted[data.root, data.workers] |= {spec.path(data.root): spec for spec in specs}
     for (root, workers), specs in wanted.items():
-        by_path = {spec.path(root): spec for spec in specs}
-        tell(f"data of all jobs: {len(by_path)} cases in {root}")
+        tell(f"data of all jobs: {len(specs)} cases in {root}")
         try:
-            ensure_cases(by_path.values(), root, workers)
+            ensure_cases(specs.values(), root, workers)
         except DatasetError as error:
             tell(f"the jobs that need it will fail: {error}")
 
@@ -123,94 +120,99 @@ def _identified(job: SweepJob) -> SweepJob:
         return job
     # The code of every model counts, so that runs of two commands, one for each model, stand in one table.
     code = {model: training_code(model, weighed_terms(job.config.loss)) for model in MODELS}
-    made_with = hash_of(code, judging_code(), budget_of(job.config), identity.judged_by, identity.data_digest)
+    made_with = hash_of(code, judging_code(), _budget(job), identity.judged_by, identity.data_digest)
     return replace(job, key=identity.key, judged_by=identity.judged_by, made_with=made_with, identity=identity)
 
 
-def _finished(
-    folder: Path, jobs: Sequence[SweepJob]
-) -> tuple[dict[int, dict[str, Any]], dict[int, tuple[Path, SweepRun]]]:
-    """What is finished, by number of the job: summaries in this results folder, and rows of any sweep in it.
+def _fill_table(folder: Path, jobs: Sequence[SweepJob]) -> dict[int, Found]:
+    """Renew the rows of jobs that have ended in the table of a sweep; what is finished, by number of the job."""
+    rows = {run.log_name: run for run in read_runs(folder)}
+    found = _finished(folder, jobs)
+    for number, job in enumerate(jobs):
+        log = folder / job.log_name
+        if number in found:
+            rows[job.log_name] = found[number].row
+        elif log.exists() and (last := log.read_text("utf-8", "replace").rstrip().split("\n")[-1])[:7] == "error: ":
+            rows[job.log_name] = _row(job, log.stat().st_mtime, {}, status=runs.FAILED, reason=last[7:])
+    if rows:
+        runs.write_runs(folder, rows.values())
+    return found
 
-    Each has a row of this sweep afterwards.
-    """
-    recorded, damaged = recorded_runs(folder.parent.parent)
-    for error in damaged:
-        tell(f"not looked at: {error}")
-    summaries, rows = {}, {}
+
+def _finished(folder: Path, jobs: Sequence[SweepJob]) -> dict[int, Found]:
+    """What is finished, by number of the job: in this results folder, or by a row of any sweep in it."""
+    recorded = defaultdict(list)
+    for source in runs.sweep_folders(folder.parent.parent):
+        try:
+            for run in read_runs(source):
+                if run.status == runs.FINISHED:
+                    recorded[run.key, run.judged_by].append((source, run))
+        except runs.SweepFileError as error:  # which hides no run of another sweep
+            tell(f"not looked at: {error}")
+    found = {}
     for number, job in enumerate(jobs):
         if job.identity is None:
             continue
-        known = recorded.get((job.key, job.judged_by), [])
+        known, summary = recorded[job.key, job.judged_by], finished_summary(job.identity)
         own = next((run for source, run in known if source == folder and run.run == job.run), None)
-        summary = finished_summary(job.identity)
         if summary is not None and not wants_more(job.config, summary["training"]):
-            summaries[number] = summary
-            left = own or finished_run(job, summary)
+            row, where = finished_row(job, summary), f"its figures and summary are in {job.identity.folder}"
+            record = partial(RunRecord.record_again, summary=summary)
         elif known and not wants_more(job.config, known[-1][1].training):
-            source, run = rows[number] = known[-1]
-            left = own or copied_run(run, job, source)
+            source, run = known[-1]
+            facts = {name: value for name, value in run.facts.items() if name != "log"}  # which is there alone
+            facts |= {"copied_from": f"{source.name}, {run.run}"}
+            row, where = replace(run, run=job.run, choices=dict(job.choices), facts=facts), f"its row is in {source}"
+            record = partial(RunRecord.record_row, figures=run.figures, made=run.facts, source=source)
         else:
             continue
         # Code that decides nothing here may have changed: by now the run is made with what the others are.
-        if own is None or own.facts.get("made_with") != job.made_with:
-            replace(left, facts=left.facts | {"made_with": job.made_with}).write(folder)
-    return summaries, rows
+        row = own or row
+        found[number] = Found(where, replace(row, facts=row.facts | {"made_with": job.made_with}), record)
+    return found
+
+
+def finished_row(job: SweepJob, summary: Mapping[str, Any]) -> SweepRun:
+    """What a sweep keeps of a finished job, whose summary is as in ``summary.json``."""
+    training = summary["training"]
+    facts = {
+        "judged": judged_words(summary),
+        "broken_rollouts": ", ".join(f"{name} at frame {k}" for name, k in broken_rollouts(summary).items()),
+        **{name: training.get(name) for name in ("data_digest", "model_sha256")},
+        **summary["provenance"],
+    }
+    kept = {name: training[name] for name in KEPT_OF_TRAINING if training.get(name) is not None}
+    ended = (job.identity.folder / SUMMARY).stat().st_mtime
+    return _row(job, ended, facts, training=kept, figures=flat_metrics(summary))
+
+
+def _budget(job: SweepJob) -> str:
+    trainer = job.config.trainer
+    return f"{trainer.minutes:g} min" if trainer.budget == "time" else f"{trainer.steps} updates"
+
+
+def _row(job: SweepJob, ended: float, facts: Mapping[str, str], **found: Any) -> SweepRun:
+    facts = {**facts, "log": job.log_name, "made_with": job.made_with}
+    facts |= {"model": job.config.model.name, "budget": _budget(job)}
+    facts = {name: text for name, text in facts.items() if text}
+    ended_at = datetime.fromtimestamp(ended, UTC).isoformat(timespec="seconds")
+    return SweepRun(
+        job.run, dict(job.choices), job.seed, job.key, job.judged_by, ended_at=ended_at, facts=facts, **found
+    )
 
 
 def _axes(planned: Sequence[SweepJob]) -> dict[str, Any]:
-    """Parameters of the parent run: the values of each swept key."""
     keys = sorted({key for job in planned for key in job.choices})
     values = {key: list(dict.fromkeys(job.choices.get(key, "default") for job in planned)) for key in keys}
     return {"sweep": {key.lstrip("+"): ",".join(v) for key, v in values.items() if len(v) > 1}, "jobs": len(planned)}
 
 
-def _tags(folder: Path) -> dict[str, str]:
-    return {"command": command(), "commit": commit(), tracking.SWEEP_TAG: folder.name}
-
-
-def _schedule(sweep: Sweep, summaries: Mapping[int, dict[str, Any]], rows: Mapping[int, tuple[Path, SweepRun]]) -> None:
-    """A run in the store for each job; one that is finished is recorded where the store does not know it.
-
-    Raises:
-        TrackingError: the store does not take it.
-    """
-    known = {number: job for number, job in enumerate(sweep.jobs) if job.identity is not None}
-    children = [tracking.Child(job.identity.name, job.key, number in sweep.done) for number, job in known.items()]
-    missing = tracking.schedule_children(sweep.jobs[0].config.tracking, sweep.parent, children)
+def _schedule(jobs: Sequence[SweepJob], found: Mapping[int, Found], parent: str | None) -> None:
+    """A run in the store for each job; one that is finished is recorded where the store does not know it."""
+    known = {number: job for number, job in enumerate(jobs) if job.identity is not None}
+    children = [tracking.Child(job.identity.folder.name, job.key, number in found) for number, job in known.items()]
+    missing = tracking.schedule_children(jobs[0].config.tracking, parent, children)
     for number, job in known.items():
-        if number not in sweep.done or job.key not in missing:
-            continue
-        job.config.tracking.parent = sweep.parent
-        record = RunRecord(job.identity, job.config, job.config.scene.name, Clock())
-        if number in summaries:
-            record.record_again(summaries[number])
-        else:
-            source, run = rows[number]
-            record.record_row(run.figures, run.facts, source)
-
-
-# ---- after the jobs --------------------------------------------------------------------------------------
-
-
-def _report(sweep: Sweep, config: TrackingConfig) -> SweepReport:
-    """Write the table, write and print the report, and close the runs whose own process could not.
-
-    A store that does not answer is told: the report matters more.
-    """
-    fold_runs(sweep.folder)
-    report = report_sweep(sweep.folder)
-    for run in report.failed:
-        try:
-            tracking.end_child(config, run.key, run.reason)
-        except tracking.TrackingError as error:
-            tell(f"{run.run} is not closed in the store: {error}")
-    print(report.text, flush=True)
-    tell(f"table and figures of the sweep are in {sweep.folder}{tracking.how_to_compare(config)}")
-    return report
-
-
-def _whole(sweep: Sweep, report: SweepReport) -> bool:
-    """Whether every job of this sweep is done; its folder may hold failed runs of others."""
-    lost = {run.file_name for run in report.failed} | {job.file_name for job in report.waiting}
-    return not any(job.file_name in lost for job in sweep.jobs)
+        if number in found and job.key in missing:
+            job.config.tracking.parent = parent
+            found[number].record(RunRecord(job.identity, job.config, job.config.scene.name, Clock()))

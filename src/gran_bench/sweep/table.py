@@ -1,17 +1,17 @@
-"""The table of a sweep: one row for each choice, mean and spread over its seeds, and how many of them failed."""
+"""The table of a sweep: which runs count, and for each choice mean and spread over its seeds and how many failed."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import pandas as pd
 
 from gran_bench.config.registry import METRICS
-from gran_bench.sweep.runs import FINISHED, SweepRun
-from gran_bench.sweep.sweep_file import SweepJob
+from gran_bench.sweep.runs import FINISHED, SweepFile, SweepJob, SweepRun, read_runs, read_sweep
 from gran_bench.tracking import HEADLINE
 
 SEED = "seed"
@@ -24,58 +24,70 @@ WORK = ("experiment", "model", "boundary", "scene", "threads", "device")
 
 @dataclass(frozen=True)
 class Column:
-    """A figure of the table.
-
-    Attributes:
-        name: of the column in ``runs.csv``.
-        label: for people.
-        unit: for people.
-        digits: behind the point.
-        ranked: whether the choice with the smallest mean is worth naming.
-    """
+    """A figure of the table: its column in ``runs.csv``, its words, its unit, and how it is shown."""
 
     name: str
     label: str
     unit: str
-    digits: int
-    ranked: bool = True
+    digits: int = 2  # behind the point
+    ranked: bool = True  # whether the choice with the smallest mean is worth naming
 
     @property
     def heading(self) -> str:
-        """Label and unit."""
         return f"{self.label}, {self.unit}" if self.unit else self.label
 
 
 COLUMNS = (
-    Column(f"{HEADLINE}angle error floors", "angle error", "floors", 2),
-    Column(f"{HEADLINE}com angle error floors", "centre-of-mass angle error", "floors", 2),
-    Column(f"{HEADLINE}speed W1 floors", "speed W1", "floors", 2),
-    Column(f"{HEADLINE}position error 10 frames mm", "position error, 10 frames", "mm", 2),
-    Column(TIME, "a frame", "ms", 2),
+    Column(f"{HEADLINE}angle error floors", "angle error", "floors"),
+    Column(f"{HEADLINE}com angle error floors", "centre-of-mass angle error", "floors"),
+    Column(f"{HEADLINE}speed W1 floors", "speed W1", "floors"),
+    Column(f"{HEADLINE}position error 10 frames mm", "position error, 10 frames", "mm"),
+    Column(TIME, "a frame", "ms"),
     Column(UPDATES, "updates", "", 0, ranked=False),
     Column(f"{HEADLINE}requirements failed", "requirements failed", "", 1, ranked=False),
 )
 
 
-def choice_of(one: SweepRun | SweepJob) -> tuple[object, ...]:
-    """What tells a run from the others of its sweep."""
-    return tuple(sorted(one.choices.items())), one.seed
+@dataclass(frozen=True)
+class Standing:
+    """Where a sweep stands."""
+
+    sweep: SweepFile | None  # what its folder says it is; None where it holds runs alone
+    counted: list[SweepRun]  # the runs that stand beside each other, each choice and seed once, by name
+    others: list[SweepRun]  # runs that do not: of other code, data or budget, or replaced by a newer one
+    waiting: list[SweepJob]  # jobs without a run of their key
+
+
+def read_standing(folder: Path) -> Standing:
+    """Where the sweep of a folder stands; a `SweepFileError` where a file of it is damaged."""
+    return standing(read_sweep(folder), read_runs(folder))
+
+
+def standing(sweep: SweepFile | None, runs: Sequence[SweepRun]) -> Standing:
+    """Where a sweep stands that has some runs.
+
+    A folder may hold runs of several commands (``model=contact`` first, ``model=radial`` later), and ``sweep.json``
+    lists the jobs of the last one. A run of these jobs is known by its key; a run of another command counts if it was
+    made with the same code, data, judge and budget as one of the jobs. Without a sweep all runs count.
+    """
+    jobs = sweep.jobs if sweep else []
+    listed, choices = {job.whole for job in jobs}, {job.choice for job in jobs}
+    keys, made = {(job.key, job.judged_by) for job in jobs if job.key}, {job.made_with for job in jobs if job.made_with}
+    latest: dict[tuple[object, ...], SweepRun] = {}
+    for run in sorted(runs, key=lambda run: run.ended_at):
+        # Of other commands: not a job's choice with another key, and not its own run under another name.
+        another = run.choice not in choices and (run.key, run.judged_by) not in keys
+        if run.whole in listed or (another and (not jobs or run.facts.get("made_with") in made)):
+            latest[run.choice] = run
+    counted, ended = sorted(latest.values(), key=lambda run: run.run), {run.whole for run in runs}
+    others = [run for run in runs if run not in counted]
+    return Standing(sweep, counted, others, [job for job in jobs if job.whole not in ended])
 
 
 def columns_of(runs: Sequence[SweepRun]) -> tuple[Column, ...]:
     """The house's columns, then one for each registered metric that a run has."""
-    registered = {f"{HEADLINE}{name} floors": metric.label for name, metric in METRICS.items()}
-    there = [name for name in registered if any(name in run.figures for run in runs)]
-    return COLUMNS + tuple(Column(name, registered[name], "floors", 2) for name in there)
-
-
-def newest(runs: Sequence[SweepRun]) -> tuple[list[SweepRun], list[SweepRun]]:
-    """The runs that count, and those that a later one took the place of: the same choices with other code or data."""
-    latest: dict[tuple, SweepRun] = {}
-    for run in sorted(runs, key=lambda run: run.ended_at):
-        latest[choice_of(run)] = run
-    counted = sorted(latest.values(), key=lambda run: run.run)
-    return counted, [run for run in runs if run not in counted]
+    registered = (Column(f"{HEADLINE}{name} floors", metric.label, "floors") for name, metric in METRICS.items())
+    return COLUMNS + tuple(column for column in registered if any(column.name in run.figures for run in runs))
 
 
 def axes_of(runs: Sequence[SweepRun]) -> list[str]:
@@ -84,108 +96,85 @@ def axes_of(runs: Sequence[SweepRun]) -> list[str]:
     return [key for key in keys if len({run.choices.get(key, NOT_CHOSEN) for run in runs}) > 1]
 
 
-def changes_work(axis: str) -> bool:
-    """Whether a swept key changes what a frame costs: the network, or what it is given to step."""
-    return any(axis.lstrip("+") == key or axis.lstrip("+").startswith((f"{key}.", f"{key}/")) for key in WORK)
+def ranked_columns(columns: Sequence[Column], axes: Sequence[str]) -> list[Column]:
+    """The columns whose best choice is worth naming; the time of a frame where every swept key changes its work."""
+    works = all(re.split(r"[./]", axis.lstrip("+"))[0] in WORK for axis in axes)
+    return [column for column in columns if column.ranked and (works or column.name != TIME)]
 
 
 def runs_frame(runs: Sequence[SweepRun]) -> pd.DataFrame:
-    """One row a run: choices, seed, status and the figure of each column; None where it is undefined."""
-    axes, rows = axes_of(runs), []
+    """One row a run: choices, seed, status and the figure of each column; NaN where it is undefined."""
+    axes, names, rows = axes_of(runs), [column.name for column in columns_of(runs)], []
     for run in runs:
-        row = {axis: run.choices.get(axis, NOT_CHOSEN) for axis in axes} | {"seed": run.seed, "status": run.status}
-        row |= {column.name: run.figures.get(column.name) for column in columns_of(runs)}
-        rows.append(row | {UPDATES: run.training.get("steps")})
+        row = {axis: run.choices.get(axis, NOT_CHOSEN) for axis in axes} | {SEED: run.seed, "status": run.status}
+        rows.append(row | {name: run.figures.get(name) for name in names} | {UPDATES: run.training.get("steps")})
     frame = pd.DataFrame(rows)
-    return frame.sort_values([*axes, "seed"], key=_in_order, ignore_index=True) if rows else frame
-
-
-def choices_frame(runs: Sequence[SweepRun]) -> pd.DataFrame:
-    """One row a choice: its keys, ``n`` runs that finished, ``failed`` ones, mean and spread of each figure.
-
-    The spread is the sample standard deviation over seeds; NaN for a single one. A figure that is undefined in one of
-    the runs is undefined for the choice, with the number of undefined ones beside it.
-    """
-    axes, frame = axes_of(runs), runs_frame(runs)
     if frame.empty:
         return frame
-    rows = []
-    groups = frame.groupby(axes, sort=False) if axes else [((), frame)]
-    for values, group in groups:
-        done = group[group["status"] == FINISHED]
-        row = dict(zip(axes, values if isinstance(values, tuple) else (values,), strict=True))
-        row |= {"n": len(done), "failed": len(group) - len(done)}
-        for column in columns_of(runs):
-            figures = pd.to_numeric(done[column.name], errors="coerce").astype(float)
-            undefined = int(figures.isna().sum())
-            row[column.name] = math.nan if undefined or done.empty else figures.mean()
-            row[f"{column.name}_spread"] = math.nan if undefined or len(done) < 2 else figures.std()
-            row[f"{column.name}_undefined"] = undefined
-        rows.append(row)
-    return pd.DataFrame(rows)
+    return frame.astype(dict.fromkeys(names, float)).sort_values([*axes, SEED], key=_in_order, ignore_index=True)
+
+
+def grouped(frame: pd.DataFrame, keys: list[str]) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
+    """The rows of each choice of some keys, with their values, in order."""
+    for values, group in frame.groupby(keys, sort=False) if keys else [((), frame)]:
+        yield dict(zip(keys, values, strict=True)), group
+
+
+def whole_figures(group: pd.DataFrame, name: str) -> pd.Series | None:
+    """The figures of a choice; None where one of its runs failed or has no such figure."""
+    return None if (group["status"] != FINISHED).any() or group[name].isna().any() else group[name]
 
 
 def shown_table(runs: Sequence[SweepRun]) -> str:
-    """The table of choices in Markdown, legible on a terminal too."""
-    axes, frame = axes_of(runs), choices_frame(runs)
-    columns = columns_of(runs)
-    headings = [*axes, "runs", "failed", *(column.heading for column in columns)]
-    rows = [headings]
-    for _, row in frame.iterrows():
-        rows.append([*(str(row[axis]) for axis in axes), str(row["n"]), str(row["failed"])])
-        rows[-1] += [_shown(row, column) for column in columns]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(headings))]
-    padded = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows]
-    lines = [f"| {' | '.join(row)} |" for row in padded]
-    lines.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
-    return "\n".join(lines)
+    """The table of choices in Markdown, legible on a terminal too: mean ± sample standard deviation over seeds.
+
+    A figure that is undefined in one of the runs is undefined for the choice.
+    """
+    axes, columns = axes_of(runs), columns_of(runs)
+    rows = [[*axes, "runs", "failed", *(column.heading for column in columns)]]
+    for values, group in grouped(runs_frame(runs), axes):
+        done = group[group["status"] == FINISHED]
+        counts = [str(len(done)), str(len(group) - len(done))]
+        rows.append([*values.values(), *counts, *(_shown(done[column.name], column.digits) for column in columns)])
+    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+    rows = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows]
+    heading, *lines = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join([heading, f"|{'|'.join('-' * (width + 2) for width in widths)}|", *lines])
 
 
 def best_choices(runs: Sequence[SweepRun]) -> dict[str, tuple[str, float]]:
     """For each error, and the time of a frame, the choice with the smallest mean: its words and the mean, by name.
 
-    A choice with a failed or undefined run is no candidate. The time is left out where a swept key does not change it:
-    the smallest of equal times is chance.
+    A choice with a failed or undefined run is no candidate. The smallest of equal times is chance, and left out.
     """
-    axes, frame = axes_of(runs), choices_frame(runs)
-    found = {}
-    for column in columns_of(runs) if not frame.empty else ():
-        if not column.ranked or (column.name == TIME and not all(map(changes_work, axes))):
-            continue
-        candidates = frame[(frame["failed"] == 0) & frame[column.name].notna()]
-        if len(candidates):
-            row = candidates.loc[candidates[column.name].idxmin()]
-            found[column.name.removeprefix(HEADLINE)] = (
-                ", ".join(f"{axis}={row[axis]}" for axis in axes) or "the one",
-                row[column.name],
-            )
+    axes, frame, found = axes_of(runs), runs_frame(runs), {}
+    for column in ranked_columns(columns_of(runs), axes) if runs else ():
+        means = {}
+        for values, group in grouped(frame, axes):
+            if (figures := whole_figures(group, column.name)) is not None:
+                means[", ".join(f"{axis}={value}" for axis, value in values.items()) or "the one"] = figures.mean()
+        if means:
+            found[column.name.removeprefix(HEADLINE)] = min(means.items(), key=lambda choice: choice[1])
     return found
 
 
-def _shown(row: pd.Series, column: Column) -> str:
-    if row[f"{column.name}_undefined"]:
-        return f"undefined in {row[f'{column.name}_undefined']}"
-    if math.isnan(row[column.name]):
+def _shown(figures: pd.Series, digits: int) -> str:
+    if undefined := int(figures.isna().sum()):
+        return f"undefined in {undefined}"
+    if figures.empty:
         return "-"
-    text = f"{row[column.name]:.{column.digits}f}"
-    spread = row[f"{column.name}_spread"]
-    return text if math.isnan(spread) else f"{text} ± {spread:.{column.digits}f}"
+    return f"{figures.mean():.{digits}f}" + (f" ± {figures.std():.{digits}f}" if len(figures) > 1 else "")
 
 
 def _in_order(values: pd.Series) -> pd.Series:
     """Numbers by size before words by letter; numbers within words by size, too."""
-    return values.map(
-        lambda value: (
-            (0, float(value), "")
-            if is_number(value)
-            else (1, 0.0, re.sub(r"\d+", lambda digits: digits[0].zfill(8), str(value)))
-        )
-    )
 
+    def order(value: object) -> tuple[int, float, str]:
+        try:
+            if math.isfinite(number := float(str(value))):
+                return 0, number, ""
+        except ValueError:
+            pass
+        return 1, 0.0, re.sub(r"\d+", lambda digits: digits[0].zfill(8), str(value))
 
-def is_number(value: object) -> bool:
-    """Whether a swept value is a finite number."""
-    try:
-        return math.isfinite(float(str(value)))
-    except ValueError:
-        return False
+    return values.map(order)
