@@ -25,6 +25,7 @@ import numpy as np
 
 from gran_bench.dem.fast.rows import squared_gap
 from gran_bench.neighbors.kernel import entry, kernel
+from gran_bench.state import FloatArray
 
 # σ, what the inner list reaches beyond touch as a share of the margins.
 INNER_SHARE = 0.2
@@ -32,8 +33,7 @@ INNER_SHARE = 0.2
 LEAST_MARGIN = 0.2
 
 
-@entry
-def with_margins(sphere, velocity, skin):
+def with_margins(sphere: FloatArray, velocity: FloatArray, skin: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Displacements that lists have room for: half the skin for the fastest particle, less for slower ones.
 
     Args:
@@ -44,17 +44,12 @@ def with_margins(sphere, velocity, skin):
         ``(N,)`` margins m, m; ``(N,)`` 1/m², which displacements are held against; ``(N, 4)`` x, y, z and radius with
         margin, m.
     """
-    count, fastest = len(sphere) - 2, 0.0
-    margin, inverse_square, reaching = np.empty(count), np.empty(count), sphere[:-2].copy()
-    for i in range(count):
-        margin[i] = math.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2)
-        fastest = max(fastest, margin[i])
-    for i in range(count):
-        share = margin[i] / fastest if fastest > 0.0 else 1.0
-        margin[i] = 0.5 * skin * (LEAST_MARGIN + (1.0 - LEAST_MARGIN) * share)
-        inverse_square[i] = 1.0 / (margin[i] * margin[i])
-        reaching[i, 3] += margin[i]
-    return margin, inverse_square, reaching
+    speed = np.sqrt(np.einsum("nk,nk->n", velocity[:-2, :3], velocity[:-2, :3]))
+    share = speed / speed.max() if speed.any() else 1.0 + speed
+    margin = 0.5 * skin * (LEAST_MARGIN + (1.0 - LEAST_MARGIN) * share)
+    reaching = sphere[:-2].copy()
+    reaching[:, 3] += margin
+    return margin, 1.0 / (margin * margin), reaching
 
 
 @entry

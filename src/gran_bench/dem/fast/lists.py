@@ -12,6 +12,7 @@ from gran_bench.dem.fast.contact_blocks import BUFFER_SIZE, block_buffer
 from gran_bench.dem.fast.contact_list import sorted_pairs, with_margins
 from gran_bench.dem.fast.wall_list import list_wall_contacts
 from gran_bench.dem.integrate import Physics
+from gran_bench.dem.walls import PATH
 from gran_bench.neighbors import list_pairs
 
 # Rows of a thread's inner list: place of each pair in the outer one, its particles, its row of history.
@@ -104,8 +105,9 @@ def search(
     margin, inverse_square, reaching = with_margins(sphere, velocity, physics.skin)
     first, second = list_pairs(reaching, 0.0, physics.period, begin, end)
     pair_i, pair_j, start, memory = sorted_pairs(first, second, begin, end, count, pairs.first, pairs.second)
+    paths = walls[row + 1 :, :, PATH].sum(axis=0)
     wall_i, wall_w, wall_memory, wall_start = list_wall_contacts(
-        sphere, bounds, chunk, stop, walls, row, margin, on_walls.first, on_walls.second
+        sphere, bounds, chunk, stop, walls[row], paths, margin, on_walls.first, on_walls.second
     )
     slot, moment = _history(pairs, len(pair_i), last, rolling)
     wall_slot, wall_moment = _history(on_walls, len(wall_memory), last, rolling)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gran_bench.dem.walls import ABSENT, CYLINDER, PATH, PLANE
+from gran_bench.dem.walls import ABSENT, CYLINDER, PLANE
 from gran_bench.neighbors.kernel import entry, kernel
 
 
@@ -61,15 +61,15 @@ def _any_normal_to(ax, ay, az):
 
 
 @entry
-def list_wall_contacts(sphere, bounds, chunk, stop, walls, row, margin, known_first, known_wall):
+def list_wall_contacts(sphere, bounds, chunk, stop, walls, paths, margin, known_first, known_wall):
     """Particles of ``chunk … stop − 1`` and walls that may touch in the rest of a stretch, and whose history is whose.
 
     Args:
         sphere: ``(N + 2, 4)`` x, y, z, r, m.
         bounds: ``(C + 1,)`` first particle of each chunk.
         chunk, stop: range of chunks.
-        walls: ``(steps + 1, W, 22)`` poses.
-        row: of the poses that belong to these positions.
+        walls: ``(W, 22)`` poses that belong to these positions.
+        paths: ``(W,)`` how far each wall goes in the rest of the stretch, m.
         margin: ``(N,)`` m that no particle moves further than while the list lives.
         known_first, known_wall: ``(C,)`` particle and wall that touch; their rows of history are 1 … C.
 
@@ -77,7 +77,7 @@ def list_wall_contacts(sphere, bounds, chunk, stop, walls, row, margin, known_fi
         ``(≥ M + 1,)`` particle and wall, chunk by chunk, wall by wall; ``(M + 1,)`` row of history; ``(chunks W + 1,)``
         place of the first contact of each chunk and wall. Place 0 is spare: the spare body N at the first wall.
     """
-    begin, end, count = bounds[chunk], bounds[stop], walls.shape[1]
+    begin, end, count = bounds[chunk], bounds[stop], len(walls)
     known = np.zeros((end - begin, count), np.uint32)
     for c in range(len(known_first)):
         if begin <= known_first[c] < end and known_wall[c] < count:
@@ -89,12 +89,10 @@ def list_wall_contacts(sphere, bounds, chunk, stop, walls, row, margin, known_fi
     found = 1
     for c in range(chunk, stop):
         for w in range(count):
-            shape, path = shape_of(walls[row], w), 0.0
-            for later in range(row + 1, len(walls)):
-                path += walls[later, w, PATH]
+            shape = shape_of(walls, w)
             for i in range(bounds[c], bounds[c + 1]):
                 wall_i[found], wall_w[found], memory[found] = i, w, known[i - begin, w]
                 distance = toward_wall(shape, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
-                found += distance - sphere[i, 3] < margin[i] + path
+                found += distance - sphere[i, 3] < margin[i] + paths[w]
             start[(c - chunk) * count + w + 1] = found
     return wall_i, wall_w, memory[:found], start
