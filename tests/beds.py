@@ -62,3 +62,14 @@ def flowing(scene: Scene, seed: int = 0, spheres: int = 200, frames: int | None 
     spin = np.broadcast_to(np.array([0.0, 1.0, 0.0]), position.shape)
     single = [a.astype(np.float32) for a in (position, velocity, spin)]
     return Trajectory(time, *single, np.full(spheres, RADIUS))
+
+
+def every_neighbor(
+    query: np.ndarray, source: np.ndarray, reach: float, period: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Query and source index of all closer than ``reach``, by looking at all of them; sorted by query, then source."""
+    offset = np.asarray(source)[None] - np.asarray(query)[:, None]
+    if period:
+        offset[..., 1] -= period * np.round(offset[..., 1] / period)
+    near = np.einsum("qsk,qsk->qs", offset, offset) < reach**2
+    return np.nonzero(near)

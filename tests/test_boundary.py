@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from beds import every_neighbor
 from contact_beds import furnished
 
 from gran_bench.config import SceneConfig
 from gran_bench.dem.walls import surface_velocity, wall_contact, wall_poses
-from gran_bench.neighbors import tree_neighbors
 from gran_bench.scene import Disc, Plane, Rotation, Translation, build_scene
 from gran_bench.surrogate.convolution.boundary import see_contacts, see_spheres, wall_spheres
 from gran_bench.surrogate.walls import closest_point, frame_walls, wall_velocity
@@ -56,12 +56,12 @@ def test_wall_spheres_are_about_a_spacing_apart_across_the_seam_too(periodic):
     cover = covered(scene, beyond=REACH)
     barrel = cover.position[cover.wall == 0]
     middle = barrel[np.abs(barrel[:, 1]) <= 0.1]
-    query, _ = tree_neighbors(middle, barrel, 0.9 * SPACING)
+    query, _ = every_neighbor(middle, barrel, 0.9 * SPACING)
     assert len(query) == len(middle)  # nobody but itself
-    _, near = tree_neighbors(middle, barrel, 1.6 * SPACING)
+    _, near = every_neighbor(middle, barrel, 1.6 * SPACING)
     assert len(near) > 5 * len(middle)  # and no hole beside it
     beyond = barrel[barrel[:, 1] > 0.1]
-    _, image = tree_neighbors(beyond - (0.0, 0.2, 0.0), middle, 1e-9)
+    _, image = every_neighbor(beyond - (0.0, 0.2, 0.0), middle, 1e-9)
     assert len(image) == len(beyond)  # the cover goes on as the next period begins
     assert bool(len(beyond)) is periodic
 
@@ -118,7 +118,7 @@ def test_wall_spheres_cover_every_wall_on_both_of_its_sides():
         distance, toward = (found.numpy() for found in closest_point(shape, torch.from_numpy(place)))
         touched = place + distance[:, None] * toward
         touched = touched[(np.abs(touched) < 0.9).all(axis=1)]
-        query, _ = tree_neighbors(touched, cover.position[mine], 1.05 * SPACING)
+        query, _ = every_neighbor(touched, cover.position[mine], 1.05 * SPACING)
         assert len(np.unique(query)) == len(touched), index
 
 
@@ -171,7 +171,7 @@ def test_spheres_seen_are_all_within_reach_and_no_others(periodic):
     assert pairs.relative.norm(dim=1).max() < REACH
     assert torch.equal(pairs.source.unique(), torch.arange(pairs.source_count))
     cover = covered(scene, beyond=REACH)
-    query, sphere = tree_neighbors(position.numpy(), cover.position, REACH)
+    query, sphere = every_neighbor(position.numpy(), cover.position, REACH)
     seen = torch.stack((pairs.near[pairs.query].double(), *pairs.relative.T), dim=1)
     expected = np.column_stack((query, cover.position[sphere] - position.numpy()[query]))
     order, other = np.lexsort(np.round(seen.numpy(), 9).T), np.lexsort(np.round(expected, 9).T)

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from beds import every_neighbor
 
-from gran_bench.neighbors import tree_neighbors
 from gran_bench.surrogate.convolution.cconv import ContinuousConvolution, convolve
 from gran_bench.surrogate.convolution.kernels import fused
 from gran_bench.surrogate.convolution.kernels.fused import convolve_fused
@@ -25,7 +25,7 @@ BASES = {
 
 def neighborhood(query, source, basis, exclude_self, dtype=torch.float32):
     """Pairs of two point sets, weighed; the positions may carry gradients."""
-    q, s = tree_neighbors(query.detach().double().numpy(), source.detach().double().numpy(), basis.radius)
+    q, s = every_neighbor(query.detach().double().numpy(), source.detach().double().numpy(), basis.radius)
     keep = (q != s) if exclude_self else np.ones(len(q), bool)
     q, s = torch.from_numpy(q[keep]), torch.from_numpy(s[keep])
     relative = source.to(dtype)[s] - query.to(dtype)[q]

@@ -64,10 +64,10 @@ def test_walls_in_reach_come_chunk_by_chunk_and_remember_what_touched(chunk, sto
     walls = np.array(wall_poses(scene, 0.0, 1e-4, 50))
     (sphere, _), bounds, margin = bodies(200), np.array([0, 90, 200]), np.linspace(0.0, 0.02, 200)
     contacts = [(7, 1), (150, 0), (150, 2), (20, 9)]  # of the last wall nobody knows any more
-    wall_i, wall_w, memory, start = list_wall_contacts(
-        sphere, bounds, chunk, stop, walls, 10, margin, *np.array(contacts).T.copy()
-    )
     path = walls[11:, :, 20].sum(axis=0)
+    wall_i, wall_w, memory, start = list_wall_contacts(
+        sphere, bounds, chunk, stop, walls[10], path, margin, *np.array(contacts).T.copy()
+    )
     assert (path > 0.0).all()
     expected = [
         (i, w)
@@ -89,7 +89,7 @@ def test_walls_in_reach_come_chunk_by_chunk_and_remember_what_touched(chunk, sto
 def test_without_walls_only_the_spare_place_is_there():
     (sphere, _), nothing = bodies(9), np.zeros(0, np.int64)
     wall_i, _, memory, start = list_wall_contacts(
-        sphere, np.array([0, 9]), 0, 1, np.zeros((3, 0, COLUMNS)), 0, np.ones(9), nothing, nothing
+        sphere, np.array([0, 9]), 0, 1, np.zeros((0, COLUMNS)), np.zeros(0), np.ones(9), nothing, nothing
     )
     assert wall_i[0] == 9
     assert (memory.tolist(), start.tolist()) == ([0], [1])

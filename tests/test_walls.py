@@ -12,7 +12,7 @@ from numba import njit
 from gran_bench.config import DemConfig
 from gran_bench.dem import engine_numpy
 from gran_bench.dem.fast import engine as engine_numba
-from gran_bench.dem.fast.wall_contacts import shape_of, toward_wall
+from gran_bench.dem.fast.wall_list import shape_of, toward_wall
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.simulate import simulate
 from gran_bench.dem.time_step import impact_speed

@@ -76,13 +76,13 @@ class ContactLaw:
         """The law of a contact between two materials that has these coefficients."""
         normal = sum((1.0 - m.poisson_ratio**2) / m.youngs_modulus for m in (first, second))
         shear = sum((2.0 - m.poisson_ratio) / m.shear_modulus for m in (first, second))
-        return cls(
-            effective_modulus=1.0 / normal,
-            effective_shear_modulus=1.0 / shear,
-            damping=damping_coefficient(restitution),
-            friction=friction,
-            rolling_friction=rolling_friction,
-        )
+        return cls(1.0 / normal, 1.0 / shear, damping_coefficient(restitution), friction, rolling_friction)
+
+    @property
+    def constants(self) -> tuple[float, ...]:
+        """(4/3 E*, 8 G*, α, μ, μ_r) in SI."""
+        moduli = 4.0 / 3.0 * self.effective_modulus, 8.0 * self.effective_shear_modulus
+        return (*moduli, self.damping, self.friction, self.rolling_friction)
 
     @classmethod
     def from_constants(cls, constants: FloatArray) -> ContactLaw:
@@ -93,21 +93,17 @@ class ContactLaw:
 
 @dataclass(frozen=True)
 class ContactForce:
-    """What M contacts do, and what the caller gave of them.
+    """What M contacts do.
 
     Attributes:
         force: ``(M, 3)`` on the first, N.
         twist: ``(M, 3)`` n × f_t, N; times each lever arm it is the torque on either particle.
         history: ``(M, 3)`` new elastic tangential force on the first, N.
-        normal, overlap, effective_radius: as given.
     """
 
     force: FloatArray
     twist: FloatArray
     history: FloatArray
-    normal: FloatArray
-    overlap: FloatArray
-    effective_radius: FloatArray
 
 
 def contact_force(
@@ -134,7 +130,7 @@ def contact_force(
         effective_mass: ``(M,)`` m*, kg.
         velocity: ``(M, 3)`` of the first centre relative to the second centre (or to the wall's point), m/s.
         velocity_gain: ``(M, 3)`` what that velocity still gains until the end of the step, m/s; the damping of the
-            normal force counts it in (prediction.py).
+            normal force counts it in.
         surface_spin: ``(M, 3)`` Σ lever arm × ω of both, m/s; its cross product with n adds to the slip.
         history: ``(M, 3)`` elastic tangential force on the first, N.
         overlap_before: ``(M,)`` overlap when it was stored, m; 0 for a new contact.
@@ -161,14 +157,7 @@ def contact_force(
     size, limit = np.linalg.norm(tangential, axis=1), law.friction * load
     scale = np.divide(limit, size, out=np.ones_like(size), where=size > limit)[:, None]
     tangential, history = scale * tangential, scale * history
-    return ContactForce(
-        force=tangential - load[:, None] * normal,
-        twist=np.cross(normal, tangential),
-        history=history,
-        normal=normal,
-        overlap=overlap,
-        effective_radius=effective_radius,
-    )
+    return ContactForce(tangential - load[:, None] * normal, np.cross(normal, tangential), history)
 
 
 def restitution_of(damping: float) -> float:

@@ -52,14 +52,9 @@ class Run:
     """
 
     def __init__(
-        self,
-        engine: ModuleType,
-        state: ParticleState,
-        scene: Scene,
-        time_step: float,
-        tuner: Tuner,
+        self, engine: ModuleType, state: ParticleState, scene: Scene, time_step: float, tuner: Tuner,
         failed: Callable[..., Trajectory],
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._engine, self._scene, self._time_step, self._tuner, self._failed = engine, scene, time_step, tuner, failed
         self._look_steps = steps_between_looks(time_step)
         self._sort_steps = LOOKS_BETWEEN_SORTS * self._look_steps
@@ -138,7 +133,7 @@ class Run:
             inside = np.zeros(part.count, bool)
             inside[held.order] = True
         self._inside = None if inside is None or inside.all() else inside
-        number = np.arange(part.count) if self._inside is None else np.flatnonzero(inside)
+        number = self._number()
         if held is not None:
             order = None
             if self._steps % self._sort_steps and len(held.order) == len(number):
@@ -162,6 +157,10 @@ class Run:
         self._poses = wall_poses(self._scene, self._start, self._time_step, steps, first)
         return self._poses
 
+    def _number(self) -> np.ndarray:
+        """Indices of those that take part."""
+        return np.arange(self._state.count) if self._inside is None else np.flatnonzero(self._inside)
+
     def _look(self) -> None:
         """Who came through a wall, and who has left; after some of the looks a new stretch begins."""
         state = self.state()
@@ -169,15 +168,14 @@ class Run:
         # A centre that is beyond a wall by its radius lies in it by its diameter.
         self._check(state, walls=self._peaks.share > 0.99)
         inside = taking_part(self._scene, state.position)
-        taking = state.count if inside is None else np.count_nonzero(inside)
-        part = state.count if self._inside is None else np.count_nonzero(self._inside)
-        if self._steps % self._sort_steps == 0 or taking < part:
+        left = (state.count if inside is None else np.count_nonzero(inside)) < len(self._number())
+        if left or self._steps % self._sort_steps == 0:
             self._held, self._state, self._stretch = self._holds(), state, None
             if self._steps - self._begun == self._sort_steps:
                 self._tuner.took(self._spent)
 
     def _check(self, state: ParticleState, walls: bool) -> None:
-        scene, when, gone = self._scene, self.time, ()
+        scene, gone = self._scene, ()
         if walls:
             excess = largest_excess(scene, self._poses[self._steps - self._poses_begin], state.position)
             gone = np.flatnonzero((excess > state.radius) & (True if self._inside is None else self._inside))
@@ -188,9 +186,9 @@ class Run:
         else:
             return
         raise SimulationError(
-            f"{name_some(gone)} escaped by t = {when:.6g} s: {what}; choose a smaller dem.time_step or a "
+            f"{name_some(gone)} escaped by t = {self.time:.6g} s: {what}; choose a smaller dem.time_step or a "
             "stiffer material",
-            self._failed(when, state.position, state.velocity, state.angular_velocity),
+            self._failed(self.time, state.position, state.velocity, state.angular_velocity),
         )
 
     def _holds(self) -> Held | None:
@@ -214,19 +212,12 @@ class Run:
         """Of everything that a continuation holds for; frames, threads, skin and engine are not part of it."""
         scene, physics, history = self._scene, self._tuner.physics, state.history
         text = (
-            scene.walls,
-            scene.rotation,
-            scene.outlet,
-            physics.period,
-            physics.full_radius,
-            self._time_step,
-            state.time,
-        )
+            scene.walls, scene.rotation, scene.outlet, physics.period, physics.full_radius, self._time_step, state.time,
+        )  # fmt: skip
         digest = hashlib.sha256(repr(text).encode())
         for array in (
-            physics.pair_laws, physics.wall_laws, physics.density, physics.gravity,
-            state.position, state.velocity, state.angular_velocity, state.radius, state.material,
-            history.first, history.second, history.force, history.overlap, history.rolling_moment,
+            physics.pair_laws, physics.wall_laws, physics.density, physics.gravity, state.position, state.velocity,
+            state.angular_velocity, state.radius, state.material, *vars(history).values(),
         ):  # fmt: skip
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
@@ -237,8 +228,7 @@ class Run:
         try:
             yield
         except Divergence as divergence:
-            whole = self._state
-            number = np.arange(whole.count) if self._inside is None else np.flatnonzero(self._inside)
+            whole, number = self._state, self._number()
             frame = [np.array(a, np.float64) for a in (whole.position, whole.velocity, whole.angular_velocity)]
             found = (divergence.position, divergence.velocity, divergence.angular_velocity)
             for array, part in zip(frame, found, strict=True):

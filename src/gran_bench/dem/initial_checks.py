@@ -27,8 +27,6 @@ def check_initial_state(scene: Scene, state: ParticleState, remedy: str | None =
         StateError: duplicates, pairs or walls overlapping by 20 % of the mean diameter (of the diameter for a wall)
             or more, a centre outside the container, a material or a contact that the scene does not have.
     """
-    if state.count == 0:
-        return
     unknown = np.flatnonzero(state.material >= len(scene.materials))
     if len(unknown):
         raise StateError(
@@ -36,26 +34,25 @@ def check_initial_state(scene: Scene, state: ParticleState, remedy: str | None =
             f"{len(scene.materials)}); describe it or choose another material"
         )
     inside = taking_part(scene, state.position)
-    here, number = (state, np.arange(state.count)) if inside is None else (part_of(state, inside), inside.nonzero()[0])
-    if here.count:
+    number = np.arange(state.count) if inside is None else np.flatnonzero(inside)
+    if len(number):
+        here = state if inside is None else part_of(state, inside)
         _check_overlaps(scene, here, number, remedy or "move them apart before the run")
         _check_walls(scene, here, number, remedy or "move them inside before the run")
     history = state.history
-    if len(history):
-        known = (history.first >= 0) & (history.first < state.count)
-        known &= (history.second < state.count) & (history.second >= -len(scene.walls))
-        if not known.all():
-            raise StateError(
-                f"the contact history names {np.count_nonzero(~known)} contacts whose particles or walls this scene "
-                "does not have; run the state in its own scene, or with ContactHistory.empty()"
-            )
-        remembered = np.column_stack((history.force, history.overlap, history.rolling_moment))
-        finite = np.isfinite(remembered).all(axis=1)
-        if not finite.all():
-            raise StateError(
-                f"the contact history is not finite for {np.count_nonzero(~finite)} contacts; repair it, or run the "
-                "state with ContactHistory.empty()"
-            )
+    known = (history.first >= 0) & (history.first < state.count)
+    known &= (history.second < state.count) & (history.second >= -len(scene.walls))
+    if not known.all():
+        raise StateError(
+            f"the contact history names {np.count_nonzero(~known)} contacts whose particles or walls this scene "
+            "does not have; run the state in its own scene, or with ContactHistory.empty()"
+        )
+    finite = np.isfinite(np.column_stack((history.force, history.overlap, history.rolling_moment))).all(axis=1)
+    if not finite.all():
+        raise StateError(
+            f"the contact history is not finite for {np.count_nonzero(~finite)} contacts; repair it, or run the "
+            "state with ContactHistory.empty()"
+        )
 
 
 def check_initial_speed(state: ParticleState, time_step: float) -> None:
@@ -64,9 +61,7 @@ def check_initial_speed(state: ParticleState, time_step: float) -> None:
     Raises:
         StateError: names them, the fastest allowed speed and the largest step for what they do.
     """
-    if state.count == 0:
-        return
-    quarter, speed = 0.25 * float(state.radius.min()), np.linalg.norm(state.velocity, axis=1)
+    quarter, speed = 0.25 * float(state.radius.min(initial=np.inf)), np.linalg.norm(state.velocity, axis=1)
     wild = np.flatnonzero(~(speed * time_step <= quarter))
     if len(wild):
         raise StateError(

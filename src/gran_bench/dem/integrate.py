@@ -35,7 +35,7 @@ LEAST_SKIN_DIAMETERS = 0.05
 class Divergence(ArithmeticError):
     """A particle that crosses a quarter of the smallest radius in one step, or whose speed is not finite.
 
-    Attributes:
+    Args:
         particle: its index.
         steps: completed steps of the stretch.
         position, velocity, angular_velocity: ``(N, 3)`` as they were found; may hold non-finite values.
@@ -49,19 +49,20 @@ class Divergence(ArithmeticError):
         self.position, self.velocity, self.angular_velocity = position, velocity, angular_velocity
 
 
-def check_finite(steps: int, position: FloatArray, velocity: FloatArray, spin: FloatArray) -> None:
-    """Refuses values that are no numbers.
+def check_finite(steps: int, *moving: FloatArray) -> None:
+    """Refuses positions, velocities and spins that are no numbers, or whose squares are none.
 
     Raises:
-        Divergence: the first particle of which one is not finite, or the square of whose speed is not.
+        Divergence: the first particle of which one is not finite.
     """
-    if all(math.isfinite(np.vdot(array, array)) for array in (position, velocity, spin)):
+    if all(math.isfinite(np.vdot(array, array)) for array in moving):
         return
     with np.errstate(over="ignore", invalid="ignore"):
+        position, velocity, spin = moving
         sound = np.isfinite(np.einsum("nk,nk->n", velocity, velocity))
     wild = np.flatnonzero(~(sound & np.isfinite(position).all(axis=1) & np.isfinite(spin).all(axis=1)))
     if len(wild):
-        raise Divergence(int(wild[0]), steps, position, velocity, spin)
+        raise Divergence(int(wild[0]), steps, *moving)
 
 
 class Peaks(NamedTuple):
@@ -119,30 +120,27 @@ class Physics:
 
     @classmethod
     def of(cls, scene: Scene, largest_radius: float, skin: float | None = None) -> Physics:
-        """What ``scene`` needs, and nothing else.
+        """What ``scene`` needs, and nothing else, for particles of at most a radius, m.
 
         Args:
-            scene: materials, walls, motion, gravity.
-            largest_radius: of the particles, m.
             skin: m; where None 0.8 diameters of the largest sphere, or less if the period is short.
 
         Raises:
             ValueError: a skin that is not positive, a period that is too short, or a wall that cannot turn.
         """
         if skin is None:
-            skin = SKIN_DIAMETERS * 2.0 * largest_radius
+            diameter = 2.0 * largest_radius
+            skin = SKIN_DIAMETERS * diameter
             if scene.period:
                 # A period that leaves less is refused below.
-                skin = max(
-                    LEAST_SKIN_DIAMETERS * 2.0 * largest_radius, min(skin, 0.5 * scene.period - 2.0 * largest_radius)
-                )
+                skin = max(LEAST_SKIN_DIAMETERS * diameter, min(skin, 0.5 * scene.period - diameter))
         skin = checked(DemConfig, "skin", skin)
         check_period(scene.period, 2.0 * largest_radius + skin)
         check_walls(scene)
         needs, kinds = scene.needs, range(len(scene.materials))
-        wall_laws = [[law_constants(wall_law(scene, kind)) for _ in scene.walls] for kind in kinds]
+        wall_laws = [[wall_law(scene, kind).constants] * len(scene.walls) for kind in kinds]
         return cls(
-            pair_laws=np.array([[law_constants(pair_law(scene, a, b)) for b in kinds] for a in kinds]),
+            pair_laws=np.array([[pair_law(scene, a, b).constants for b in kinds] for a in kinds]),
             wall_laws=np.array(wall_laws).reshape(len(kinds), len(scene.walls), 5),
             density=np.array([material.density for material in scene.materials], np.float64),
             gravity=np.array(scene.gravity, np.float64),
@@ -154,12 +152,7 @@ class Physics:
 
 
 def into_period(position: FloatArray, period: float) -> FloatArray:
-    """Positions with y brought into [−L/2, L/2) in place, ``(N, 3)`` m; those inside keep every bit.
-
-    Args:
-        position: ``(N, 3)`` m.
-        period: L, m; 0 for none.
-    """
+    """Positions with y brought into [−L/2, L/2) in place, ``(N, 3)`` m; L = 0 for none. Those inside keep every bit."""
     if period > 0.0:
         y = position[:, 1]
         outside = np.flatnonzero(~((-0.5 * period <= y) & (y < 0.5 * period)))
@@ -170,23 +163,9 @@ def into_period(position: FloatArray, period: float) -> FloatArray:
 
 def pair_law(scene: Scene, first: int, second: int) -> ContactLaw:
     """The law of contacts between particles of two of the scene's materials."""
-    coefficients = scene.coefficients(first, second)
-    return ContactLaw.of(scene.materials[first], scene.materials[second], *coefficients)
+    return ContactLaw.of(scene.materials[first], scene.materials[second], *scene.coefficients(first, second))
 
 
 def wall_law(scene: Scene, kind: int) -> ContactLaw:
     """The law of contacts of one of the scene's particle materials with the walls, whose coefficients count."""
     return ContactLaw.between(scene.materials[kind], scene.wall_material)
-
-
-def law_constants(law: ContactLaw) -> FloatArray:
-    """(4/3 E*, 8 G*, α, μ, μ_r), ``(5,)`` in SI."""
-    return np.array(
-        (
-            4.0 / 3.0 * law.effective_modulus,
-            8.0 * law.effective_shear_modulus,
-            law.damping,
-            law.friction,
-            law.rolling_friction,
-        )
-    )

@@ -39,13 +39,8 @@ def part_of(state: ParticleState, inside: np.ndarray) -> ParticleState:
     history, walls = state.history, state.history.second < 0
     kept = inside[history.first] & (walls | inside[np.where(walls, 0, history.second)])
     second = np.where(walls, history.second, name[np.where(walls, 0, history.second)])
-    memory = ContactHistory(
-        name[history.first][kept],
-        second[kept],
-        history.force[kept],
-        history.overlap[kept],
-        history.rolling_moment[kept],
-    )
+    renamed = replace(history, first=name[history.first], second=second)
+    memory = ContactHistory(*(array[kept] for array in vars(renamed).values()))
     return replace(state, history=memory, **{field: getattr(state, field)[inside] for field in _BY_PARTICLE})
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from gran_bench.dem.contact import sphere_mass
@@ -45,10 +47,8 @@ def contact_diagnostics(scene: Scene, state: ParticleState) -> dict[str, float]:
         "kinetic_energy_translational": 0.5 * float(mass @ np.square(state.velocity).sum(axis=1)),
         "kinetic_energy_rotational": 0.5 * float(inertia @ np.square(state.angular_velocity).sum(axis=1)),
     }
-    for prefix, overlap in (
-        ("", state.history.overlap[~touching_wall]),
-        ("wall_", state.history.overlap[touching_wall]),
-    ):
+    for prefix, touching in (("", ~touching_wall), ("wall_", touching_wall)):
+        overlap = state.history.overlap[touching]
         figures[f"{prefix}overlap_mean"] = float(overlap.mean()) if len(overlap) else 0.0
         figures[f"{prefix}overlap_max"] = float(overlap.max()) if len(overlap) else 0.0
         figures[f"{prefix}contact_count"] = float(len(overlap))
@@ -57,46 +57,28 @@ def contact_diagnostics(scene: Scene, state: ParticleState) -> dict[str, float]:
     return figures
 
 
-def peak_diagnostics(peaks: Peaks) -> dict[str, float]:
-    """The most of any contact in any step since the last frame (of the first frame, in its state alone).
-
-    Largest overlap of a pair and with a wall in m, largest overlap as a share of the pair's mean diameter (of the
-    diameter at a wall), fastest approach of touching surfaces in m/s; 0 where nothing touched.
-    """
-    return {
-        "overlap_peak": peaks.overlap,
-        "wall_overlap_peak": peaks.wall_overlap,
-        "overlap_share_peak": peaks.share,
-        "approach_peak": peaks.approach,
-    }
-
-
 def impact_warnings(
-    scene: Scene, radius: float, time_step: float, judged: float, times: FloatArray, peaks: list[Peaks]
+    scene: Scene, radius: float, time_step: float, judged: float, times: Sequence[float], peaks: list[Peaks]
 ) -> tuple[str, ...]:
     """What a reader must know of the impacts: too deep for Hertz's law, or too short for the step.
 
     Args:
         scene: materials and walls.
-        radius: of the smallest sphere, m.
-        time_step: s.
+        radius, time_step: of the smallest sphere, m; s.
         judged: speed that the step has been held against, m/s.
-        times: s, at which the spans end that the peaks are of.
-        peaks: of each span.
+        times, peaks: of each span, s at which it ends and the most of its contacts.
     """
     warnings = []
-    if peaks and max(p.share for p in peaks) >= LARGEST_INITIAL_OVERLAP:
-        worst = int(np.argmax([p.share for p in peaks]))
+    worst, fastest = (int(np.argmax([getattr(p, name) for p in peaks])) for name in ("share", "approach"))
+    if (share := peaks[worst].share) >= LARGEST_INITIAL_OVERLAP:
         deepest = max(peaks[worst].overlap, peaks[worst].wall_overlap)
         warnings.append(
-            f"an overlap that reached {peaks[worst].share:.0%} of the mean diameter (the deepest {deepest:.3g} m) by "
+            f"an overlap that reached {share:.0%} of the mean diameter (the deepest {deepest:.3g} m) by "
             f"t = {times[worst]:.6g} s: Hertz's law is for less than {LARGEST_INITIAL_OVERLAP:.0%}, and deeper spheres "
             "pass through each other or through walls; choose a stiffer material or lower speeds"
         )
-    if peaks and (fastest := max(p.approach for p in peaks)) > judged:
-        when = times[int(np.argmax([p.approach for p in peaks]))]
-        if said := unresolved(scene, radius, time_step, fastest):
-            warnings.append(f"an impact at {fastest:.3g} m/s by t = {when:.6g} s: {said}")
+    if (speed := peaks[fastest].approach) > judged and (said := unresolved(scene, radius, time_step, speed)[0]):
+        warnings.append(f"an impact at {speed:.3g} m/s by t = {times[fastest]:.6g} s: {said}")
     return tuple(warnings)
 
 
@@ -104,29 +86,28 @@ class FrameRecord:
     """Frames and diagnostics as they come."""
 
     def __init__(self, scene: Scene, radius: FloatArray) -> None:
-        self.scene, self.radius = scene, radius
+        self._scene, self._radius = scene, radius
+        self._frames: list[tuple[float, FloatArray, FloatArray, FloatArray]] = []
+        self._figures: list[dict[str, float]] = []
         self.time: list[float] = []
-        self.frames: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-        self.figures: list[dict[str, float]] = []
         self.peaks: list[Peaks] = []
 
     def add(self, state: ParticleState, time: float, peaks: Peaks) -> None:
+        """A state, and the most of any contact in any step since the last frame (of the first, in its state alone).
+
+        The most is the largest overlap of a pair and with a wall in m, the largest overlap as a share of the pair's
+        mean diameter (of the diameter at a wall), the fastest approach in m/s; 0 where nothing touched.
+        """
         self.time.append(time)
-        self.frames.append((state.position, state.velocity, state.angular_velocity))
-        self.figures.append(contact_diagnostics(self.scene, state) | peak_diagnostics(peaks))
         self.peaks.append(peaks)
+        self._frames.append((time, state.position, state.velocity, state.angular_velocity))
+        names = ("overlap_peak", "wall_overlap_peak", "overlap_share_peak", "approach_peak")
+        self._figures.append(contact_diagnostics(self._scene, state) | dict(zip(names, peaks, strict=True)))
 
     def trajectory(self, *failed: tuple[float, FloatArray, FloatArray, FloatArray]) -> Trajectory:
         """All frames, and a failed one that has no diagnostics."""
-        frames = self.frames + [frame[1:] for frame in failed]
-        nothing = dict.fromkeys(self.figures[0], np.nan) if self.figures else {}
-        figures = self.figures + [nothing for _ in failed]
-        position, velocity, spin = (np.stack([frame[k] for frame in frames]) for k in range(3))
-        return Trajectory(
-            time=np.array(self.time + [frame[0] for frame in failed]),
-            position=position,
-            velocity=velocity,
-            angular_velocity=spin,
-            radius=self.radius,
-            diagnostics={name: np.array([f[name] for f in figures]) for name in figures[0]},
-        )
+        nothing = dict.fromkeys(self._figures[0], np.nan) if self._figures else {}
+        figures = self._figures + [nothing for _ in failed]
+        time, position, velocity, spin = (np.array(column) for column in zip(*self._frames, *failed, strict=True))
+        diagnostics = {name: np.array([f[name] for f in figures]) for name in figures[0]}
+        return Trajectory(time, position, velocity, spin, self._radius, diagnostics=diagnostics)

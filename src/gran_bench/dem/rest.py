@@ -33,11 +33,7 @@ LOOKS = 20  # at least, in that time
 
 
 class Rest:
-    """Looks at a bed that settles, and knows since when it has been slow.
-
-    Args:
-        scene: that it settles in.
-    """
+    """Looks at a bed that settles in a scene, and keeps since when it has been slow."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene, self._slow_since = scene, math.inf

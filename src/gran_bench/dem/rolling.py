@@ -31,13 +31,8 @@ from gran_bench.state import FloatArray
 CONTACT_INERTIA = 1.4  # of a sphere about a point of its surface, in m r²
 
 
-def rolling_stiffness(
-    effective_modulus: FloatArray | float,
-    coefficient: FloatArray | float,
-    effective_radius: FloatArray | float,
-    overlap: FloatArray | float,
-) -> FloatArray | float:
-    """k_r = 2.25 k_n (μ_r R*)² with k_n = 2 E* √(R* δ), N m."""
+def rolling_stiffness(effective_modulus, coefficient, effective_radius, overlap):
+    """k_r = 2.25 k_n (μ_r R*)² with k_n = 2 E* √(R* δ), N m; of numbers or arrays."""
     return 4.5 * effective_modulus * np.sqrt(effective_radius * overlap) * (coefficient * effective_radius) ** 2
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,29 +27,17 @@ EQUAL = 1e-10
 
 
 class Touching(NamedTuple):
-    """Spheres that a wall answers.
+    """Spheres that a wall answers."""
 
-    Attributes:
-        sphere: ``(M,)`` their indices.
-        distance: ``(M,)`` of their centres, m.
-        normal: ``(M, 3)`` unit vectors from them to the wall.
-    """
-
-    sphere: np.ndarray
-    distance: FloatArray
-    normal: FloatArray
+    sphere: np.ndarray  # (M,) their indices
+    distance: FloatArray  # (M,) of their centres, m
+    normal: FloatArray  # (M, 3) unit vectors from them to the wall
 
 
 def wall_touching(
     poses: FloatArray, position: FloatArray, radius: FloatArray, history: ContactHistory
 ) -> tuple[list[Touching], ContactHistory]:
-    """What each wall answers, and the history with what goes over from one piece of a surface to another.
-
-    Args:
-        poses: ``(W, 22)`` of this instant.
-        position, radius: ``(N, 3)`` and ``(N,)`` m.
-        history: of the last instant.
-    """
+    """What each of the walls answers, and the last history with what goes over between pieces of a surface."""
     reached = [wall_contact(pose, position) for pose in poses]
     touches = [distance < radius for distance, _ in reached]
     answers, merged = one_contact_each(poses, poses[:, SURFACE], position, radius, reached, touches)
@@ -101,20 +90,12 @@ def _handed_over(history: ContactHistory, source: int, target: int, spheres: np.
     leaving = (history.second == -1 - source) & np.isin(history.first, np.setdiff1d(spheres, own))
     if not leaving.any():
         return history
-    second = np.where(leaving, -1 - target, history.second)
-    return ContactHistory(history.first, second, history.force, history.overlap, history.rolling_moment)
+    return replace(history, second=np.where(leaving, -1 - target, history.second))
 
 
 @kernel
 def another_answers(walls, w, x, y, z, radius, distance, nx, ny, nz):
-    """Whether another piece of wall w's surface answers a sphere that touches w.
-
-    Args:
-        walls: ``(W, 22)`` poses.
-        w: wall, a piece of a surface.
-        x, y, z, radius: of the sphere, m.
-        distance, nx, ny, nz: of its centre from the wall, m, and the unit vector to it.
-    """
+    """Whether another piece of wall w's surface answers a sphere at x, y, z that w is this far from, in this way."""
     for v in range(len(walls)):
         if v != w and walls[v, 21] == walls[w, 21] and not _is_far(walls, v, x, y, z, radius):
             other = shape_of(walls, v)
@@ -136,13 +117,9 @@ def _is_far(walls, v, x, y, z, radius):
 
 @kernel
 def hand_over(walls, w, p, x, y, z, radius, distance, wall_i, start, memory, touched, remembered):
-    """Gives a new contact what the contact that it takes the place of remembers.
+    """Gives a new contact, at place p with wall w, what the contact that it takes the place of remembers.
 
-    Args:
-        walls, w, x, y, z, radius, distance: as in :func:`another_answers`; wall w answers the sphere.
-        p: place of the contact.
-        wall_i, start, memory, touched, remembered: as in :func:`wall_contacts.wall_forces`; ``memory[p]`` and
-            ``touched`` change.
+    The lists are those of :func:`contact_forces.wall_forces`; ``memory[p]`` and ``touched`` change.
     """
     i = wall_i[p]
     for v in range(len(walls)):

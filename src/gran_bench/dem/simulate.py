@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time as clock
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from types import ModuleType
 
@@ -89,39 +90,38 @@ def simulate(
     check_arguments(scene=(scene, Scene), state=(state, ParticleState), dem=(dem, DemConfig))
     check_arguments(end_time=(end_time, float))
     check_dem(dem)
-    frames = _frames_between(scene, state.time, end_time)
+    times = _frame_times(scene, state.time, end_time)
     check_initial_state(scene, state)
-    smallest, largest = _radius_range(scene, state)
+    filling, count = scene.filling, state.count
+    smallest = float(state.radius.min()) if count else filling.smallest_radius
+    largest = float(state.radius.max()) if count else filling.largest_radius
     time_step, said = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step, smallest)
     check_initial_speed(state, time_step)
     closing = closing_speed(state)
     judged = max(impact_speed(scene), closing)
     if closing == judged:
         said += check_closing_speed(scene, smallest, time_step, closing, dem.allow_unsafe_step)
-    state, substeps = _as_float64(state), round(scene.frame_interval / time_step)
+    names, substeps = ("position", "velocity", "angular_velocity", "radius"), round(scene.frame_interval / time_step)
+    state = replace(state, **{name: np.array(getattr(state, name), np.float64) for name in names})
     record = FrameRecord(scene, state.radius)
-    tuner = Tuner(_physics(scene, largest, dem), state.count, dem.skin is not None, dem.threads)
+    tuner = Tuner(_physics(scene, largest, dem), count, dem.skin is not None, dem.threads)
     run = Run(ENGINES[dem.engine], state, scene, time_step, tuner, lambda *frame: record.trajectory(tuple(frame)))
     state = replace(state, history=run.state().history)  # of the contacts that touch
     record.add(state, state.time, run.take_peaks())
-    times = _frame_times(scene, state.time, frames)
     started = clock.perf_counter()
-    listen = progress if callable(progress) else _nobody
-    with _bar(progress is True, frames * substeps, "DEM") as bar:
+    with _followed(progress, len(times) * substeps, "DEM") as follow:
         for time in times:
             run.advance(substeps)
             # The frame's clock, not the sum of its steps: a restart finds the same number.
             state = replace(run.state(), time=time)
             record.add(state, time, run.take_peaks())
-            bar.update(substeps)
-            bar.set_postfix_str(f"t = {time:.2f} s", refresh=False)
-            listen(time)
+            follow(substeps, time)
     run.check_escapes()
     return SimulationResult(
         trajectory=record.trajectory(),
         final=run.continued(replace(state, history=_sorted_history(state.history))),
         time_step=time_step,
-        steps=frames * substeps,
+        steps=len(times) * substeps,
         wall_seconds=clock.perf_counter() - started,
         warnings=said + impact_warnings(scene, smallest, time_step, judged, record.time, record.peaks),
         skin=tuner.chosen.skin,
@@ -170,33 +170,29 @@ def settle(
     rest = Rest(still)
     substeps = min(steps_between_looks(time_step), max(1, round(rest.look_interval / time_step)))
     tuner = Tuner(_physics(still, filling.largest_radius, dem), state.count, dem.skin is not None, dem.threads)
-    run = Run(ENGINES[dem.engine], state, still, time_step, tuner, lambda *frame: _one_frame(state, *frame))
-    rests = False
-    listen = progress if callable(progress) else _nobody
-    with _bar(progress is True, None, "settling") as bar:
+
+    def one_frame(time: float, *frame: FloatArray) -> Trajectory:
+        return Trajectory(np.array([time]), *(array[None] for array in frame), state.radius)
+
+    run, rests = Run(ENGINES[dem.engine], state, still, time_step, tuner, one_frame), False
+    with _followed(progress, None, "settling") as follow:
         while state.count and (not rests or state.time < scene.start_time - 1e-9):
             if not rests and state.time > filling.longest_settling:
                 raise SimulationError(
                     f"the bed of {scene.name!r} is not at rest after {filling.longest_settling:g} s of settling: "
                     f"{rest.what_moves()}",
-                    _one_frame(state, state.time, state.position, state.velocity, state.angular_velocity),
+                    one_frame(state.time, state.position, state.velocity, state.angular_velocity),
                 )
             run.advance(substeps)
             state = replace(run.state(), time=run.time)
             rests = rest.look(state)
-            bar.update(substeps)
-            bar.set_postfix_str(f"t = {state.time:.2f} s, speed {rest.speed:.2g} m/s", refresh=False)
-            listen(state.time)
+            follow(substeps, state.time, f", speed {rest.speed:.2g} m/s")
     check_initial_state(still, state, remedy=STIFFEN)
     for said in impact_warnings(
         still, filling.smallest_radius, time_step, impact_speed(scene), [run.time], [run.take_peaks()]
     ):
         warn(f"while the bed of {scene.name!r} settled: {said}")
     return replace(state, time=scene.start_time, history=_sorted_history(state.history))
-
-
-def _one_frame(state: ParticleState, time: float, *frame: FloatArray) -> Trajectory:
-    return Trajectory(np.array([time]), *(array[None] for array in frame), state.radius)
 
 
 def _physics(scene: Scene, largest_radius: float, dem: DemConfig) -> Physics:
@@ -208,69 +204,40 @@ def _physics(scene: Scene, largest_radius: float, dem: DemConfig) -> Physics:
     )
 
 
-def _radius_range(scene: Scene, state: ParticleState) -> tuple[float, float]:
-    if state.count == 0:
-        return scene.filling.smallest_radius, scene.filling.largest_radius
-    return float(state.radius.min()), float(state.radius.max())
-
-
-def _as_float64(state: ParticleState) -> ParticleState:
-    arrays = {
-        name: np.array(getattr(state, name), np.float64)
-        for name in ("position", "velocity", "angular_velocity", "radius")
-    }
-    return replace(state, **arrays)
-
-
-def _frames_between(scene: Scene, start: float, end: float) -> int:
-    """Whole frames from start to end.
+def _frame_times(scene: Scene, start: float, end: float) -> list[float]:
+    """Times of the next frames, on the scene's own grid where the start is on it: a restart finds the same ones.
 
     Raises:
         ValueError: an end before the start, or between two frames.
     """
     if end < start:
         raise ValueError(f"end_time={end:g} s lies before the state's time={start:g} s; choose a later end")
-    exact = (end - start) / scene.frame_interval
-    frames = round(exact)
-    if abs(exact - frames) > 1e-6 * max(1.0, abs(exact)):
-        raise ValueError(
-            f"end_time={end:g} s is not a whole number of frames of {scene.frame_interval:g} s after {start:g} s"
-        )
-    return frames
-
-
-def _frame_times(scene: Scene, start: float, frames: int) -> list[float]:
-    """Times of the next frames, on the scene's own grid where the start is on it: a restart finds the same ones."""
     interval = scene.frame_interval
-    passed = round((start - scene.start_time) / interval)
-    if abs(scene.start_time + passed * interval - start) < 1e-6 * interval:
-        return [scene.start_time + (passed + k) * interval for k in range(1, frames + 1)]
-    return [start + k * interval for k in range(1, frames + 1)]
+    exact, passed = (end - start) / interval, round((start - scene.start_time) / interval)
+    if abs(exact - round(exact)) > 1e-6 * max(1.0, abs(exact)):
+        raise ValueError(f"end_time={end:g} s is not a whole number of frames of {interval:g} s after {start:g} s")
+    if abs(scene.start_time + passed * interval - start) >= 1e-6 * interval:
+        return [start + k * interval for k in range(1, round(exact) + 1)]
+    return [scene.start_time + (passed + k) * interval for k in range(1, round(exact) + 1)]
 
 
 def _sorted_history(history: ContactHistory) -> ContactHistory:
     """By first, then second, whatever order an engine found the contacts in."""
     order = np.lexsort((history.second, history.first))
-    return ContactHistory(
-        history.first[order],
-        history.second[order],
-        history.force[order],
-        history.overlap[order],
-        history.rolling_moment[order],
-    )
+    return ContactHistory(*(array[order] for array in vars(history).values()))
 
 
-def _nobody(time: float) -> None:
-    """Listens to the progress of a run that nobody follows."""
+@contextmanager
+def _followed(progress: bool | Callable[[float], None], total: int | None, label: str) -> Iterator[Callable[..., None]]:
+    """What is called with steps, time in s and more words: it moves a bar, or tells a listener the time."""
+    # None: silent where stderr is no terminal.
+    silent = None if progress is True else True
+    with tqdm(total=total, desc=label, unit=" steps", unit_scale=True, leave=False, disable=silent) as bar:
 
+        def follow(steps: int, time: float, said: str = "") -> None:
+            bar.update(steps)
+            bar.set_postfix_str(f"t = {time:.2f} s{said}", refresh=False)
+            if callable(progress):
+                progress(time)
 
-def _bar(progress: bool, total: int | None, label: str) -> tqdm:
-    return tqdm(
-        total=total,
-        desc=label,
-        unit=" steps",
-        unit_scale=True,
-        leave=False,
-        # None: silent where stderr is no terminal.
-        disable=None if progress else True,
-    )
+        yield follow

@@ -24,6 +24,7 @@ ERROR_FRACTION = 0.2  # of the contact time; a contact is no longer resolved
 ROUNDING = 1e-9  # relative; what is within it of a bound is at the bound
 # Height of fall that the impact speed is judged by where no drum states one.
 NOMINAL_FALL = 1.0  # m
+ALLOWED_BY = " (dem.allow_unsafe_step=true runs it all the same)"
 
 
 class TimeStepError(ValueError):
@@ -31,13 +32,7 @@ class TimeStepError(ValueError):
 
 
 def rayleigh_time(radius: float, density: float, shear_modulus: float, poisson_ratio: float) -> float:
-    """Time of a Rayleigh wave around a sphere, T_R = π r √(ρ/G) / (0.1631 ν + 0.8766), s.
-
-    Args:
-        radius: r, m.
-        density: ρ, kg/m³.
-        shear_modulus: G, Pa.
-        poisson_ratio: ν, −.
+    """Time of a Rayleigh wave around a sphere, T_R = π r √(ρ/G) / (0.1631 ν + 0.8766), s; r in m, ρ in kg/m³, G in Pa.
 
     Source: Li, Xu & Thornton (2005), Powder Technology 160, eq. 10.
     """
@@ -50,17 +45,15 @@ def impact_speed(scene: Scene) -> float:
     The largest of √(2 g D) with D the height that a sphere can fall, twice the speed of spheres that are placed, and
     the speed of the walls.
     """
-    fall = scene.fall_height or NOMINAL_FALL
-    speeds, reaches = [math.sqrt(2.0 * scene.gravity_strength * fall), 2.0 * scene.filling.largest_speed], []
-    turning = 0.0
+    fall, turning, reaches = scene.fall_height or NOMINAL_FALL, 0.0, []
+    speeds = [math.sqrt(2.0 * scene.gravity_strength * fall), 2.0 * scene.filling.largest_speed]
     for wall in scene.walls:
         motion = scene.motion_of(wall)
         if isinstance(motion, Rotation):
             turning = max(turning, motion.largest_angular_speed)
             if not isinstance(wall, Plane):
-                off_axis = math.dist(wall.point, motion.point)
                 size = wall.radius if wall.meridian is None else max(math.hypot(*end) for end in wall.meridian)
-                reaches.append(off_axis + size)
+                reaches.append(math.dist(wall.point, motion.point) + size)
         elif motion is not None:
             speeds.append(float(np.linalg.norm(motion.extreme_velocities, axis=1).max()))
     return max(*speeds, turning * max(reaches, default=fall))
@@ -137,13 +130,12 @@ def choose_time_step(
         )
     share = step / contact_time * (1.0 + ROUNDING)
     if share >= ERROR_FRACTION:
-        safe = dividing_step(scene.frame_interval, WARNING_FRACTION * contact_time * (1.0 - 1e-6))
         message = (
             f"{given} is {step / contact_time:.2g} of the shortest contact time {contact_time:.3g} s "
-            f"and cannot resolve it; the largest safe step is {safe:.10g} s"
+            f"and cannot resolve it; the largest safe step is {_safe_step(scene, contact_time):.10g} s"
         )
         if not allow_unsafe:
-            raise TimeStepError(f"{message} (dem.allow_unsafe_step=true runs it all the same)")
+            raise TimeStepError(message + ALLOWED_BY)
         warnings.append(message)
     elif share >= WARNING_FRACTION:
         warnings.append(
@@ -153,25 +145,21 @@ def choose_time_step(
     return step, tuple(warnings)
 
 
-def unresolved(scene: Scene, radius: float, time_step: float, speed: float) -> str:
-    """What is wrong with a step where spheres meet walls or each other at a speed; empty where nothing is.
+def unresolved(scene: Scene, radius: float, time_step: float, speed: float) -> tuple[str, bool]:
+    """What is wrong with a step where spheres meet walls or each other at a speed, m/s, and whether it is an error.
 
-    Args:
-        scene: materials and walls.
-        radius: of the smallest sphere, m.
-        time_step: s.
-        speed: of the approach, m/s.
+    Empty where nothing is. ``radius`` is of the smallest sphere, m; ``time_step`` in s.
     """
     contact_time, _ = contact_times(scene, radius, speed)
     share = time_step / contact_time * (1.0 + ROUNDING)
     if share < WARNING_FRACTION:
-        return ""
-    trouble = "cannot resolve it" if share >= ERROR_FRACTION else "lets restitution depend on the step"
-    safe = dividing_step(scene.frame_interval, WARNING_FRACTION * contact_time * (1.0 - 1e-6))
+        return "", False
+    fatal = share >= ERROR_FRACTION
     return (
         f"the step of {time_step:g} s is {share:.2g} of the contact time {contact_time:.3g} s at that speed and "
-        f"{trouble}; set dem.time_step to at most {safe:.10g} s"
-    )
+        f"{'cannot resolve it' if fatal else 'lets restitution depend on the step'}; set dem.time_step to at most "
+        f"{_safe_step(scene, contact_time):.10g} s"
+    ), fatal
 
 
 def check_closing_speed(
@@ -186,13 +174,15 @@ def check_closing_speed(
     Raises:
         TimeStepError: a step beyond 0.2 t_c that is not allowed.
     """
-    said = unresolved(scene, radius, time_step, speed)
-    if not said:
-        return ()
+    said, fatal = unresolved(scene, radius, time_step, speed)
     message = f"spheres of the first state close in at up to {speed:.3g} m/s: {said}"
-    if time_step * (1.0 + ROUNDING) >= ERROR_FRACTION * contact_times(scene, radius, speed)[0] and not allow_unsafe:
-        raise TimeStepError(f"{message} (dem.allow_unsafe_step=true runs it all the same)")
-    return (message,)
+    if fatal and not allow_unsafe:
+        raise TimeStepError(message + ALLOWED_BY)
+    return (message,) if said else ()
+
+
+def _safe_step(scene: Scene, contact_time: float) -> float:
+    return dividing_step(scene.frame_interval, WARNING_FRACTION * contact_time * (1.0 - 1e-6))
 
 
 def dividing_step(interval: float, largest: float) -> float:

@@ -42,10 +42,9 @@ def wall_poses(scene: Scene, start: float, time_step: float, steps: int, first: 
         steps: of the stretch.
         first: steps from ``start`` to the stretch.
     """
-    rest = np.array([_drawn(wall) for wall in scene.walls]).reshape(-1, COLUMNS)
-    rest[:, SURFACE] = scene.surfaces
+    table = np.array([_drawn(wall) for wall in scene.walls]).reshape(1, -1, COLUMNS)
+    table[..., SURFACE] = scene.surfaces
     end = middle = None
-    table = rest[None]
     for index, wall in enumerate(scene.walls):
         motion = scene.motion_of(wall)
         if motion is None and wall.opens is None:
@@ -54,10 +53,8 @@ def wall_poses(scene: Scene, start: float, time_step: float, steps: int, first: 
             end = start + time_step * np.arange(first, first + steps + 1)
             middle = end - 0.5 * time_step
             middle[0] = end[0]
-        rows = _moved(wall, rest[index], motion, end, middle, time_step)
-        if len(rows) == 1 and len(table) == 1:
-            table = table.copy()
-        elif len(table) == 1:
+        rows = _moved(wall, table[0, index].copy(), motion, end, middle, time_step)
+        if len(rows) > len(table):
             table = np.repeat(table, steps + 1, axis=0)
         table[:, index] = rows
     return np.broadcast_to(table, (steps + 1, *table.shape[1:]))
@@ -66,13 +63,13 @@ def wall_poses(scene: Scene, start: float, time_step: float, steps: int, first: 
 def _drawn(wall: Wall) -> FloatArray:
     """The row of a wall at rest, where it is drawn."""
     row = np.zeros(COLUMNS)
-    row[POINT] = wall.point
+    row[POINT], row[DIRECTION] = wall.point, wall.direction
     if isinstance(wall, Plane):
-        row[KIND], row[DIRECTION] = PLANE, wall.normal
+        row[KIND] = PLANE
     elif wall.meridian is None:
-        row[KIND], row[DIRECTION], row[7] = CYLINDER, wall.axis, wall.radius
+        row[KIND], row[7] = CYLINDER, wall.radius
     else:
-        row[KIND], row[DIRECTION], row[SIZES] = REVOLUTION, wall.axis, np.ravel(wall.meridian)
+        row[KIND], row[SIZES] = REVOLUTION, np.ravel(wall.meridian)
     return row
 
 
@@ -99,7 +96,6 @@ def _moved(
         gone = end >= wall.opens - 1e-9 * max(1.0, abs(wall.opens))
         if gone.any():
             rows = np.repeat(rows, len(end), axis=0) if len(rows) == 1 else rows
-            rows = rows.copy()
             rows[gone, KIND] = ABSENT
     return rows
 
@@ -108,18 +104,17 @@ def _turned(wall: Wall, drawn: FloatArray, turn: Rotation, end: FloatArray, midd
     axis, point = np.asarray(turn.axis), np.asarray(turn.point)
     symmetric = turns_into_itself(wall, turn.axis, turn.point)
     if symmetric and end[0] >= turn.times[-1]:
-        rows = drawn[None].copy()
+        rows = drawn[None]
         rows[:, SPIN], rows[:, REFERENCE] = turn.angular_speed(end[0]) * axis, point
         return rows
     rows = np.tile(drawn, (len(end), 1))
-    rows[:, SPIN], rows[:, REFERENCE] = np.outer(turn.angular_speeds(middle), axis), point
+    rows[:, SPIN], rows[:, REFERENCE] = np.outer(turn.angular_speed(middle), axis), point
     if symmetric:
         return rows
-    angle = turn.angles(end)
-    rows[:, POINT] = point + _rotated(np.asarray(wall.point) - point, axis, angle)
+    angle, center = turn.angles(end), np.asarray(wall.point) - point
+    rows[:, POINT] = point + _rotated(center, axis, angle)
     rows[:, DIRECTION] = _rotated(drawn[DIRECTION], axis, angle)
     # No point of the shape is farther from the axis than this, and nothing turns faster.
-    center = np.asarray(wall.point) - point
     reach = np.linalg.norm(np.cross(center, axis)) + max(np.hypot(r, s) for r, s in wall.meridian)
     rows[1:, PATH] = turn.largest_angular_speed * np.diff(end) * reach
     return rows
@@ -135,8 +130,7 @@ def _path(wall: Wall, motion: Translation | Vibration, time_step: float) -> floa
     """Most that a shape can travel in a step, m; a wall without an end that moves along itself travels nothing."""
     velocity = motion.extreme_velocities
     if wall.contains:
-        direction = np.asarray(wall.normal if isinstance(wall, Plane) else wall.axis)
-        along = np.outer(velocity @ direction, direction)
+        along = np.outer(velocity @ np.asarray(wall.direction), wall.direction)
         velocity = along if isinstance(wall, Plane) else velocity - along
     return float(np.linalg.norm(velocity, axis=1).max()) * time_step
 
@@ -184,22 +178,14 @@ def any_normal_to(direction: FloatArray) -> FloatArray:
 
 
 def surface_velocity(pose: FloatArray, point: FloatArray) -> FloatArray:
-    """Velocity of a wall's material points, v + ω × (x − c), ``(N, 3)`` m/s.
-
-    Args:
-        pose: ``(22,)`` a row of the table.
-        point: ``(N, 3)`` on the wall, m.
-    """
+    """Velocity of a wall's material at points of it, v + ω × (x − c), ``(N, 3)`` m/s; ``pose`` is its row."""
     return pose[VELOCITY] + np.cross(pose[SPIN], point - pose[REFERENCE])
 
 
 def largest_excess(scene: Scene, poses: FloatArray, position: FloatArray) -> FloatArray:
     """How far each centre lies beyond the containing wall that it passed furthest, ``(N,)`` m; negative inside.
 
-    Args:
-        scene: says which walls contain: those that have one side.
-        poses: ``(W, 22)`` of this instant.
-        position: ``(N, 3)`` m.
+    Only walls that have one side contain; ``poses`` are ``(W, 22)`` of this instant.
     """
     excess = np.full(len(position), -np.inf)
     for wall, pose in zip(scene.walls, poses, strict=True):
@@ -216,9 +202,7 @@ def check_walls(scene: Scene) -> None:
     """
     for index, wall in enumerate(scene.walls):
         turn = scene.motion_of(wall)
-        if not isinstance(turn, Rotation) or not wall.contains:
-            continue
-        if not turns_into_itself(wall, turn.axis, turn.point):
+        if isinstance(turn, Rotation) and wall.contains and not turns_into_itself(wall, turn.axis, turn.point):
             raise ValueError(
                 f"wall {index} turns about {turn.axis} through {turn.point} m but is not symmetric about that axis, "
                 "and it has no end; set its turns=False, align it, or give it an end (Disc, Cylinder with a length)"

@@ -9,43 +9,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gran_bench.neighbors.kernel import entry, kernel
-from gran_bench.neighbors.lanes import LANES, clear_lowest, lowest_lane, near_lanes
+from gran_bench.neighbors.llvm import LANES, clear_lowest, lowest_lane, near_lanes
 from gran_bench.neighbors.tree import IndexArray, check_period, wrapped
 from gran_bench.state import FloatArray
-
-# Places of the progress of a list that is being filled: what is looked at next, how much was found before it.
-NEXT, FOUND = range(2)
-
-
-def cell_pairs(position: FloatArray, reach: float, period: float = 0.0) -> IndexArray:
-    """The same pairs as :func:`tree_pairs`, ``(M, 2)`` with i < j, sorted, from the jitted cell list.
-
-    Args:
-        position: ``(N, 3)`` m.
-        reach: m.
-        period: length of the periodic y axis, m; 0 for none.
-
-    Raises:
-        ValueError: a period that is shorter than twice the reach.
-    """
-    check_period(period, reach)
-    sphere = np.zeros((len(position), 4))
-    sphere[:, :3] = wrapped(position, period)
-    first, second = list_pairs(sphere, reach, period)
-    pairs = np.stack((first, second), axis=1).astype(np.int64)
-    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
 def cell_neighbors(
     query: FloatArray, source: FloatArray, reach: float, period: float = 0.0
 ) -> tuple[IndexArray, IndexArray]:
-    """The same neighbours as :func:`tree_neighbors` from the jitted cell list, sorted by query only.
+    """Every source point closer than ``reach`` to every query point, without a cap.
 
     Args:
         query: ``(Q, 3)`` m.
         source: ``(S, 3)`` m.
         reach: m.
         period: length of the periodic y axis, m; 0 for none.
+
+    Returns:
+        Query index and source index of each hit, ``(M,)`` each, sorted by query. A point that is among both is its own
+        neighbour.
 
     Raises:
         ValueError: a period that is shorter than twice the reach.
@@ -54,12 +36,10 @@ def cell_neighbors(
     if len(query) == 0 or len(source) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     point = wrapped(np.concatenate((query, source)), period)
-    binned = order, *_ = bin_cells(point, reach, period)
-    rank_of = np.empty(len(point), np.int64)
-    rank_of[order] = np.arange(len(point))
+    order, *binned = bin_cells(point, reach, period)
     return _filled(
         np.int64, 32 * len(query),
-        lambda *lists: find_neighbors(point, point[order], rank_of[: len(query)], reach, period, *binned, *lists),
+        lambda *lists: find_neighbors(point, point[order], len(query), reach, period, order, *binned, *lists),
     )  # fmt: skip
 
 
@@ -72,21 +52,12 @@ def bin_cells(sphere: FloatArray, edge: float, period: float) -> tuple[IndexArra
         period: length of the periodic y axis, m; 0 for none.
 
     Returns:
-        The ``(N,)`` particle of each rank, the ``(C + 1,)`` first rank of each cell, the ``(N,)`` cell of each rank,
-        and the ``(3,)`` numbers of cells along x, y and z.
+        The ``(N,)`` particle of each rank, the ``(C + 1,)`` first rank of each cell, the ``(N,)`` cell of each
+        particle, and the ``(3,)`` numbers of cells along x, y and z.
 
     Raises:
         ValueError: a coordinate or a size that is not finite, or a reach of nothing.
     """
-    count, (low, width, cells) = len(sphere), _grid(sphere, edge, period)
-    order, cell_of, cell_of_rank = np.empty((3, count), np.int64)
-    start = np.zeros(math.prod(cells.tolist()) + 2, np.int64)
-    sort_into_cells(sphere, low, width, cells, period, cell_of, start, order, cell_of_rank)
-    return order, start[:-1], cell_of_rank, cells
-
-
-def _grid(sphere: FloatArray, edge: float, period: float) -> tuple[FloatArray, FloatArray, IndexArray]:
-    """Lowest corner, width and number of the cells along x, y and z."""
     low = [float(sphere[:, axis].min()) for axis in range(3)]
     high = [float(sphere[:, axis].max()) for axis in range(3)]
     if period > 0.0:
@@ -105,12 +76,15 @@ def _grid(sphere: FloatArray, edge: float, period: float) -> tuple[FloatArray, F
     if period > 0.0 and cells[1] < 3:
         # Two cells would meet on both sides; one cell leaves the images to the distance.
         cells[1], width[1] = 1, period
-    return np.array(low), np.array(width), np.array(cells)
+    order, cell_of = np.empty((2, len(sphere)), np.int64)
+    start, cells = np.zeros(math.prod(cells) + 2, np.int64), np.array(cells)
+    sort_into_cells(sphere, np.array(low), np.array(width), cells, period, cell_of, start, order)
+    return order, start[:-1], cell_of, cells
 
 
 @entry
-def sort_into_cells(sphere, low, width, cells, period, cell_of, start, order, cell_of_rank):
-    """Fills ``cell_of``, ``start``, ``order`` and ``cell_of_rank`` of :func:`bin_cells`; ``start`` comes as zeros.
+def sort_into_cells(sphere, low, width, cells, period, cell_of, start, order):
+    """Fills ``cell_of``, ``start`` and ``order`` of :func:`bin_cells`; ``start`` comes as zeros.
 
     One place more than ``start`` needs lets filling the cells leave it where it should be.
     """
@@ -126,10 +100,8 @@ def sort_into_cells(sphere, low, width, cells, period, cell_of, start, order, ce
     for c in range(2, len(start)):
         start[c] += start[c - 1]
     for i in range(len(sphere)):
-        cell = cell_of[i]
-        rank = start[cell + 1]
-        start[cell + 1] += 1
-        order[rank], cell_of_rank[rank] = i, cell
+        order[start[cell_of[i] + 1]] = i
+        start[cell_of[i] + 1] += 1
 
 
 def list_pairs(
@@ -158,46 +130,28 @@ def list_pairs(
 
 
 def _filled(dtype: type, room: int, fill: Callable[..., int]) -> tuple[np.ndarray, np.ndarray]:
-    """Two arrays of what ``fill`` finds; it is called again, with more room, as long as it says how much it lacks."""
-    progress, first, second = np.zeros(2, np.int64), np.empty(room, dtype), np.empty(room, dtype)
-    while lack := fill(progress, first, second):
-        first, second = (_enlarged(part, 2 * (room + lack), progress[FOUND]) for part in (first, second))
-        room = len(first)
-    found = progress[FOUND]
-    return first[:found].copy(), second[:found].copy()
-
-
-def _enlarged(array: np.ndarray, room: int, kept: int) -> np.ndarray:
-    """A larger array; memory that is never written to costs nothing."""
-    larger = np.empty(room, array.dtype)
-    larger[:kept] = array[:kept]
-    return larger
+    """Two arrays of what ``fill`` finds; where it has too little room, it says −1 and is called again with more."""
+    while (found := fill(*(lists := np.empty((2, room), dtype)))) < 0:
+        room *= 4
+    return lists[0, :found].copy(), lists[1, :found].copy()
 
 
 @entry
-def find_pairs(
-    sphere, margin, period, begin, stop, order, start, cells, x, y, z, r, runs, progress, first, second
-):  # fmt: skip
-    """Goes on filling ``first`` and ``second``; returns the room that it lacks, 0 once all are found.
+def find_pairs(sphere, margin, period, begin, stop, order, start, cells, x, y, z, r, runs, first, second):
+    """Fills ``first`` and ``second`` of :func:`list_pairs`; returns how many there are, or −1 where they do not fit.
 
     Args:
         order, start, cells: of :func:`bin_cells`.
-        x, y, z, r: ``(N + LANES,)`` scratch.
-        runs: ``(2, 5)`` scratch.
-        progress: ``(2,)`` next cell, pairs found; zeros at first.
-        The others: of :func:`list_pairs`.
+        x, y, z, r, runs: ``(N + LANES,)`` each and ``(2, 5)`` scratch.
     """
     # In the order of the cells, so that what a cell may meet is a few runs of neighbours in memory, held against one
     # particle in SIMD. The last lanes of a run may lie beyond the last particle.
     for rank in range(len(x)):
         i = order[min(rank, len(order) - 1)]
-        x[rank] = sphere[i, 0]
-        y[rank] = sphere[i, 1]
-        z[rank] = sphere[i, 2]
-        r[rank] = sphere[i, 3]
+        x[rank], y[rank], z[rank], r[rank] = sphere[i, 0], sphere[i, 1], sphere[i, 2], sphere[i, 3]
     inverse_period = 1.0 / period if period > 0.0 else 0.0
-    found, run_begin, run_end = progress[FOUND], runs[0], runs[1]
-    for cell in range(progress[NEXT], len(start) - 1):
+    found, run_begin, run_end = 0, runs[0], runs[1]
+    for cell in range(len(start) - 1):
         own = start[cell + 1] - start[cell]
         if own == 0:
             continue
@@ -205,8 +159,7 @@ def find_pairs(
         if stop - begin < len(order) and not _any_between(order, run_begin, run_end, begin, stop):
             continue
         if found + own * met >= len(first):
-            progress[NEXT], progress[FOUND] = cell, found
-            return own * met
+            return -1
         for a in range(start[cell], start[cell + 1]):
             i = order[a]
             for run in range(5):
@@ -223,8 +176,7 @@ def find_pairs(
                         found += begin <= low < stop
                         hits = clear_lowest(hits)
                     b += LANES
-    progress[FOUND] = found
-    return 0
+    return found
 
 
 @kernel
@@ -266,24 +218,17 @@ def _any_between(order, run_begin, run_end, begin, end):
 
 
 @entry
-def find_neighbors(point, place, rank_of, reach, period, order, start, cell_of_rank, cells, progress, query, source):
-    """Fill in query and source index of each pair: the first Q of the Q + S points ask for their neighbours.
-
-    Returns the room that it lacks, 0 once all are found.
+def find_neighbors(point, place, query_count, reach, period, order, start, cell_of, cells, query, source):
+    """Fills in query and source index of each hit; returns how many there are, or −1 where they do not fit.
 
     Args:
-        point, place: ``(Q + S, 3)`` as given, and by rank.
-        rank_of: ``(Q,)``.
-        order, start, cell_of_rank, cells: of :func:`bin_cells`.
-        progress: ``(2,)`` next query, hits found for those before it; zeros at first.
-        query, source: room.
+        point, place: ``(Q + S, 3)`` as given, and by rank; the first Q ask for their neighbours.
+        order, start, cell_of, cells: of :func:`bin_cells`.
     """
     nx, ny, nz = cells[0], cells[1], cells[2]
-    found, query_count = progress[FOUND], len(rank_of)
-    for i in range(progress[NEXT], query_count):
-        progress[NEXT], progress[FOUND] = i, found
-        cell = cell_of_rank[rank_of[i]]
-        x, y, z = cell % nx, (cell // nx) % ny, cell // (nx * ny)
+    found = 0
+    for i in range(query_count):
+        x, y, z = cell_of[i] % nx, (cell_of[i] // nx) % ny, cell_of[i] // (nx * ny)
         left, right = max(0, x - 1), min(nx - 1, x + 1)
         for row in range(9):
             layer, line = z + row // 3 - 1, y + row % 3 - 1
@@ -296,7 +241,7 @@ def find_neighbors(point, place, rank_of, reach, period, order, start, cell_of_r
             base = (layer * ny + line) * nx
             begin, end = start[base + left], start[base + right + 1]
             if found + end - begin > len(query):
-                return end - begin
+                return -1
             for other in range(begin, end):
                 dx = place[other, 0] - point[i, 0]
                 dy = place[other, 1] - point[i, 1]
@@ -305,5 +250,4 @@ def find_neighbors(point, place, rank_of, reach, period, order, start, cell_of_r
                     dy -= period * np.rint(dy / period)
                 query[found], source[found] = i, order[other] - query_count
                 found += order[other] >= query_count and dx * dx + dy * dy + dz * dz < reach * reach
-    progress[FOUND] = found
-    return 0
+    return found

@@ -11,8 +11,7 @@ from pathlib import Path
 
 from numba import njit
 
-# Called by jitted code alone: wrappers for Python would take a tenth of the time that a user waits for the first
-# compilation.
+# Called by jitted code alone: wrappers for Python would take a tenth of the time of the first compilation.
 kernel = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 

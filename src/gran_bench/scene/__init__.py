@@ -5,8 +5,7 @@ from gran_bench.scene.errors import SceneError
 from gran_bench.scene.filling import Filling, Room
 from gran_bench.scene.material import Material, PairCoefficients
 from gran_bench.scene.motion import RADIANS_PER_SECOND_PER_RPM, Motion, Rotation, Spin, Translation, Vibration
-from gran_bench.scene.needs import Needs
-from gran_bench.scene.scene import Scene
+from gran_bench.scene.scene import Needs, Scene
 from gran_bench.scene.sizes import Sizes
 from gran_bench.scene.walls import Cone, Cylinder, Disc, Outlet, Plane, Wall, box, surface_of_revolution
 

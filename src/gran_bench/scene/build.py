@@ -68,30 +68,10 @@ def build_scene(config: SceneConfig) -> Scene:
 
 def build_filling(config: FillingConfig) -> Filling:
     """The filling that a config describes."""
-    share = config.second_fraction
-    return Filling(
-        count=config.count,
-        diameter=config.diameter,
-        lattice_spacing=config.lattice_spacing,
-        jitter=config.jitter,
-        settled_speed=config.settled_speed,
-        longest_settling=config.longest_settling,
-        settles=config.settles,
-        sizes=Sizes(
-            config.sizes.kind,
-            tuple(config.sizes.factors),
-            tuple(config.sizes.fractions),
-            config.sizes.spread,
-            tuple(config.sizes.edges),
-            config.sizes.by,
-        ),
-        fractions=(1.0 - share, share) if share else (),
-        positions=tuple(map(tuple, config.positions)),
-        velocities=tuple(map(tuple, config.velocities)),
-        spins=tuple(map(tuple, config.spins)),
-        expansion=config.expansion,
-        radii=tuple(config.radii),
-    )
+    given, share = {name: getattr(config, name) for name in FillingConfig.__dataclass_fields__}, config.second_fraction
+    del given["second_fraction"]
+    given["sizes"] = Sizes(**{name: getattr(config.sizes, name) for name in Sizes.__dataclass_fields__})
+    return Filling(**given, fractions=(1.0 - share, share) if share else ())
 
 
 def open_space(config: ContainerConfig, scene: SceneConfig) -> Container:

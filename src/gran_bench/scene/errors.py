@@ -23,13 +23,14 @@ def scene_errors() -> Iterator[None]:
         raise SceneError(str(error)) from None
 
 
-def hold(part: Any, place: str, schema: type[Section] | None = None, **rules: Rule | None) -> None:
+def hold(part: Any, place: str, schema: type[Section] | None = None, unit: str = "", **rules: Rule | None) -> None:
     """Hold the fields of a part of a scene against their types and rules; arrays and lists become tuples.
 
     Args:
         part: a frozen dataclass.
         place: of the part in the names of its fields, with a dot at its end.
         schema: the config section that describes such a part; its keys have the rules of the fields of their names.
+        unit: field that is a unit vector.
         rules: of fields that no config key describes, or whose rule is another. A number without a rule is finite.
 
     Raises:
@@ -40,14 +41,6 @@ def hold(part: Any, place: str, schema: type[Section] | None = None, **rules: Ru
         for name, hint in hints_of(type(part)).items():
             rule = rules.get(name, keys[name].metadata.get("rule") if name in keys else None)
             object.__setattr__(part, name, checked_value(hint, rule, getattr(part, name), place + name))
-
-
-def hold_unit(name: str, vector: tuple[float, float, float]) -> None:
-    """Refuse a direction that is no unit vector.
-
-    Raises:
-        SceneError: names it, its length and the remedy.
-    """
-    length = math.hypot(*vector)
+    length = math.hypot(*getattr(part, unit)) if unit else 1.0
     if not abs(length - 1.0) < 1e-9:
-        raise SceneError(f"{name}={list(vector)} has length {length:g}; give a unit vector")
+        raise SceneError(f"{place}{unit}={list(getattr(part, unit))} has length {length:g}; give a unit vector")

@@ -118,8 +118,7 @@ class Filling:
 
 def drum_sites(filling: Filling, drum_radius: float, length: float, periodic: bool) -> FloatArray:
     """Sites of a cubic lattice in a drum about y whose jittered spheres stay clear of every wall, ``(S, 3)`` m."""
-    spacing, jitter, radius = filling.spacing, filling.offset, filling.largest_radius
-    clear = radius + jitter
+    spacing, clear = filling.spacing, filling.largest_radius + filling.offset
     across = int((drum_radius - clear) / spacing)
     if periodic:
         layers = int(length / spacing)
@@ -128,9 +127,7 @@ def drum_sites(filling: Filling, drum_radius: float, length: float, periodic: bo
         room = length - 2.0 * clear
         y = np.linspace(-0.5 * room, 0.5 * room, int(room / spacing) + 1) if room > 0 else np.zeros(0)
     line = np.arange(-across, across + 1) * spacing
-    grid = np.stack(np.meshgrid(line, y, line, indexing="ij"), axis=-1).reshape(-1, 3)
-    radial = np.hypot(np.abs(grid[:, 0]) + jitter, np.abs(grid[:, 2]) + jitter)
-    return grid[radial <= drum_radius - radius]
+    return _inside(filling, _grid(line, y, line), (0, 2), drum_radius)
 
 
 def room_sites(filling: Filling, room: Room) -> FloatArray:
@@ -142,15 +139,22 @@ def room_sites(filling: Filling, room: Room) -> FloatArray:
         lines.append(0.5 * (low + high) + (np.arange(sites) - 0.5 * (sites - 1)) * spacing)
     if len(lines[2]):  # the lowest layer lies at the bottom
         lines[2] = lines[2] - lines[2][0] + room.lower[2] + clear
-    grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
-    if room.radius is None:
-        return grid
-    radial = np.hypot(np.abs(grid[:, 0]) + filling.offset, np.abs(grid[:, 1]) + filling.offset)
-    return grid[radial <= room.radius - filling.largest_radius]
+    grid = _grid(*lines)
+    return grid if room.radius is None else _inside(filling, grid, (0, 1), room.radius)
 
 
 def open_sites(filling: Filling) -> FloatArray:
     """Sites of a cubic lattice about the origin without any wall, N or a few more, ``(S, 3)`` m."""
     side = math.ceil(round(filling.count ** (1.0 / 3.0), 9))
     line = (np.arange(side) - 0.5 * (side - 1)) * filling.spacing
-    return np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+    return _grid(line, line, line)
+
+
+def _grid(*lines: FloatArray) -> FloatArray:
+    return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _inside(filling: Filling, grid: FloatArray, axes: tuple[int, int], radius: float) -> FloatArray:
+    """Sites whose jittered spheres lie within a tube."""
+    one, other = (np.abs(grid[:, axis]) + filling.offset for axis in axes)
+    return grid[np.hypot(one, other) <= radius - filling.largest_radius]

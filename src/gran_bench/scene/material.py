@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from gran_bench.config import MaterialConfig, MixedConfig
@@ -65,17 +64,3 @@ class PairCoefficients:
             raise SceneError(
                 f"pair coefficients of material {self.first} with itself contradict the material's own; change those"
             )
-
-
-def mixed_coefficients(
-    first: Material, second: Material, own: PairCoefficients | None = None
-) -> tuple[float, float, float]:
-    """(e, μ, μ_r) of contacts between two materials: the geometric means, or what the pair has of its own.
-
-    The geometric mean is a convention, not a law of nature: where a pair was measured, give what was measured.
-    """
-    names = ("restitution", "friction", "rolling_friction")
-    given = [None if own is None else getattr(own, name) for name in names]
-    means = [math.sqrt(getattr(first, name) * getattr(second, name)) for name in names]
-    e, mu, rolling = (mean if value is None else value for value, mean in zip(given, means, strict=True))
-    return e, mu, rolling

@@ -15,7 +15,7 @@ import numpy as np
 from gran_bench.config import RotationConfig
 from gran_bench.config.consistency import check_schedule
 from gran_bench.config.rules import Range, at_least
-from gran_bench.scene.errors import hold, hold_unit, scene_errors
+from gran_bench.scene.errors import hold, scene_errors
 from gran_bench.state import FloatArray
 
 RADIANS_PER_SECOND_PER_RPM = 2.0 * math.pi / 60.0
@@ -26,7 +26,7 @@ SECONDS = Range(unit="s")
 
 def rate_at(times: Sequence[float], rates: Sequence[float], time: FloatArray) -> FloatArray:
     """A schedule's rate: 0 before the first knot, piecewise linear, constant after the last; shape of ``time``."""
-    return np.where(np.asarray(time) < times[0], 0.0, np.interp(time, times, rates))
+    return np.where(np.asarray(time) < times[0], 0.0, np.interp(time, times, rates))[()]
 
 
 def integral_to(times: Sequence[float], rates: Sequence[float], time: FloatArray) -> FloatArray:
@@ -56,17 +56,12 @@ class Rotation:
 
     def __post_init__(self) -> None:
         place = RotationConfig.place if type(self) is Rotation else "spin."
-        hold(self, place, RotationConfig)
+        hold(self, place, RotationConfig, unit="axis")
         with scene_errors():
             check_schedule(self.times, self.speeds_rpm, f"{place}speeds_rpm", f"{place}times")
-        hold_unit(f"{place}axis", self.axis)
 
-    def angular_speed(self, time: float) -> float:
-        """ω(t), rad/s."""
-        return float(self.angular_speeds(np.asarray(time)))
-
-    def angular_speeds(self, time: FloatArray) -> FloatArray:
-        """ω at each time, rad/s."""
+    def angular_speed(self, time: FloatArray | float) -> FloatArray | float:
+        """ω(t), rad/s; at each time of an array."""
         return rate_at(self.times, self.speeds_rpm, time) * RADIANS_PER_SECOND_PER_RPM
 
     def angle(self, start: float, end: float) -> float:
@@ -81,7 +76,7 @@ class Rotation:
     @property
     def point(self) -> Vector:
         """A point of the axis, m."""
-        return (0.0, 0.0, 0.0)
+        return getattr(self, "center", (0.0, 0.0, 0.0))
 
     @property
     def is_still(self) -> bool:
@@ -108,11 +103,6 @@ class Spin(Rotation):
     """
 
     center: Vector = (0.0, 0.0, 0.0)
-
-    @property
-    def point(self) -> Vector:
-        """A point of the axis, m."""
-        return self.center
 
 
 @dataclass(frozen=True)
@@ -171,9 +161,8 @@ class Vibration:
     start: float = 0.0
 
     def __post_init__(self) -> None:
-        radians, metres = Range(unit="rad"), Range(unit="m")
-        hold(self, "vibration.", amplitude=metres, frequency=at_least(0, "Hz"), phase=radians, start=SECONDS)
-        hold_unit("vibration.direction", self.direction)
+        rules = {"amplitude": Range(unit="m"), "frequency": at_least(0, "Hz"), "phase": Range(unit="rad")}
+        hold(self, "vibration.", unit="direction", start=SECONDS, **rules)
 
     @property
     def is_still(self) -> bool:

@@ -13,12 +13,34 @@ from gran_bench.config.consistency import check_end, check_frames
 from gran_bench.config.rules import checked_value, positive
 from gran_bench.scene.errors import SceneError, hold, scene_errors
 from gran_bench.scene.filling import Filling, Room, drum_sites, open_sites, room_sites
-from gran_bench.scene.material import Material, PairCoefficients, mixed_coefficients
+from gran_bench.scene.material import Material, PairCoefficients
 from gran_bench.scene.motion import RADIANS_PER_SECOND_PER_RPM, Motion, Rotation
-from gran_bench.scene.needs import Needs
 from gran_bench.scene.seams import SAME_POINT, surfaces
 from gran_bench.scene.walls import Outlet, Plane, Wall, turns_into_itself
 from gran_bench.state import FloatArray, ParticleState
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What of the physics a scene needs; everything else is skipped."""
+
+    tangential: bool  # a tangential law, spin and history: only with friction
+    rolling: bool  # a rolling model: only with rolling friction
+    walls: bool
+    wall_motion: bool  # wall velocities: only where a wall's surface moves
+    wall_geometry: bool  # walls that are elsewhere, or gone, in the next step
+    wall_seams: bool  # walls that are pieces of one surface, which answers a sphere once
+    end_caps: bool
+    periodic: bool
+    gravity: bool
+    materials: bool  # several particle materials, a law for each pair of them
+    polydispersity: bool  # several radii
+    outlet: bool  # spheres that leave
+
+    def __str__(self) -> str:
+        needed = [name for name, needs in vars(self).items() if needs]
+        skipped = [name for name, needs in vars(self).items() if not needs]
+        return f"needs {', '.join(needed) or 'nothing'}; skips {', '.join(skipped) or 'nothing'}"
 
 
 @dataclass(frozen=True)
@@ -89,11 +111,16 @@ class Scene:
         """(e, μ, μ_r) of contacts between particles of two materials.
 
         A material meets itself with its own coefficients. Two materials meet with the geometric means, unless
-        ``pair_coefficients`` say otherwise.
+        ``pair_coefficients`` say otherwise: that is a convention, so give what was measured where a pair was.
         """
         one, other = self.materials[first], self.materials[second]
         own = next((pair for pair in self.pair_coefficients if {pair.first, pair.second} == {first, second}), None)
-        return mixed_coefficients(one, other, own)
+
+        def of(name: str) -> float:
+            given = getattr(own, name, None)
+            return math.sqrt(getattr(one, name) * getattr(other, name)) if given is None else given
+
+        return of("restitution"), of("friction"), of("rolling_friction")
 
     @property
     def frame_count(self) -> int:
@@ -123,7 +150,7 @@ class Scene:
         meetings = [self.coefficients(a, b) for a in kinds for b in kinds if a <= b]
         if self.walls:
             meetings.append((1.0, self.wall_material.friction, self.wall_material.rolling_friction))
-        friction, rolling = (max(meeting[k] for meeting in meetings) for k in (1, 2))
+        _, friction, rolling = map(max, zip(*meetings, strict=True))
         return Needs(
             tangential=friction > 0,
             rolling=rolling > 0 and friction > 0,
@@ -209,24 +236,22 @@ class Scene:
         with scene_errors():
             seed = checked_value(int, SEED, seed, "seed")
         filling, rng = self.filling, np.random.default_rng(seed)
-        position = self._placed() if filling.positions else self._on_lattice(rng)
-        radius = (
-            np.array(filling.radii, float)
-            if filling.radii
-            else filling.radius * filling.sizes.sample(filling.count, rng)
-        )
-        velocity, spin = (
-            np.array(given, float).reshape(-1, 3) if given else np.zeros_like(position)
-            for given in (filling.velocities, filling.spins)
-        )
+        position = np.array(filling.positions) if filling.positions else self._on_lattice(rng)
+        radius = filling.radii or filling.radius * filling.sizes.sample(filling.count, rng)
+        velocity, spin = (np.array(g) if g else np.zeros_like(position) for g in (filling.velocities, filling.spins))
         velocity = velocity + filling.expansion * position
-        return ParticleState(position, velocity, spin, radius, material=filling.materials(rng))
-
-    def _placed(self) -> FloatArray:
-        return np.array(self.filling.positions, float).reshape(-1, 3)
+        return ParticleState(position, velocity, spin, np.array(radius), material=filling.materials(rng))
 
     def _on_lattice(self, rng: np.random.Generator) -> FloatArray:
-        filling, sites = self.filling, self._lattice_sites()
+        filling = self.filling
+        if self.drum_radius is not None and self.length is not None:
+            sites = drum_sites(filling, self.drum_radius, self.length, self.periodic_axis)
+        elif self.room is not None:
+            sites = room_sites(filling, self.room)
+        elif self.walls:
+            raise SceneError(f"scene {self.name!r} has no container to fill; give a state or scene.filling.positions")
+        else:
+            sites = open_sites(filling)
         if len(sites) < filling.count:
             raise SceneError(
                 f"scene.filling.count={filling.count} spheres of {2 * filling.largest_radius:g} m do not fit; "
@@ -236,12 +261,3 @@ class Scene:
         order = np.lexsort((rng.random(len(sites)), np.round(sites[:, 2], 9)))
         position = sites[order[: filling.count]]
         return position + rng.uniform(-1.0, 1.0, position.shape) * filling.offset
-
-    def _lattice_sites(self) -> FloatArray:
-        if self.drum_radius is not None and self.length is not None:
-            return drum_sites(self.filling, self.drum_radius, self.length, self.periodic_axis)
-        if self.room is not None:
-            return room_sites(self.filling, self.room)
-        if self.walls:
-            raise SceneError(f"scene {self.name!r} has no container to fill; give a state or scene.filling.positions")
-        return open_sites(self.filling)

@@ -19,45 +19,35 @@ def surfaces(
 ) -> tuple[int, ...]:
     """Number of the surface that each wall is a piece of, from 1; 0 for a wall that meets no other.
 
-    Two walls meet where a rim of one comes within ``tolerance`` of the other, and where two walls without an end are
-    the same. Of walls that travel relative to each other nobody knows in advance: they may meet.
-
-    Args:
-        walls: of a scene.
-        motions: what each of them does.
-        tolerance: m.
+    Two walls meet where a rim of one comes within ``tolerance``, m, of the other, and where two walls without an end
+    are the same. Of walls that travel relative to each other nobody knows in advance: they may meet.
     """
     number = list(range(len(walls)))
-    travels = [_travels(wall, motion) for wall, motion in zip(walls, motions, strict=True)]
+    travels = [
+        motion is not None
+        and not (isinstance(motion, Rotation) and turns_into_itself(wall, motion.axis, motion.point))
+        for wall, motion in zip(walls, motions, strict=True)
+    ]
     for a, one in enumerate(walls):
         for b in range(a):
             together = motions[a] == motions[b] or not (travels[a] or travels[b])
             if number[a] != number[b] and _meet(one, walls[b], tolerance, together):
                 number = [number[b] if n == number[a] else n for n in number]
-    pieces = {n: number.count(n) for n in number}
-    names = {n: k for k, n in enumerate((n for n in pieces if pieces[n] > 1), 1)}
-    return tuple(names.get(n, 0) for n in number)
-
-
-def _travels(wall: Wall, motion: Rotation | Motion | None) -> bool:
-    if isinstance(motion, Rotation):
-        return not turns_into_itself(wall, motion.axis, motion.point)
-    return motion is not None
+    shared = [n for n in dict.fromkeys(number) if number.count(n) > 1]
+    return tuple(shared.index(n) + 1 if n in shared else 0 for n in number)
 
 
 def _meet(one: Wall, other: Wall, tolerance: float, together: bool) -> bool:
     """Whether two walls share an edge, or may come to share one."""
     if one.contains and other.contains:
-        if type(one) is not type(other) or not np.allclose(np.cross(_direction(one), _direction(other)), 0.0):
+        if type(one) is not type(other) or not np.allclose(np.cross(one.direction, other.direction), 0.0):
             return False
         if isinstance(one, Plane):
             facing = np.dot(one.normal, other.normal) > 0.0
             return facing and (not together or _distance(other, np.array([one.point]))[0] <= tolerance)
         apart = np.cross(np.subtract(one.point, other.point), other.axis)
         return abs(one.radius - other.radius) <= tolerance and (not together or np.linalg.norm(apart) <= tolerance)
-    if not together:
-        return True
-    return any(
+    return not together or any(
         _distance(second, points).min() <= tolerance + gap
         for first, second in ((one, other), (other, one))
         for points, gap in _rims(first)
@@ -66,23 +56,16 @@ def _meet(one: Wall, other: Wall, tolerance: float, together: bool) -> bool:
 
 def _rims(wall: Wall) -> list[tuple[FloatArray, float]]:
     """Points of each rim, ``(256, 3)`` m, and half the arc from one to the next."""
-    if wall.meridian is None:
-        return []
-    axis = np.asarray(wall.axis)
+    axis, angle = np.asarray(wall.direction), 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
     across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     across /= np.linalg.norm(across)
-    angle = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
     around = np.outer(np.cos(angle), across) + np.outer(np.sin(angle), np.cross(axis, across))
-    return [(wall.point + rho * around + s * axis, np.pi * rho / RIM_POINTS) for rho, s in wall.meridian]
-
-
-def _direction(wall: Wall) -> tuple[float, float, float]:
-    return wall.normal if isinstance(wall, Plane) else wall.axis
+    return [(wall.point + rho * around + s * axis, np.pi * rho / RIM_POINTS) for rho, s in wall.meridian or ()]
 
 
 def _distance(wall: Wall, points: FloatArray) -> FloatArray:
     """Of points from a wall where it is drawn, ``(P,)`` m."""
-    offset, direction = points - wall.point, np.asarray(_direction(wall))
+    offset, direction = points - wall.point, np.asarray(wall.direction)
     along = offset @ direction
     if isinstance(wall, Plane):
         return np.abs(along)

@@ -41,27 +41,24 @@ class Sizes:
 
     def __post_init__(self) -> None:
         hold(self, SizesConfig.place, SizesConfig)
+        kind, place = self.kind, SizesConfig.place
         needed = {"factors": ("listed",), "edges": ("histogram",), "fractions": ("listed", "histogram"),
                   "spread": ("uniform", "lognormal")}  # fmt: skip
         for name, kinds in needed.items():
             value = getattr(self, name)
-            if value and self.kind not in kinds:
-                shown = list(value) if isinstance(value, tuple) else f"{value:g}"
+            text = list(value) if isinstance(value, tuple) else f"{value:g}"
+            if value and kind not in kinds:
+                raise SceneError(f"{place}{name}={text} needs {place}kind={' or '.join(kinds)}")
+            if kind not in kinds or name == "fractions":
+                continue
+            rises = name != "edges" or (len(value) > 1 and all(a < b for a, b in pairwise(value)))
+            if not (value and rises):
+                legal = {"factors": "give values > 0", "edges": "give two or more values > 0 that rise"}
                 raise SceneError(
-                    f"scene.filling.sizes.{name}={shown} needs scene.filling.sizes.kind={' or '.join(kinds)}"
+                    f"{place}{name}={text} is impossible; {legal.get(name, 'choose a value in (0, 1)')}"
                 )
-        if self.kind == "listed":
-            if not self.factors:
-                raise SceneError(f"scene.filling.sizes.factors={list(self.factors)} is impossible; give values > 0")
-            check_fractions("scene.filling.sizes.fractions", self.fractions, len(self.factors))
-        if self.kind == "histogram":
-            if len(self.edges) < 2 or not all(a < b for a, b in pairwise(self.edges)):
-                raise SceneError(
-                    f"scene.filling.sizes.edges={list(self.edges)} is impossible; give two or more values > 0 that rise"
-                )
-            check_fractions("scene.filling.sizes.fractions", self.fractions, len(self.edges) - 1)
-        if self.kind in ("uniform", "lognormal") and not self.spread:
-            raise SceneError(f"scene.filling.sizes.spread={self.spread:g} is impossible; choose a value in (0, 1)")
+        if kind in needed["fractions"]:
+            check_fractions(f"{place}fractions", self.fractions, len(self.factors) or len(self.edges) - 1)
 
     @property
     def smallest(self) -> float:

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from gran_bench.config.rules import Range, at_least, checked_value, positive
-from gran_bench.scene.errors import SceneError, hold, hold_unit, scene_errors
+from gran_bench.scene.errors import SceneError, hold, scene_errors
 from gran_bench.scene.motion import Motion, Vector
 
-METRES, SIZE = Range(unit="m"), positive("m")
+METRES, SIZE, ANY_SIZE = Range(unit="m"), positive("m"), at_least(0, "m")
 
 Segment = tuple[tuple[float, float], tuple[float, float]]
 
@@ -42,8 +42,13 @@ class Surface:
 
     @property
     def meridian(self) -> Segment | None:
-        """(ρ₀, s₀) and (ρ₁, s₁) of a surface of revolution, m; None for a wall without an end."""
+        """(ρ₀, s₀) and (ρ₁, s₁) of the line that sweeps a surface of revolution, m; None for a wall without an end."""
         return None
+
+    @property
+    def direction(self) -> Vector:
+        """Unit normal of a plane or a disc, unit vector along the axis of any other wall."""
+        return self.axis
 
 
 @dataclass(frozen=True)
@@ -59,8 +64,12 @@ class Plane(Surface):
     normal: Vector
 
     def __post_init__(self) -> None:
-        hold(self, "plane.", point=METRES)
-        hold_unit("plane.normal", self.normal)
+        hold(self, "plane.", unit="normal", point=METRES)
+
+    @property
+    def direction(self) -> Vector:
+        """Its normal."""
+        return self.normal
 
 
 @dataclass(frozen=True)
@@ -80,15 +89,13 @@ class Cylinder(Surface):
     length: float | None = None
 
     def __post_init__(self) -> None:
-        hold(self, "cylinder.", point=METRES, radius=SIZE, length=SIZE)
-        hold_unit("cylinder.axis", self.axis)
+        hold(self, "cylinder.", unit="axis", point=METRES, radius=SIZE, length=SIZE)
 
     @property
     def meridian(self) -> Segment | None:
         """A line along the axis; None without an end."""
-        if self.length is None:
-            return None
-        return ((self.radius, -0.5 * self.length), (self.radius, 0.5 * self.length))
+        half = None if self.length is None else 0.5 * self.length
+        return None if half is None else ((self.radius, -half), (self.radius, half))
 
 
 @dataclass(frozen=True)
@@ -108,8 +115,7 @@ class Disc(Surface):
     hole: float = 0.0
 
     def __post_init__(self) -> None:
-        hold(self, "disc.", point=METRES, radius=SIZE, hole=at_least(0, "m"))
-        hold_unit("disc.normal", self.normal)
+        hold(self, "disc.", unit="normal", point=METRES, radius=SIZE, hole=ANY_SIZE)
         if not self.hole < self.radius:
             raise SceneError(f"disc.hole={self.hole:g} is impossible; choose a value in [0, {self.radius:g}) m")
 
@@ -143,8 +149,7 @@ class Cone(Surface):
     length: float
 
     def __post_init__(self) -> None:
-        hold(self, "cone.", point=METRES, radius=at_least(0, "m"), end_radius=at_least(0, "m"), length=SIZE)
-        hold_unit("cone.axis", self.axis)
+        hold(self, "cone.", unit="axis", point=METRES, radius=ANY_SIZE, end_radius=ANY_SIZE, length=SIZE)
 
     @property
     def meridian(self) -> Segment:
@@ -157,9 +162,8 @@ Wall = Plane | Cylinder | Disc | Cone
 
 def turns_into_itself(wall: Wall, axis: Vector, point: Vector) -> bool:
     """Whether a wall has the same shape after any rotation about an axis through a point."""
-    direction = wall.normal if isinstance(wall, Plane) else wall.axis
-    aligned = _length_of_cross(axis, direction) < 1e-9
     offset = tuple(a - b for a, b in zip(wall.point, point, strict=True))
+    aligned = _length_of_cross(axis, wall.direction) < 1e-9
     return aligned and (isinstance(wall, Plane) or _length_of_cross(offset, axis) < 1e-9)
 
 
@@ -182,12 +186,8 @@ def box(lower: Vector, upper: Vector, **common: object) -> tuple[Plane, ...]:
         lower, upper = (checked_value(Vector, METRES, v, f"box.{n}") for n, v in (("lower", lower), ("upper", upper)))
     if not all(a < b for a, b in zip(lower, upper, strict=True)):
         raise SceneError(f"box from {list(lower)} to {list(upper)} has no room; give an upper corner above the lower")
-    planes = []
-    for axis in range(3):
-        for corner, sign in ((lower, 1.0), (upper, -1.0)):
-            normal = tuple(sign if k == axis else 0.0 for k in range(3))
-            planes.append(Plane(corner, normal, **common))
-    return tuple(planes)
+    sides = ((axis, corner, sign) for axis in range(3) for corner, sign in ((lower, 1.0), (upper, -1.0)))
+    return tuple(Plane(c, tuple(sign if k == axis else 0.0 for k in range(3)), **common) for axis, c, sign in sides)
 
 
 def surface_of_revolution(
@@ -234,5 +234,4 @@ class Outlet:
     radius: float | None = None
 
     def __post_init__(self) -> None:
-        hold(self, "outlet.", point=METRES, radius=SIZE)
-        hold_unit("outlet.normal", self.normal)
+        hold(self, "outlet.", unit="normal", point=METRES, radius=SIZE)

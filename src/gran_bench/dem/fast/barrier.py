@@ -7,66 +7,45 @@ core on only when the others are late. The barrier orders memory: what a thread 
 from __future__ import annotations
 
 import sys
+import threading
+from collections.abc import Callable
 
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic
 
 from gran_bench.neighbors.kernel import kernel
-from gran_bench.state import FloatArray
+from gran_bench.neighbors.llvm import emitted
 
 # Places of a gate, a cache line apart.
 ARRIVED, ROUND, ABANDONED = 0, 8, 16
 SPINS_BEFORE_YIELD = 2000  # a few microseconds
 
 
-def new_gate() -> FloatArray:
+def new_gate() -> np.ndarray:
     """A gate for one stretch, ``(24,)`` int64."""
     return np.zeros(24, np.int64)
 
 
-@intrinsic
-def _add_atomically(typing, gate, place, amount):
+@emitted(types.int64)
+def _add_atomically(e, gate, place, amount):
     """gate[place] += amount, seen by all threads in one order; returns what was there."""
-
-    def emit(context, builder, signature, values):
-        pointer = _element(context, builder, signature, values)
-        amount = context.cast(builder, values[2], signature.args[2], types.int64)
-        return builder.atomic_rmw("add", pointer, amount, "seq_cst")
-
-    return types.int64(gate, place, amount), emit
+    return e.builder.atomic_rmw("add", e.address(gate, e.cast(place)), e.cast(amount), "seq_cst")
 
 
-@intrinsic
-def _load_atomically(typing, gate, place):
+@emitted(types.int64)
+def _load_atomically(e, gate, place):
     """gate[place] as it is now."""
-
-    def emit(context, builder, signature, values):
-        return builder.load_atomic(_element(context, builder, signature, values), "seq_cst", 8)
-
-    return types.int64(gate, place), emit
+    return e.builder.load_atomic(e.address(gate, e.cast(place)), "seq_cst", 8)
 
 
-@intrinsic
-def _yield_core(typing):
+@emitted(types.void)
+def _yield_core(e):
     """Lets another thread of this machine run."""
-
-    def emit(context, builder, signature, values):
-        if sys.platform != "win32":
-            function = cgutils.get_or_insert_function(
-                builder.module, ir.FunctionType(ir.IntType(32), []), "sched_yield"
-            )
-            builder.call(function, [])
-        return context.get_dummy_value()
-
-    return types.void(), emit
-
-
-def _element(context, builder, signature, values):
-    array = cgutils.create_struct_proxy(signature.args[0])(context, builder, values[0])
-    return builder.gep(array.data, [context.cast(builder, values[1], signature.args[1], types.int64)])
+    if sys.platform != "win32":
+        kind = ir.FunctionType(ir.IntType(32), [])
+        e.builder.call(cgutils.get_or_insert_function(e.builder.module, kind, "sched_yield"), [])
 
 
 @kernel
@@ -86,6 +65,26 @@ def meet(gate, threads):
             _yield_core()
 
 
-def abandon(gate: FloatArray) -> None:
-    """Lets all threads through every barrier, because one of them will not come any more."""
-    gate[ABANDONED] = 1
+def run_together(run: Callable[[int], int], threads: int, gate: np.ndarray) -> list[int]:
+    """``run(thread)`` of every thread, the first on the caller's own; an error lets the others through the barriers."""
+    if threads == 1:
+        return [run(0)]
+    results: list = [None] * threads
+    errors: list[BaseException] = []
+
+    def guarded(thread: int) -> None:
+        try:
+            results[thread] = run(thread)
+        except BaseException as error:
+            errors.append(error)
+            gate[ABANDONED] = 1
+
+    others = [threading.Thread(target=guarded, args=(thread,), daemon=True) for thread in range(1, threads)]
+    for other in others:
+        other.start()
+    guarded(0)
+    for other in others:
+        other.join()
+    if errors:
+        raise errors[0]
+    return results

@@ -30,48 +30,32 @@ class Known(NamedTuple):
 
 
 def known_contacts(history: ContactHistory, name: np.ndarray, rolling: bool) -> tuple[Known, Known]:
-    """Pairs and walls of a state, with particle i called ``name[i]`` and the lower name first.
-
-    Args:
-        history: in which wall w is the second −1 − w.
-        name: ``(N,)``.
-        rolling: whether rolling moments are remembered.
-    """
-    slot = _in_fours(history.force, history.overlap)
-    moment = _in_fours(history.rolling_moment, 0.0) if rolling else np.zeros((0, 4))
+    """Pairs and walls of a state, with particle i called ``name[i]`` and the lower name first."""
+    slot, moment = _in_fours(history.force, history.overlap), _in_fours(history.rolling_moment, 0.0)
     is_pair = history.second >= 0
-    split = int(np.count_nonzero(is_pair))
-    if is_pair[:split].all():
-        chosen = slice(split), slice(split, None)  # in turn, as one thread leaves them
-    else:
-        chosen = np.flatnonzero(is_pair), np.flatnonzero(~is_pair)
     pairs, walls = (
-        Known(name[history.first[part]], history.second[part], slot[part], moment[part] if rolling else moment)
-        for part in chosen
+        Known(history.first[part], history.second[part], slot[part], moment[part] if rolling else np.zeros((0, 4)))
+        for part in (is_pair, ~is_pair)
     )
-    return _renamed(pairs, name), walls._replace(second=-1 - walls.second)
+    return _renamed(pairs, name), walls._replace(first=name[walls.first], second=-1 - walls.second)
 
 
 def contact_history(parts: list[tuple[Known, Known]], name: np.ndarray) -> ContactHistory:
     """What a state remembers: contacts of each part in turn, pairs and then walls, with row i called ``name[i]``."""
     named = []
     for pairs, walls in parts:
-        named.append(_renamed(pairs._replace(first=name[pairs.first], second=pairs.second), name))
-        named.append(walls._replace(first=name[walls.first], second=-1 - walls.second))
+        named += [_renamed(pairs, name), walls._replace(first=name[walls.first], second=-1 - walls.second)]
     first, second, slot, moment = (np.concatenate(arrays) for arrays in zip(*named, strict=True))
-    rolling = moment[:, :3].copy() if len(moment) else np.zeros((len(slot), 3))
+    rolling = moment[:, :3].copy() if len(moment) else None
     return ContactHistory(first, second, slot[:, :3].copy(), slot[:, 3].copy(), rolling)
 
 
 def _renamed(pairs: Known, name: np.ndarray) -> Known:
-    """Pairs whose firsts have their new name and whose seconds have not yet, the lower one first."""
-    first, second = pairs.first, name[pairs.second]
-    sign = np.where(second < first, -1.0, 1.0)
-    slot, moment = pairs.slot.copy(), pairs.moment.copy()
-    for k in range(3):
-        slot[:, k] *= sign
-        if len(moment):
-            moment[:, k] *= sign
+    """Pairs of rows with other names, the lower one first; what they remember turns with them."""
+    first, second = name[pairs.first], name[pairs.second]
+    turn = np.ones((len(first), 4))
+    turn[second < first, :3] = -1.0
+    slot, moment = pairs.slot * turn, pairs.moment * turn[: len(pairs.moment)]
     return Known(np.minimum(first, second), np.maximum(first, second), slot, moment)
 
 
@@ -107,23 +91,20 @@ def bodies_in_order(
     """Particles cell by cell, slab after slab along the longest axis, as rows; or in an order that is given.
 
     Two spare bodies that just touch follow.
-
-    Args:
-        position, velocity, spin: ``(N, 3)``.
-        radius, material: ``(N,)`` m and index.
-        density: ``(S,)`` kg/m³.
-        period: of y, m; 0 for none.
-        order: ``(N,)`` particle of each row; None for the order in space.
     """
     count = len(position)
     if order is None:
         order = _order_in_space(position, radius, period)
     mass = 4.0 / 3.0 * math.pi * density[material] * (radius * radius * radius)
-    sphere, rates = _rows(position, radius, order), _rows(velocity, 1.0 / mass, order)
-    spins = _rows(spin, 1.0 / (0.4 * mass * (radius * radius)), order)
-    sphere[count:] = sphere[0]
+    inertia = 0.4 * mass * (radius * radius)
+    sphere, rates, spins = (np.empty((count + 2, 4)) for _ in range(3))
+    for rows, vector, scalar in (
+        (sphere, position, radius), (rates, velocity, 1.0 / mass), (spins, spin, 1.0 / inertia),
+    ):  # fmt: skip
+        rows[:count] = _in_fours(vector, scalar)[order]
+        rows[count:] = rows[0]
     sphere[count + 1, 0] += 2.0 * sphere[0, 3]
-    rates[count:], spins[count:] = (0.0, 0.0, 0.0, rates[0, 3]), (0.0, 0.0, 0.0, spins[0, 3])
+    rates[count:, :3] = spins[count:, :3] = 0.0
     materials = np.zeros(count + 2, np.uint8)
     materials[:count] = material[order]
     row = np.empty(count, np.int64)
@@ -133,29 +114,17 @@ def bodies_in_order(
 
 def _order_in_space(position: FloatArray, radius: FloatArray, period: float) -> np.ndarray:
     # Column by column: along short rows NumPy's reductions take ten times as long.
-    count, extent = len(position), [float(position[:, k].max() - position[:, k].min()) for k in range(3)]
+    extent = [float(position[:, k].max() - position[:, k].min()) for k in range(3)]
     # Slabs across the longest axis meet in the fewest pairs. A periodic axis would make the first meet the last.
     axes = [2, 1, 0] if extent[0] > extent[2] else [0, 1, 2]
     if period == 0.0 and extent[1] > extent[axes[2]]:
         axes[1], axes[2] = axes[2], 1
-    place = np.empty((count, 4))
-    for k, axis in enumerate(axes):
-        place[:, k] = position[:, axis]
-    return bin_cells(place, 2.0 * CELL_EDGE * float(radius.max()), period)[0]
+    return bin_cells(_in_fours(position[:, axes], 0.0), 2.0 * CELL_EDGE * float(radius.max()), period)[0]
 
 
 def as_given(bodies: Bodies) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Position, velocity and spin, ``(N, 3)`` each, of the particles in the order in which they were given."""
-    position, velocity, spin = (
-        rows.take(bodies.row, axis=0)[:, :3].copy() for rows in (bodies.sphere, bodies.velocity, bodies.spin)
-    )
-    return position, velocity, spin
-
-
-def _rows(vector: FloatArray, scalar: FloatArray, order: np.ndarray) -> FloatArray:
-    rows = np.empty((len(order) + 2, 4))
-    _in_fours(vector, scalar).take(order, axis=0, out=rows[:-2], mode="clip")
-    return rows
+    return tuple(rows[:, :3][bodies.row] for rows in (bodies.sphere, bodies.velocity, bodies.spin))
 
 
 def _in_fours(vector: FloatArray, scalar: FloatArray | float) -> FloatArray:

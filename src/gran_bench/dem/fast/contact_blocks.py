@@ -1,8 +1,8 @@
-"""Forces of many contacts at once: gathered in blocks, computed in SIMD, scattered (jitted).
+"""The laws of many contacts at once, in SIMD: those of contact.py and rolling.py, to which tests hold them (jitted).
 
 A block of contacts is laid out as columns of one flat buffer, one lane a contact. Quantities that a body keeps as a row
-of four come as four columns at once (rows.py). The laws are those of contact.py and rolling.py; tests hold the two
-against each other to rounding.
+of four come as four columns at once (rows.py). Loops are short: in long ones each contact would wait for a chain of
+roots and divisions too long to overlap with the next ones.
 """
 
 from __future__ import annotations
@@ -12,20 +12,7 @@ import math
 import numpy as np
 
 from gran_bench.dem.contact import PREDICTION_FADE
-from gran_bench.dem.fast.contact_list import overlapping
-from gran_bench.dem.fast.rows import (
-    BLOCK,
-    four_from,
-    four_of,
-    four_on,
-    four_remembered,
-    gather_difference,
-    gather_rows,
-    gather_sum,
-    scatter_both,
-    scatter_opposite,
-    scatter_rows,
-)
+from gran_bench.dem.fast.rows import BLOCK
 from gran_bench.dem.rolling import CONTACT_INERTIA
 from gran_bench.neighbors.kernel import kernel
 from gran_bench.state import FloatArray
@@ -57,18 +44,11 @@ BUFFER_SIZE = 63 * BLOCK
 
 
 def block_buffer(buffer: FloatArray, radius: float, inverse_mass: float, law: FloatArray) -> FloatArray:
-    """A buffer with the constants of the contacts of equal spheres of one material.
-
-    Args:
-        buffer: ``(BUFFER_SIZE,)`` of the dtype that the contact laws are computed in.
-        radius, inverse_mass: r, m, and 1/m of the spheres.
-        law: (4/3 E*, 8 G*, α, μ, μ_r).
-    """
+    """A ``(BUFFER_SIZE,)`` buffer with the constants of contacts of equal spheres: r, m, 1/m, and their law."""
     inertia = CONTACT_INERTIA * radius * radius / (2.0 * inverse_mass)
-    sizes = (
-        2.0 * radius, 0.0, radius * radius / (2.0 * radius), 1.0 / (2.0 * inverse_mass), 2.0 * inverse_mass, inertia,
-    )  # fmt: skip
-    buffer.reshape(-1, BLOCK)[REACH // BLOCK : ROLLING // BLOCK + 1] = np.array((*sizes, *law))[:, None]
+    masses, effective_radius = (1.0 / (2.0 * inverse_mass), 2.0 * inverse_mass), radius * radius / (2.0 * radius)
+    constants = np.array((2.0 * radius, 0.0, effective_radius, *masses, inertia, *law))
+    buffer.reshape(-1, BLOCK)[REACH // BLOCK : ROLLING // BLOCK + 1] = constants[:, None]
     return buffer
 
 
@@ -77,101 +57,6 @@ def fill_law(buffer, lane, law):
     """(4/3 E*, 8 G*, α, μ, μ_r) into one lane."""
     buffer[MODULUS + lane], buffer[SHEAR + lane], buffer[DAMPING + lane] = law[0], law[1], law[2]
     buffer[FRICTION + lane], buffer[ROLLING + lane] = law[3], law[4]
-
-
-@kernel
-def pair_forces(
-    sphere, velocity, spin, ahead, material, force, torque, near_i, near_j, memory, begin, end, touched, remembered,
-    active, contacts, old_slot, slot, old_moment, moment, buffer, laws, period, tangential, rolling, unequal, several,
-    full_radius, dt,
-):  # fmt: skip
-    """Adds the forces and torques of the touching pairs among places ``begin … end − 1`` of an inner list.
-
-    Bodies N and N + 1, and place 0 of the list, are spare: they fill the lanes that a block does not need. Row 0 of the
-    old histories is zero, for pairs that remember nothing.
-
-    Args:
-        sphere: ``(N + 2, 4)`` x, y, z, r, m.
-        velocity, spin: ``(N + 2, 4)`` v, 1/m and ω, 1/I.
-        ahead: ``(N + 2, 4)`` what v still gains until the step's end, m/s.
-        material: ``(N + 2,)`` index.
-        force, torque: ``(N + 2, 4)``, added to.
-        near_i, near_j: inner list.
-        memory: row of history of each of its pairs when it last touched, 0 for never.
-        begin, end: range of places.
-        touched: place of the pair of each old row.
-        remembered: end of the old rows.
-        active: place of each touching pair, written from ``contacts`` on.
-        contacts: first row of the new histories that is written, ≥ 1.
-        old_slot, slot: ``(≥ M + 4, 4)`` elastic tangential force and overlap, of the last evaluation and of this one.
-        old_moment, moment: rolling moments alike; one row where there is no rolling.
-        buffer: scratch.
-        laws: ``(S, S, 5)`` (4/3 E*, 8 G*, α, μ, μ_r).
-        period: of y, m; 0 for none.
-        tangential, rolling, unequal, several: what is needed: friction, rolling model, sizes or masses that differ, and
-            materials that do.
-        full_radius: whether slip is measured with full radii.
-        dt: s over which histories are loaded.
-
-    Returns:
-        ``contacts`` and the number of touching pairs.
-    """
-    found = overlapping(sphere, near_i, near_j, begin, end, period, active, contacts)
-    for row in range(found, found + 3):
-        active[row] = 0
-    for first in range(contacts, found, BLOCK):
-        filled = min(BLOCK, found - first)
-        size = (filled + 3) // 4 * 4
-        for k in range(0, size, 4):
-            q = four_from(active, first + k)
-            i, j, rows = four_of(near_i, q), four_of(near_j, q), four_remembered(memory, q, touched, remembered)
-            gather_difference(buffer, OFFSET, k, sphere, j, i)
-            gather_difference(buffer, VELOCITY, k, velocity, i, j)
-            gather_difference(buffer, AHEAD, k, ahead, i, j)
-            if tangential:
-                gather_sum(buffer, SPIN_SUM, k, spin, i, j)
-                gather_rows(buffer, SLOT, k, old_slot, rows)
-            if rolling or unequal:
-                gather_difference(buffer, SPIN_DIFFERENCE, k, spin, i, j)
-            if rolling:
-                gather_rows(buffer, MOMENT, k, old_moment, rows)
-        if unequal:
-            for k in range(size):
-                a, b = near_i[active[first + k]], near_j[active[first + k]]
-                r1, r2, inverse_mass = sphere[a, 3], sphere[b, 3], velocity[a, 3] + velocity[b, 3]
-                buffer[REACH + k], buffer[SKEW + k] = r1 + r2, (r1 - r2) * (r1 + r2)
-                buffer[RS + k] = r1 * r2 / (r1 + r2)
-                buffer[MS + k], buffer[INVERSE_MS + k] = 1.0 / inverse_mass, inverse_mass
-                buffer[INERTIA + k] = CONTACT_INERTIA / (velocity[a, 3] / (r1 * r1) + velocity[b, 3] / (r2 * r2))
-        if several:
-            for k in range(size):
-                a, b = near_i[active[first + k]], near_j[active[first + k]]
-                fill_law(buffer, k, laws[material[a], material[b]])
-        if period > 0.0:
-            for k in range(size):
-                buffer[NY + k] -= period * np.rint(buffer[NY + k] / period)
-        pair_geometry(buffer, size)
-        if tangential:
-            slip_spins(buffer, size, unequal, full_radius)
-        contact_laws(buffer, size, tangential, rolling, dt)
-        watch(buffer, size, REACH, buffer.dtype.type(1.0))
-        if unequal:
-            second_torques(buffer, size)
-        contact_torques(buffer, size)
-        for k in range(0, size, 4):
-            q = four_from(active, first + k)
-            i, j = four_of(near_i, q), four_of(near_j, q)
-            scatter_opposite(force, i, j, buffer, FORCE, k)
-            if tangential:
-                second = TORQUE_2 if unequal else TORQUE
-                scatter_both(torque, i, j, buffer, TORQUE, second, k)
-            if rolling:
-                scatter_opposite(torque, i, j, buffer, RESISTANCE, k)
-                scatter_rows(moment, four_on(first + k), buffer, MOMENT, k)
-            scatter_rows(slot, four_on(first + k), buffer, SLOT, k)
-        for row in range(first, first + filled):
-            memory[active[row]] = row
-    return found
 
 
 @kernel
@@ -234,18 +119,6 @@ def normal_law(buffer, size, dt):
 
 
 @kernel
-def tangential_law(buffer, size, dt):
-    """Adds the tangential force on the first; n × f_t, and the new history; after normal_law (see contact.py).
-
-    Three short loops: in one, each contact would wait for a chain of roots and divisions too long to overlap with the
-    next ones.
-    """
-    slip_and_turn(buffer, size)
-    load_history(buffer, size, dt)
-    limit_friction(buffer, size)
-
-
-@kernel
 def slip_and_turn(buffer, size):
     """Slip velocity into the columns of the spins; the history turned with the contact plane, not yet of its length.
 
@@ -280,11 +153,8 @@ def load_history(buffer, size, dt):
         smaller = min(buffer[BEFORE + k], buffer[DELTA + k])
         mean_radius = buffer[CONTACT_RADIUS + k] + math.sqrt(buffer[RS + k] * smaller)  # twice the mean
         load, drag = half_step * buffer[SHEAR + k] * mean_radius, buffer[DRAG + k]
-        hx, hy, hz = (
-            keep * buffer[HX + k] - load * sx,
-            keep * buffer[HY + k] - load * sy,
-            keep * buffer[HZ + k] - load * sz,
-        )
+        hx, hy, hz = buffer[HX + k], buffer[HY + k], buffer[HZ + k]
+        hx, hy, hz = keep * hx - load * sx, keep * hy - load * sy, keep * hz - load * sz
         buffer[HX + k], buffer[HY + k], buffer[HZ + k] = hx, hy, hz
         buffer[TX + k], buffer[TY + k], buffer[TZ + k] = hx - drag * sx, hy - drag * sy, hz - drag * sz
 
@@ -299,14 +169,11 @@ def limit_friction(buffer, size):
         squared, limit = tx * tx + ty * ty + tz * tz, buffer[FRICTION + k] * buffer[LOAD + k]
         slip = limit / math.sqrt(squared) if squared > limit * limit else one
         tx, ty, tz = slip * tx, slip * ty, slip * tz
-        buffer[HX + k] *= slip
-        buffer[HY + k] *= slip
-        buffer[HZ + k] *= slip
-        buffer[FX + k] += tx
-        buffer[FY + k] += ty
-        buffer[FZ + k] += tz
-        buffer[TX + k] = ny * tz - nz * ty
-        buffer[TY + k] = nz * tx - nx * tz
+        hx, hy, hz = buffer[HX + k], buffer[HY + k], buffer[HZ + k]
+        buffer[HX + k], buffer[HY + k], buffer[HZ + k] = hx * slip, hy * slip, hz * slip
+        fx, fy, fz = buffer[FX + k], buffer[FY + k], buffer[FZ + k]
+        buffer[FX + k], buffer[FY + k], buffer[FZ + k] = fx + tx, fy + ty, fz + tz
+        buffer[TX + k], buffer[TY + k] = ny * tz - nz * ty, nz * tx - nx * tz
         buffer[TZ + k] = nx * ty - ny * tx
 
 
@@ -340,25 +207,17 @@ def rolling_law(buffer, size, dt):
 
 
 @kernel
-def contact_torques(buffer, size):
-    """n × f_t of a block → torque on the first."""
+def torques(buffer, size, two_arms):
+    """n × f_t of a block → torque on the first, and where lever arms differ on the second."""
+    if two_arms:
+        for k in range(size):
+            tx, ty, tz, arm = buffer[TX + k], buffer[TY + k], buffer[TZ + k], buffer[ARM_2 + k]
+            buffer[UX + k], buffer[UY + k], buffer[UZ + k] = arm * tx, arm * ty, arm * tz
     for k in range(size):
         arm = buffer[ARM_1 + k]
         buffer[TX + k] *= arm
         buffer[TY + k] *= arm
         buffer[TZ + k] *= arm
-
-
-@kernel
-def second_torques(buffer, size):
-    """n × f_t of a block → torque on the second, whose lever arm is another; before contact_torques."""
-    for k in range(size):
-        arm = buffer[ARM_2 + k]
-        buffer[UX + k], buffer[UY + k], buffer[UZ + k] = (
-            arm * buffer[TX + k],
-            arm * buffer[TY + k],
-            arm * buffer[TZ + k],
-        )
 
 
 @kernel
@@ -368,18 +227,16 @@ def contact_laws(buffer, size, tangential, rolling, dt):
     if rolling:
         rolling_law(buffer, size, dt)
     if tangential:
-        tangential_law(buffer, size, dt)
+        slip_and_turn(buffer, size)
+        load_history(buffer, size, dt)
+        limit_friction(buffer, size)
     for k in range(size):
         buffer[BEFORE + k] = buffer[DELTA + k]
 
 
 @kernel
 def watch(buffer, size, length, times):
-    """Keeps the largest overlaps and approaches of a block; after contact_laws.
-
-    Args:
-        length, times: first element of the column of a length, and how many of it are the mean diameter.
-    """
+    """Keeps the largest overlaps and approaches; ``times`` what the column ``length`` has is the mean diameter."""
     for k in range(size):
         buffer[PEAK_OVERLAP + k] = max(buffer[PEAK_OVERLAP + k], buffer[DELTA + k])
         buffer[PEAK_SHARE + k] = max(buffer[PEAK_SHARE + k], buffer[DELTA + k] / (times * buffer[length + k]))

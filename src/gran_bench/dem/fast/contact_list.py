@@ -22,14 +22,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gran_bench.dem.fast.rows import squared_gap
-from gran_bench.neighbors import IndexArray
 from gran_bench.neighbors.kernel import entry, kernel
 from gran_bench.state import FloatArray
-
-PairArray = NDArray[np.uint32]
 
 # σ, what the inner list reaches beyond touch as a share of the margins.
 INNER_SHARE = 0.2
@@ -48,35 +44,19 @@ def with_margins(sphere: FloatArray, velocity: FloatArray, skin: float) -> tuple
         ``(N,)`` margins m, m; ``(N,)`` 1/m², which displacements are held against; ``(N, 4)`` x, y, z and radius with
         margin, m.
     """
-    margin, inverse_square, reaching = np.empty(len(sphere) - 2), np.empty(len(sphere) - 2), sphere[:-2].copy()
-    fill_margins(velocity, skin, margin, inverse_square, reaching)
-    return margin, inverse_square, reaching
+    speed = np.sqrt(np.einsum("nk,nk->n", velocity[:-2, :3], velocity[:-2, :3]))
+    share = speed / speed.max() if speed.any() else 1.0 + speed
+    margin = 0.5 * skin * (LEAST_MARGIN + (1.0 - LEAST_MARGIN) * share)
+    reaching = sphere[:-2].copy()
+    reaching[:, 3] += margin
+    return margin, 1.0 / (margin * margin), reaching
 
 
 @entry
-def fill_margins(velocity, skin, margin, inverse_square, reaching):
-    """Fills the margins, their inverse squares and the radii of ``reaching``, which come as those of the spheres."""
-    fastest = 0.0
-    for i in range(len(margin)):
-        margin[i] = math.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2)
-        fastest = max(fastest, margin[i])
-    for i in range(len(margin)):
-        share = margin[i] / fastest if fastest > 0.0 else 1.0
-        margin[i] = 0.5 * skin * (LEAST_MARGIN + (1.0 - LEAST_MARGIN) * share)
-        inverse_square[i] = 1.0 / (margin[i] * margin[i])
-        reaching[i, 3] += margin[i]
-
-
-def sorted_pairs(
-    first: PairArray,
-    second: PairArray,
-    begin: int,
-    end: int,
-    count: int,
-    known_first: IndexArray,
-    known_second: IndexArray,
-) -> tuple[PairArray, PairArray, PairArray, PairArray]:
+def sorted_pairs(first, second, begin, end, count, known_first, known_second):
     """Pairs in the order of (first, second), and which row of history is whose.
+
+    A counting sort by second, then one by first, which keeps the order among equals.
 
     Args:
         first, second: ``(M,)`` pairs, first < second.
@@ -88,25 +68,10 @@ def sorted_pairs(
         ``(M,)`` first and second, ``(end − begin + 2,)`` place of each first's first pair and of the end of the last's,
         ``(M,)`` row of history.
     """
-    by_second, pair_i, pair_j = np.empty((3, len(first)), np.uint32)
-    memory, start = np.zeros(len(first), np.uint32), np.zeros(end - begin + 2, np.uint32)
-    of_second = np.zeros(count - begin + 1, np.uint32)
-    sort_pairs(
-        first, second, begin, known_first, known_second, of_second, by_second, start, pair_i, pair_j, memory
-    )  # fmt: skip
-    return pair_i, pair_j, start, memory
-
-
-@entry
-def sort_pairs(
-    first, second, begin, known_first, known_second, of_second, by_second, start, pair_i, pair_j, memory
-):  # fmt: skip
-    """A counting sort by second, then one by first, which keeps the order among equals.
-
-    Fills ``start``, ``pair_i``, ``pair_j`` and ``memory`` of :func:`sorted_pairs`. ``start``, ``memory`` and
-    ``of_second``, the place of the next pair of each second, come as zeros.
-    """
-    pairs, firsts = len(first), len(start) - 2
+    pairs = len(first)
+    by_second, pair_i, pair_j = np.empty(pairs, np.uint32), np.empty(pairs, np.uint32), np.empty(pairs, np.uint32)
+    memory, start = np.zeros(pairs, np.uint32), np.zeros(end - begin + 2, np.uint32)
+    of_second = np.zeros(count - begin + 1, np.uint32)  # place of the next pair of each second
     for p in range(pairs):
         of_second[second[p] - begin + 1] += 1
         start[first[p] - begin + 2] += 1  # shifted by one, so that filling it leaves it where it should be
@@ -125,46 +90,22 @@ def sort_pairs(
         start[row] += 1
     for c in range(len(known_first)):
         row = known_first[c] - begin
-        if 0 <= row < firsts:
+        if 0 <= row < end - begin:
             for p in range(start[row], start[row + 1]):
                 if pair_j[p] == known_second[c]:
                     memory[p] = c + 1
-
-
-@kernel
-def prune(sphere, pair_i, pair_j, memory, begin, end, period, near, near_i, near_j, near_memory, found):
-    """Copies those of the pairs ``begin … end − 1`` that overlap into the inner list.
-
-    Args:
-        sphere: ``(N, 4)`` x, y, z and radius, their share of the margins included, m.
-        pair_i, pair_j, memory: outer list.
-        begin, end: range of its places.
-        period: of y, m; 0 for none.
-        near: place in the outer list of each pair of the inner one; one more than are looked at must fit.
-        near_i, near_j, near_memory: inner list.
-        found: first place in it that is written.
-
-    Returns:
-        One more than the last place that is written.
-    """
-    last = overlapping(sphere, pair_i, pair_j, begin, end, period, near, found)
-    for q in range(found, last):
-        p = near[q]
-        near_i[q], near_j[q], near_memory[q] = pair_i[p], pair_j[p], memory[p]
-    return last
+    return pair_i, pair_j, start, memory
 
 
 @kernel
 def overlapping(sphere, first, second, begin, end, period, near, found):
-    """Fills ``near`` from place ``found`` on with the pairs of spheres that overlap, in their order.
+    """Fills ``near`` from place ``found`` on with those of pairs ``begin … end − 1`` that overlap, in their order.
 
     Args:
         sphere: ``(N, 4)`` x, y, z, r, m.
         first, second: of each pair.
-        begin, end: range of pairs that are looked at.
         period: of y, m; 0 for none.
         near: their places; one more than are looked at must fit.
-        found: first place that is written.
 
     Returns:
         One more than the last place that is written.

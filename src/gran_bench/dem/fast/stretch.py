@@ -16,10 +16,10 @@ import math
 import numpy as np
 
 from gran_bench.dem.fast.barrier import meet
-from gran_bench.dem.fast.contact_blocks import pair_forces
-from gran_bench.dem.fast.contact_list import INNER_SHARE, largest_displacement, prune
+from gran_bench.dem.fast.contact_forces import pair_forces, wall_forces
+from gran_bench.dem.fast.contact_list import INNER_SHARE, largest_displacement, overlapping
+from gran_bench.dem.fast.lists import NEAR, NEAR_I, NEAR_J, NEAR_MEMORY
 from gran_bench.dem.fast.rows import kick_row, move_row, twist_row
-from gran_bench.dem.fast.wall_contacts import wall_forces
 from gran_bench.neighbors.kernel import entry, kernel
 
 # What threads tell each other: places of a thread's row. The last is its own: how far the fastest went, in margins,
@@ -29,8 +29,6 @@ PACE, CULPRIT, SINCE_PRUNING, SINCE_SEARCH, TRAVELLED = range(5)
 # whether the forces are still to come, whether the velocities are those of a whole step, and one more than the number
 # of pairs and of walls that the last evaluation found touching.
 STEP, PAUSE, FIRST_POSE, DUE, WHOLE, PAIRS, WALLS = range(7)
-# Rows of a thread's inner list: place of each pair in the outer one, its particles, its row of history.
-NEAR, NEAR_I, NEAR_J, NEAR_MEMORY = range(4)
 # What the loop comes back with, beside a row that diverged.
 PAUSED, SEARCH = -1, -2
 
@@ -45,32 +43,21 @@ def march(
 ):  # fmt: skip
     """One thread's share of the steps, until the next lists are needed or it is to pause.
 
-    Evaluation k is of the positions after step k. Number 0 is of the state itself and loads no history.
+    Evaluation k is of the positions after step k. Number 0 is of the state itself and loads no history. Histories come
+    twice: an evaluation reads the one of the last and writes the other.
 
     Args:
-        thread, threads: which of how many.
-        gate: of barrier.py.
+        thread, threads, gate: which of how many; gate of barrier.py.
         bounds, reach: ``(C + 1,)`` first particle of each chunk; ``(C,)`` end of what its pairs touch.
-        told: ``(threads, ≥ 5)`` what threads tell each other.
-        progress: ``(7,)`` see above.
-        sphere, velocity, spin, ahead, material: rows of the bodies and two spare ones; they hold the state at the end.
+        told, progress: ``(threads, ≥ 5)`` and ``(7,)``, see above.
+        sphere, velocity, spin, ahead, material: of `Bodies`; they hold the state at the end.
         force, torque: ``(C, N + 2, 4)`` zeros where forces are due; else a chunk's rows hold those of its particles.
-        pair_i, …, inverse_square: of :func:`search.search`. Histories come twice: an evaluation reads the one of the
-            last and writes the other.
-        searched_at, pruned_at: ``(N, 4)`` rows of the positions that the lists were made for, and room for others.
-        inner_list: ``(4, ≥ M + 2)`` for M pairs; room, but for place 0, which is the spare pair.
-        touching: ``(2, ≥ M + 5)`` room for the places of touching pairs in even and odd evaluations.
-        wall_touching, geometry: ``(2, ≥ M + 5)``, ``(≥ M + 5, 4)`` room alike for M wall contacts; the places of those
-            that remember something are there.
-        near_start: ``(chunks + 1,)`` ones.
-        buffer, wall_buffer: of :func:`contact_blocks.block_buffer`.
+        pair_i, …, wall_buffer: of `Lists`.
         pair_laws, wall_laws: ``(S, S, 5)``, ``(S, W, 5)``.
         walls: ``(≥ steps + 1, W, 22)`` poses of the first step and of those to the pause.
         gravity, period, dt: SI.
         fastest_allowed: m²/s², beyond which a particle diverges.
-        tangential, rolling: what the scene needs.
-        unequal: whether sizes or masses differ.
-        full_radius: whether slip is measured with full radii.
+        tangential, rolling, unequal, full_radius: what is needed, as in :func:`contact_forces.pair_forces`.
 
     Returns:
         The row that diverged, ``PAUSED`` or ``SEARCH``.
@@ -161,10 +148,8 @@ def _prune_chunks(
 ):  # fmt: skip
     """Makes the inner list of chunks ``chunk … stop − 1`` anew; ``touched`` then has the new places of its pairs.
 
-    Args:
-        touched: place in the old inner list of the pair of each row of history.
-        rows: end of the rows that are in it; those that came with the outer list are known to it.
-        The others: as in :func:`march`.
+    ``touched`` has the place in the old one of the pair of each row of history, and ``rows`` the end of those rows;
+    what came with the outer list is known to it.
     """
     begin = bounds[chunk]
     near, near_i, near_j = inner_list[NEAR], inner_list[NEAR_I], inner_list[NEAR_J]
@@ -178,21 +163,16 @@ def _prune_chunks(
         pruned_at[i, 3] = sphere[i, 3] + INNER_SHARE * margin[i]
     for c in range(chunk, stop):
         low, high = np.int64(start[bounds[c] - begin]), np.int64(start[bounds[c + 1] - begin])
-        first = near_start[c - chunk]
-        last = prune(pruned_at, pair_i, pair_j, memory, low, high, period, near, near_i, near_j, near_memory, first)
-        near_start[c - chunk + 1] = last
-        reach[c] = _end_of_reach(near_j, first, last, bounds[c + 1])
+        first, furthest = near_start[c - chunk], bounds[c + 1]
+        last = overlapping(pruned_at, pair_i, pair_j, low, high, period, near, first)
+        for q in range(first, last):
+            p = near[q]
+            near_i[q], near_j[q], near_memory[q] = pair_i[p], pair_j[p], memory[p]
+            furthest = max(furthest, np.int64(pair_j[p]) + 1)
+        near_start[c - chunk + 1], reach[c] = last, furthest
     for q in range(1, near_start[stop - chunk]):
         touched[near_memory[q]] = q
     memory[:] = 0  # also of pairs that touched and are out of reach: they forget
-
-
-@kernel
-def _end_of_reach(near_j, begin, end, furthest):
-    """One more than the last particle that pairs ``begin … end − 1`` touch, and at least ``furthest``."""
-    for q in range(begin, end):
-        furthest = max(furthest, np.int64(near_j[q]) + 1)
-    return furthest
 
 
 @kernel

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numba
 
-from gran_bench.dem.fast.engine import most_threads
+from gran_bench.dem.fast.engine import chunk_bounds
 from gran_bench.dem.integrate import Physics
 
 # Tried skins, as shares of the usual one.
@@ -38,7 +38,7 @@ class Tuner:
 
     def __init__(self, physics: Physics, count: int, skin_is_given: bool, threads: int | None) -> None:
         self._physics, self._usual_skin = physics, physics.skin
-        most = min(most_threads(count), available_threads())
+        most = min(len(chunk_bounds(count)) - 1, available_threads())
         self._skins = (1.0,) if skin_is_given else tuple(s for s in SKIN_SHARES if self._fits(s))
         self._threads = tuple(2**k for k in range(most.bit_length()) if 2**k <= most) if threads is None else (threads,)
         self._choice = (self._skins.index(1.0), 0)
