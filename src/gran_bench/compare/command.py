@@ -35,7 +35,11 @@ def compare_command(arguments: Sequence[str] | None = None) -> int:
         if chosen.out is not None and chosen.out.suffix.lower() != ".png":
             raise CompareError(f"--out {chosen.out}: the picture is a PNG; give a name that ends with .png")
         runs = named_runs(chosen.runs, chosen.root)
-        rpms = speeds(runs, chosen.speed)
+        rpms = {name: run.summary["judged_rpm"] if chosen.speed is None else chosen.speed for name, run in runs.items()}
+        rolled = [row["own_rpm"] for run in runs.values() for row in run.summary["nearest_case"].values()]
+        if chosen.speed not in (None, *rolled, *(run.summary["judged_rpm"] for run in runs.values())):
+            there = " or ".join(f"{rpm:g}" for rpm in sorted({*rolled}))
+            raise CompareError(f"--speed {chosen.speed:g}: none of these runs was rolled out at it; choose {there}")
         figures = {name: figures_of(run, rpms[name]) for name, run in runs.items()}
     except (CompareError, ConfigError, TrackingError) as error:
         print(f"error: {error}", file=sys.stderr)
@@ -74,20 +78,6 @@ def named_runs(words: Sequence[str], root: Path) -> dict[str, ComparedRun]:
     return {run.name if often[run.name] == 1 else str(run.folder): run for run in runs}
 
 
-def speeds(runs: Mapping[str, ComparedRun], rpm: float | None) -> dict[str, float]:
-    """The speed to compare each run at: its judged one, or the one that is asked for.
-
-    Raises:
-        CompareError: no run was rolled out at that speed.
-    """
-    judged = {name: run.summary["judged_rpm"] for name, run in runs.items()}
-    rolled = {row["own_rpm"] for run in runs.values() for row in run.summary["nearest_case"].values()}
-    there = sorted({*judged.values(), *rolled})
-    if rpm is not None and rpm not in there:
-        raise CompareError(f"--speed {rpm:g}: none of these runs was rolled out at it; choose of {there}")
-    return judged if rpm is None else dict.fromkeys(runs, rpm)
-
-
 def report(
     runs: Mapping[str, ComparedRun], rpms: Mapping[str, float], figures: Mapping[str, Mapping[str, Figure]]
 ) -> Iterator[str]:
@@ -99,7 +89,7 @@ def report(
         number = "" if short else f"{labels[name]} "
         yield f"{number}{name}: {model}, judged on {judged}, {run.summary.get('judged_as', 'held out')}"
     if len({run.scene_at(rpms[name]) for name, run in runs.items()}) > 1:
-        yield "note: judged on different scenes or speeds; hold errors side by side in floors, each of its own scene"
+        yield "note: judged on different scenes or speeds, as far as recorded; each error has its own floor"
     elif len({run.summary.get("judged_by") for run in runs.values()}) > 1:
         yield "note: judged against other runs of the DEM, or by another judge; each error has its own floor"
     machines = {run.summary.get("provenance", {}).get("hardware", UNKNOWN) for run in runs.values()}

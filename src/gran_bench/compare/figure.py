@@ -53,14 +53,14 @@ def errors_in_floors(runs: Mapping[str, Mapping[str, Figure]], title: str, path:
                 shift = (i - (len(runs) - 1) / 2 + (0.14 if after else -0.14)) * width
                 points = {x + shift: rows[g + after] for x, g in enumerate(groups) if g + after in rows}
                 axes.plot([*points], [height(one.multiple) for one in points.values()], mark, color=colour,
-                          markerfacecolor=fill, markersize=8.0, markeredgewidth=1.6, clip_on=False,
+                          markerfacecolor=fill, markersize=8.0, markeredgewidth=1.6,
                           label=None if after else names[i])  # fmt: skip
         axes.axhline(1.0, color=DEM, linewidth=1.4, zorder=1)
         for x in range(1, len(groups)):
             axes.axvline(x - 0.5, color=QUIET, linewidth=0.6)
         used = {text: y for text, y in lines.items() if y in map(height, multiples)}
         ticks = {
-            "DEM against itself: 1" if tick == 1 else f"{tick:g}": tick for tick in _TICKS if low <= tick <= high
+            "the DEM itself: 1" if tick == 1 else f"{tick:g}": tick for tick in _TICKS if low <= tick <= high
         } | used
         axes.set_yscale("log")
         axes.set_ylim(low, max([high, *(step**0.5 * y for y in used.values())]))

@@ -17,6 +17,7 @@ from gran_bench.tracking.search import stored_runs
 
 SUMMARY, CONFIG = "summary.json", "config.json"  # a finished run has the first, any run the second
 CLONE = Path(gran_bench.__file__).resolve().parents[2] / "results"  # with the records that ship
+_PARTS = {"judged", "judged_rpm", "model", "training", "rollouts", "nearest_case", "position_error"}  # of a summary
 _SUGGESTED = 8  # names in an error
 
 
@@ -89,8 +90,9 @@ def find_run(word: str, root: Path) -> Path:
     if len(found) > 1:
         raise CompareError(f"{word}: this is the beginning of {_listed(found)}; give more of one, or a folder")
     if not found:
-        every = [name for spellings in names.values() for name in dict.fromkeys(spellings[:2])]
+        every = {name: path.name for path, spellings in names.items() for name in spellings[:2]}
         near = [name for name in every if word in name] or get_close_matches(word, every, _SUGGESTED, 0.4) or every
+        near = dict.fromkeys(every[name] for name in near)
         known = f"there are {_listed(near)}" if near else "it holds no run yet; name another folder with --root"
         raise CompareError(f"{word}: no run has this name, id or folder in {root}; {known}")
     return found[0]
@@ -116,19 +118,16 @@ def read_run(folder: Path, root: Path) -> ComparedRun:
         remedy = commands[0] if commands else "repeat the command that began it, which goes on from there"
         raise CompareError(f"{folder}: this run is not finished ({state}); to go on with it: {remedy}")
     summary = _read(folder / SUMMARY)
-    if not {"judged", "judged_rpm", "model", "training", "rollouts", "nearest_case"} <= summary.keys():
+    if _PARTS - summary.keys():
         raise CompareError(f"{folder / SUMMARY} is no summary of a judged run; give the folder of one")
     training, model = summary["training"], Path(config.get("checkpoint") or folder / "model.pt")
     whole = {"model": summary["model"]} | {name: value for name, value in config.items() if name != "tracking"}
     if "scene" not in config and model.is_file():  # a record that ships, or an evaluation
-        from gran_bench.surrogate.checkpoint import (
-            CheckpointError,
-            load_card,
-        )  # PyTorch, which others need not wait for
+        from gran_bench.surrogate import checkpoint  # with PyTorch, which others need not wait for
 
         try:
-            card, _ = load_card(model)
-        except CheckpointError as error:
+            card, _ = checkpoint.load_card(model)
+        except checkpoint.CheckpointError as error:
             raise CompareError(str(error)) from error
         whole |= {"scene": card.scene, "boundary": card.boundary}
     keys = {"seed": training.get("seed"), "dataset.training_speeds_rpm": training.get("training_speeds_rpm")}

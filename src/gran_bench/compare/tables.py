@@ -22,6 +22,7 @@ class Figure(NamedTuple):
     """One figure of one run as it is shown; a distance from the DEM has a floor, and its multiple of the floor."""
 
     shown: str
+    unit: str = ""
     floor: str = ABSENT
     multiple: float | None = None
     note: str = ""
@@ -66,18 +67,19 @@ def _figures(summary: dict[str, Any], rpm: float) -> Iterator[tuple[str, Figure]
     for packing, found in at_rpm.items():
         for key in (*ERRORS, *registered_metrics(found), *(FROM_START if packing == "shared" else ())):
             if row := found["errors"].get(key):
-                (value, unit), (floor, _) = (_shown(row[name], row["unit"]) for name in ("value", "floor"))
-                times = row["multiple_of_floor"]
-                value += "" if times is None else f" (× {shown_multiple(times)})"
+                value, floor, times = (row[name] for name in ("value", "floor", "multiple_of_floor"))
                 note = (row["note"] or row["floor_note"]) if times is None else ""
-                yield f"{row['label']}{unit}{_after(packing)}", Figure(value, floor, times, note)
+                shown = _shown(value, row["unit"]) + ("" if times is None else f" (× {shown_multiple(times)})")
+                unit = {"m": "mm", "-": ""}.get(row["unit"], row["unit"])
+                floor = _shown(floor, row["unit"])
+                yield row["label"] + _after(packing), Figure(shown, unit, floor, times, note)
     if at_rpm:
         for name, row in summary["position_error"].items():
             frames = counted(int(name.partition("_")[0]), "frame")
-            yield f"position {frames} after frames of the DEM, mm", Figure(_shown(row["m"], "m")[0])
+            yield f"position {frames} after a frame of the DEM", Figure(_shown(row["m"], "m"), "mm")
     elif nearest := summary["nearest_case"].get(f"{rpm:g}rpm"):
-        yield "speeds, W1 to the one DEM run, m/s", Figure(_shown(nearest["w1_m_s"].get(f"{rpm:g}rpm"), "")[0])
-        yield "speed of the nearest DEM run, rpm", Figure(_shown(nearest["nearest_rpm"], "")[0])
+        yield "speeds, W1 to the one DEM run", Figure(_shown(nearest["w1_m_s"].get(f"{rpm:g}rpm")), "m/s")
+        yield "speed of the nearest DEM run", Figure(_shown(nearest["nearest_rpm"]), "rpm")
     for packing, found in at_rpm.items():
         if counts := found["failures"]:
             lost = counts["non_finite_states"] + max(0, counts["expected_states"] - counts["states"])
@@ -86,9 +88,9 @@ def _figures(summary: dict[str, Any], rpm: float) -> Iterator[tuple[str, Figure]
     where = "".join(f"; {name} at frame {frame}" for name, frame in broken.items())
     yield "rollouts broken down", Figure(f"{len(broken)} of {len(summary['rollouts'])}{where}")
     if rollout := summary["rollouts"].get(f"{rpm:g}rpm"):
-        time, dem = (_shown(rollout[key], "")[0] for key in ("ms_per_frame_median", "dem_ms_per_frame"))
-        yield "time of a frame (of the DEM), ms", Figure(f"{time} ({dem})")
-    yield "training, minutes (updates)", Figure(f"{training['seconds'] / 60.0:.3g} ({training['steps']})")
+        time, dem = (_shown(rollout[key]) for key in ("ms_per_frame_median", "dem_ms_per_frame"))
+        yield "time of a frame (of the DEM)", Figure(f"{time} ({dem})", "ms")
+    yield "training (updates)", Figure(f"{training['seconds'] / 60.0:.3g} ({training['steps']})", "min")
     verdicts = [row["verdict"] for found in judged.values() for row in found["requirements"].values()]
     asked = sum(one != "undefined" for one in verdicts) + len(summary["nearest_case"]) + len(summary["rollouts"])
     yield "requirements met", Figure(f"{asked - len(missed_requirements(summary))} of {asked}")
@@ -98,22 +100,17 @@ def _after(packing: str) -> str:
     return "" if packing == "shared" else UNSEEN
 
 
-def _shown(value: float | None, unit: str) -> tuple[str, str]:
-    """Three figures, and the unit for the end of a label; lengths in mm."""
-    factor, unit = (1e3, "mm") if unit == "m" else (1.0, unit)
-    return "undefined" if value is None else f"{factor * value:.3g}", "" if unit in ("", "-") else f", {unit}"
+def _shown(value: float | None, unit: str = "") -> str:
+    """Three figures; lengths in mm."""
+    return "undefined" if value is None else f"{(1e3 if unit == 'm' else 1.0) * value:.3g}"
 
 
 def figures_table(found: Mapping[str, Mapping[str, Figure]]) -> pd.DataFrame:
     """A row a figure: its floor, of each run where they differ, then what each run (by its label) has."""
-    columns = [pd.Series(figures, dtype=object) for figures in found.values()]
-    table = pd.concat(sorted(columns, key=len, reverse=True), axis=1, sort=False)  # for the order of its rows
-    table = (
-        pd.concat(columns, axis=1, keys=found)
-        .reindex(table.index)
-        .map(lambda one: one if isinstance(one, Figure) else Figure(ABSENT))
-    )
-    floors = [[one.floor for one in row] for row in table.to_numpy()]
-    shown = table.map(lambda one: one.shown)
-    shown.insert(0, "noise floor", [" | ".join(row if len({*row}) > 1 else row[:1]) for row in floors])
-    return shown
+    rows = {}
+    for name in dict.fromkeys(name for figures in sorted(found.values(), key=len, reverse=True) for name in figures):
+        row = [figures.get(name, Figure(ABSENT)) for figures in found.values()]
+        floors, unit = [one.floor for one in row], max(one.unit for one in row)
+        floor = floors[0] if len({*floors}) == 1 else " | ".join(floors)
+        rows[", ".join(filter(None, (name, unit)))] = [floor, *(one.shown for one in row)]
+    return pd.DataFrame.from_dict(rows, orient="index", columns=["noise floor", *found])
