@@ -137,13 +137,15 @@ def test_a_folder_that_was_moved_elsewhere_needs_nothing_but_its_summary(root, t
 
 
 def test_other_scenes_are_compared_all_the_same_and_said(root, summaries, capsys):
-    summary = summaries[0] | {"judged_rpm": 35.0}
+    summary = deepcopy(summaries[0]) | {"judged_rpm": 35.0}
+    summary["judged"]["shared"]["errors"]["speed_w1"]["floor"] = 0.0123
     write(root / "evaluations" / "other", summary, CONFIG | {"scene": {"name": "drum"}})
     assert compare_command([SMALL, "other", "--root", str(root)]) == 0
     text = capsys.readouterr().out
     assert "note: judged on different scenes or speeds" in text
     assert row_of(text, "scene.name") == ["drum_small", "drum"]
     assert row_of(text, "scene.filling.count") == ["300", "–"]
+    assert row_of(text, "speeds, W1 a frame, m/s")[1:3] == ["|", "0.0123"]
 
 
 def test_another_speed_gives_what_needs_no_floor(root, capsys):
@@ -172,6 +174,7 @@ def test_the_records_that_ship_stand_beside_each_other(tmp_path, capsys):
         ([SMALL, "11aa22bb"], "this run is named 2 times"),
         ([SMALL, "smoke"], f"the beginning of ROOT/runs/{SMALL}, ROOT/runs/{LARGE}; give more"),
         ([SMALL, "smoke+model.radios-0.08"], f"there are {LARGE}"),
+        ([SMALL, "0.08"], f"there are {LARGE}"),
         ([SMALL, "abcdef"], "no run has this name, id or folder in ROOT; there are "),
         ([SMALL, LARGE, "--out", "a.jpg"], "--out a.jpg: the picture is a PNG"),
     ],
