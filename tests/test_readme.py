@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from gran_bench.compare.command import compare_command
 from gran_bench.compose import Source, checked_config, described_jobs
 from gran_bench.config import BenchmarkConfig, EvaluateConfig, GenerateConfig, StressConfig, TrainConfig
 
@@ -26,7 +27,7 @@ SNIPPETS = re.findall(r"^```python\n(.*?)^```", README, re.DOTALL | re.MULTILINE
 
 
 @pytest.mark.parametrize("command", [command for command in COMMANDS if command.startswith("python -m gran_bench.")])
-def test_a_command_composes_into_a_legal_config(command):
+def test_a_command_composes_into_a_legal_config(command, tmp_path):
     _, _, module, *arguments = shlex.split(command)
     entry = module.removeprefix("gran_bench.")
     if entry == "verify":  # arguments, no config
@@ -35,6 +36,9 @@ def test_a_command_composes_into_a_legal_config(command):
         return
     if entry == "report":
         assert all(argument.startswith("results/sweeps/") for argument in arguments)
+        return
+    if entry == "compare":
+        assert compare_command([*arguments, "--out", str(tmp_path / "compared.png")]) == 0
         return
     overrides = [argument for argument in arguments if not argument.startswith("-")]
     for _, composed in described_jobs(Source(entry), overrides, "-m" in arguments).jobs:

@@ -1,0 +1,116 @@
+"""What differs between runs, and every headline figure with its floor: a row each, a column a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+from gran_bench.compare.runs import ComparedRun
+from gran_bench.metrics.judgement import shown_multiple
+from gran_bench.metrics.outside import counted
+from gran_bench.run.summary import broken_rollouts, missed_requirements, registered_metrics
+
+ERRORS = ("surface_angle", "com_angle", "speed_w1")  # the headline's distances; a plugin's metrics follow them
+FROM_START = ("position_10", "position_30")
+UNSEEN = ", unseen packing"
+ABSENT, UNKNOWN = "–", "?"
+
+
+class Figure(NamedTuple):
+    """One figure of one run as it is shown; a distance from the DEM has a floor, and its multiple of the floor."""
+
+    shown: str
+    unit: str = ""
+    floor: str = ABSENT
+    multiple: float | None = None
+    note: str = ""
+
+
+def differences(runs: Mapping[str, ComparedRun]) -> pd.DataFrame:
+    """The config keys whose values differ, then the digests of data and code that do; a column for each label of a run.
+
+    A key that a run does not have is ``–``, one that its folder does not record is ``?``.
+    """
+    trained = {label: run.summary["training"] for label, run in runs.items()}
+    code = ("code digest", "code_digest") if all("code_digest" in one for one in trained.values()) else ("commit",) * 2
+    every = sorted({key for run in runs.values() for key in run.keys}, key=lambda key: ("." in key, key))
+    columns = {}
+    for label, run in runs.items():
+        absent = {key: ABSENT if key.partition(".")[0] in run.whole else UNKNOWN for key in every}
+        columns[label] = absent | {key: _plain(value) for key, value in run.keys.items()}
+        columns[label]["training data"] = trained[label].get("data_digest", UNKNOWN)
+        columns[label][f"{code[0]} of the training"] = trained[label].get(code[1], UNKNOWN)
+        columns[label]["judging data"] = run.summary.get("data_digest", UNKNOWN)
+    table = pd.DataFrame(columns)
+    return table[table.where(table != UNKNOWN).nunique(axis=1) > 1]
+
+
+def _plain(value: Any) -> str:
+    """A value of a config as it is typed; 1 and 1.0 are one number."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(_plain, value))}]"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    return repr(value).removesuffix(".0") if isinstance(value, float) else str(value)
+
+
+def figures_of(run: ComparedRun, rpm: float) -> dict[str, Figure]:
+    """The headline figures of a run by name, at the judged speed or, without floors, at another one of its rollouts."""
+    return dict(_figures(run.summary, rpm))
+
+
+def _figures(summary: dict[str, Any], rpm: float) -> Iterator[tuple[str, Figure]]:
+    broken, training, judged = broken_rollouts(summary), summary["training"], summary["judged"]
+    at_rpm = judged if rpm == summary["judged_rpm"] else {}
+    for packing, found in at_rpm.items():
+        for key in (*ERRORS, *registered_metrics(found), *(FROM_START if packing == "shared" else ())):
+            if row := found["errors"].get(key):
+                value, floor, times = (row[name] for name in ("value", "floor", "multiple_of_floor"))
+                note = (row["note"] or row["floor_note"]) if times is None else ""
+                shown = _shown(value, row["unit"]) + ("" if times is None else f" (× {shown_multiple(times)})")
+                unit = {"m": "mm", "-": ""}.get(row["unit"], row["unit"])
+                floor = _shown(floor, row["unit"])
+                yield row["label"] + _after(packing), Figure(shown, unit, floor, times, note)
+    if at_rpm:
+        for name, row in summary["position_error"].items():
+            frames = counted(int(name.partition("_")[0]), "frame")
+            yield f"position {frames} after a frame of the DEM", Figure(_shown(row["m"], "m"), "mm")
+    elif nearest := summary["nearest_case"].get(f"{rpm:g}rpm"):
+        yield "speeds, W1 to the one DEM run", Figure(_shown(nearest["w1_m_s"].get(f"{rpm:g}rpm")), "m/s")
+        yield "speed of the nearest DEM run", Figure(_shown(nearest["nearest_rpm"]), "rpm")
+    for packing, found in at_rpm.items():
+        if counts := found["failures"]:
+            lost = counts["non_finite_states"] + max(0, counts["expected_states"] - counts["states"])
+            yield f"states not finite or missing{_after(packing)}", Figure(f"{lost} of {counts['expected_states']}")
+            yield f"sphere states outside by > r{_after(packing)}", Figure(f"{counts['outside_radius']}")
+    where = "".join(f"; {name} at frame {frame}" for name, frame in broken.items())
+    yield "rollouts broken down", Figure(f"{len(broken)} of {len(summary['rollouts'])}{where}")
+    if rollout := summary["rollouts"].get(f"{rpm:g}rpm"):
+        time, dem = (_shown(rollout[key]) for key in ("ms_per_frame_median", "dem_ms_per_frame"))
+        yield "time of a frame (of the DEM)", Figure(f"{time} ({dem})", "ms")
+    yield "training (updates)", Figure(f"{training['seconds'] / 60.0:.3g} ({training['steps']})", "min")
+    verdicts = [row["verdict"] for found in judged.values() for row in found["requirements"].values()]
+    asked = sum(one != "undefined" for one in verdicts) + len(summary["nearest_case"]) + len(summary["rollouts"])
+    yield "requirements met", Figure(f"{asked - len(missed_requirements(summary))} of {asked}")
+
+
+def _after(packing: str) -> str:
+    return "" if packing == "shared" else UNSEEN
+
+
+def _shown(value: float | None, unit: str = "") -> str:
+    """Three figures; lengths in mm."""
+    return "undefined" if value is None else f"{(1e3 if unit == 'm' else 1.0) * value:.3g}"
+
+
+def figures_table(found: Mapping[str, Mapping[str, Figure]]) -> pd.DataFrame:
+    """A row a figure: its floor, of each run where they differ, then what each run (by its label) has."""
+    rows = {}
+    for name in dict.fromkeys(name for figures in sorted(found.values(), key=len, reverse=True) for name in figures):
+        row = [figures.get(name, Figure(ABSENT)) for figures in found.values()]
+        floors, unit = [one.floor for one in row], max(one.unit for one in row)
+        floor = floors[0] if len({*floors}) == 1 else " | ".join(floors)
+        rows[", ".join(filter(None, (name, unit)))] = [floor, *(one.shown for one in row)]
+    return pd.DataFrame.from_dict(rows, orient="index", columns=["noise floor", *found])
