@@ -7,11 +7,9 @@ import pytest
 import torch
 from contact_beds import VARIANTS, at_walls, cluster, drum, furnished, network, with_memory
 
-from gran_bench.config import ContactModelConfig, ContainerConfig, FillingConfig, SceneConfig
-from gran_bench.scene import build_scene
 from gran_bench.surrogate.contact import compiling
+from gran_bench.surrogate.contact.geometry import find_contacts
 from gran_bench.surrogate.contact.kernels.frame import frame_adjoint, frame_forward
-from gran_bench.surrogate.contact.network import ContactNetwork
 
 
 class TestFusedKernel:
@@ -67,17 +65,12 @@ class TestFusedKernel:
 def test_kernels_compiled_ahead_are_the_ones_that_a_run_calls(monkeypatch):
     # Compiled in the run's own process they would sum in another order, and the first run would train other weights.
     compiling.main()
-    kinds = len(frame_forward.signatures), len(frame_adjoint.signatures)
-    filling = FillingConfig(count=40)
-    scene = build_scene(SceneConfig(container=ContainerConfig(diameter=0.4, length=0.2), filling=filling))
-    start = scene.fresh_filling(0)
-    position, velocity, spin = (
-        torch.tensor(array, dtype=torch.float32) for array in (start.position, start.velocity, start.angular_velocity)
-    )
-    model = ContactNetwork(ContactModelConfig(iterations=4, memory=True, velocity="instantaneous"), scene)
-    frame = model.begin(scene, position, velocity, spin)
-    model(model(frame, scene, 0.0), scene, scene.frame_interval).position.sum().backward()
-    assert (len(frame_forward.signatures), len(frame_adjoint.signatures)) == kinds
+    scene = drum()
+    model = network(scene, backend="fused", iterations=4, memory=True)
+    state = with_memory(model, scene, cluster(scene, 60))
+    assert len(find_contacts(scene, 1.5, state.position.numpy(), 0.06, 0.01).wall) > 1
+    model(model(state, scene, 1.5), scene, 1.51).position.sum().backward()
+    assert (len(frame_forward.signatures), len(frame_adjoint.signatures)) == (1, 1)
     calls = []
     monkeypatch.setattr(compiling, "MARK", "nothing.compiled")
     monkeypatch.setattr(compiling.subprocess, "run", lambda words, **_: calls.append(words[-1]) or Failed)

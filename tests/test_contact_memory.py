@@ -12,10 +12,15 @@ from gran_bench.config import ContactModelConfig
 from gran_bench.scene import Disc, Spin, Translation
 from gran_bench.shipped import shipped_scene
 from gran_bench.surrogate.contact.constants import SPRING_CAP
-from gran_bench.surrogate.contact.memory import ContactMemory, follow_memory, warm_memory
+from gran_bench.surrogate.contact.memory import ContactMemory, follow_memory
 from gran_bench.surrogate.contact.network import ContactNetwork
 from gran_bench.surrogate.step import FrameState
 from gran_bench.surrogate.walls import frame_walls
+
+
+def warm_memory(*stored) -> ContactMemory:
+    """The memory at the last of stored frames."""
+    return list(follow_memory(*stored))[-1]
 
 
 class TestMemory:

@@ -79,7 +79,8 @@ def find_contacts(scene: Scene, time: float, position: FloatArray, reach: float,
     if scene.needs.wall_seams:
         exact, radius = np.asarray(position, np.float64), np.full(count, scene.filling.radius)
         near, merged = one_contact_each(walls.after, scene.surfaces, exact, radius, reached, near)
-    wall, particle = np.nonzero(np.array(near, bool).reshape(len(near), count))
+    # As one array, so that both are contiguous: for strided ones the kernels would be compiled again.
+    wall, particle = np.array(np.nonzero(np.array(near, bool).reshape(len(near), count)))
     other = np.tile(np.arange(len(near))[:, None], count)
     for w, v, i in reversed(merged):  # the first of several
         other[v, i] = w
