@@ -46,7 +46,6 @@ from gran_bench.metrics.outside import count_failures
 from gran_bench.metrics.overlap import overlap_series
 from gran_bench.metrics.position_error import mean_spread, separation
 from gran_bench.metrics.speeds import velocities, wasserstein_series
-from gran_bench.rollout import rollout, step_frames
 from gran_bench.scene import (
     Cone,
     Cylinder,
@@ -68,6 +67,7 @@ from gran_bench.shipped import shipped_model, shipped_scene
 from gran_bench.state import ContactHistory, ParticleState, Trajectory
 from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import ModelCard, load_model, save_model
+from gran_bench.surrogate.rollout import rollout, step_frames
 from gran_bench.surrogate.step import Surrogate
 
 UP, ORIGIN = (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -38,10 +38,14 @@ class FrameState:
     memory: object | None = None
     pair_acceleration: Tensor | None = None
 
+    def of_each(self, change: Callable[[Tensor], Tensor]) -> FrameState:
+        """The same state with each of its tensors changed."""
+        values = vars(self).items()
+        return FrameState(**{name: change(value) if isinstance(value, Tensor) else value for name, value in values})
+
     def detached(self) -> FrameState:
         """The same state, cut off from the frames that made it."""
-        values = (getattr(self, field.name) for field in fields(self))
-        return FrameState(*(value.detach() if isinstance(value, Tensor) else value for value in values))
+        return self.of_each(Tensor.detach)
 
 
 class Surrogate(nn.Module):
@@ -167,50 +171,39 @@ class NewtonSurrogate(Surrogate):
         return self.acceleration(position, velocity, scene, time), None
 
     def advance(self, state: FrameState, scene: Scene, time: float) -> FrameState:
-        interval = scene.frame_interval
-        before = state.velocity
-        predicted = before
-        if scene.needs.gravity:
-            predicted = before + before.new_tensor(scene.gravity) * interval
-        guess = state.position + interval * self._travel_velocity(before, predicted)
-        guess = wrap(guess, scene.period)
+        interval, before = scene.frame_interval, state.velocity
+
+        def moved(velocity: Tensor) -> Tensor:
+            travel = velocity if self.update == "mean" else 0.5 * (before + velocity)
+            return wrap(state.position + interval * travel, scene.period)
+
+        predicted = before + before.new_tensor(scene.gravity) * interval if scene.needs.gravity else before
+        guess = moved(predicted)
         if torch.isfinite(guess).all() and torch.isfinite(predicted).all():
             acceleration, of_pairs = self.accelerations(guess, predicted, scene, time)
             velocity = predicted + interval * acceleration
-        else:
-            velocity = of_pairs = torch.full_like(
-                predicted, torch.nan
-            )  # neighbours of nowhere do not exist: the failure shows
-        position = state.position + interval * self._travel_velocity(before, velocity)
-        return FrameState(wrap(position, scene.period), velocity, pair_acceleration=of_pairs)
-
-    def _travel_velocity(self, before: Tensor, after: Tensor) -> Tensor:
-        """Velocity that carries a particle through the frame, ``(N, 3)`` m/s."""
-        return after if self.update == "mean" else 0.5 * (before + after)
+        else:  # neighbours of nowhere do not exist: the failure shows
+            velocity = of_pairs = torch.full_like(predicted, torch.nan)
+        return FrameState(moved(velocity), velocity, pair_acceleration=of_pairs)
 
 
 def _rejoined(state: FrameState, inside: np.ndarray, advance: Callable[[FrameState], FrameState]) -> FrameState:
     """The whole state after the spheres that are ``inside``, ``(N,)`` bool, were moved on; the others as they were."""
     number = np.flatnonzero(inside)
     rows = torch.from_numpy(number).to(state.position.device)
-
-    def part(values: Tensor | None) -> Tensor | None:
-        return None if values is None else values.index_select(0, rows)
-
-    def whole(values: Tensor | None, moved: Tensor | None) -> Tensor | None:
-        return None if values is None or moved is None else values.index_copy(0, rows, moved)
-
-    memory = state.memory
+    part, memory = state.of_each(lambda values: values.index_select(0, rows)), state.memory
     if memory is not None:
-        memory = memory.renumbered(np.where(inside, np.cumsum(inside) - 1, -1), len(number))
-    after = advance(FrameState(part(state.position), part(state.velocity), part(state.angular_velocity), memory))
-    return FrameState(
-        whole(state.position, after.position),
-        whole(state.velocity, after.velocity),
-        whole(state.angular_velocity, after.angular_velocity),
-        None if after.memory is None else after.memory.renumbered(number, len(inside)),
-        whole(torch.zeros_like(state.position), after.pair_acceleration),
-    )
+        part.memory = memory.renumbered(np.where(inside, np.cumsum(inside) - 1, -1), len(number))
+    part.pair_acceleration = None
+    after = advance(part)
+    if after.memory is not None:
+        after.memory = after.memory.renumbered(number, len(inside))
+    state = replace(state, pair_acceleration=torch.zeros_like(state.position))
+    for name, values in vars(state).items():
+        moved = getattr(after, name)
+        if isinstance(moved, Tensor) and isinstance(values, Tensor):
+            setattr(after, name, values.index_copy(0, rows, moved))
+    return after
 
 
 def wrap(position: Tensor, period: float) -> Tensor:
