@@ -50,21 +50,15 @@ class WallPairs:
     gap: Tensor | None = None
     slip: Tensor | None = None
 
-    @property
-    def source_count(self) -> int:
-        """S."""
-        return len(self.normal)
-
 
 @dataclass(frozen=True)
 class WallSpheres:
-    """Points that cover the walls of a scene; a smooth drum is the same at every angle, so they rest on it.
+    """W points that cover the walls of a scene; a smooth drum is the same at every angle, so they rest on it.
 
     A wall with two sides has each point twice, once with either normal.
 
     Attributes:
-        position: ``(W, 3)`` on the surface, m.
-        normal: ``(W, 3)`` into the container, or to one side.
+        position, normal: ``(W, 3)`` on the surface, m, and into the container, or to one side.
         wall: ``(W,)`` index of the wall each lies on.
         two_sided: ``(W,)`` bool; such a point is seen from the side that its normal points to.
     """
@@ -93,7 +87,7 @@ def wall_spheres(
     """
     if not spacing > 0:
         raise ValueError(f"boundary.spacing gives {spacing:g} m between wall spheres; choose a value > 0")
-    pieces = []
+    pieces = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, bool))]
     is_drum = scene.drum_radius is not None and scene.length is not None
     for index, shape in enumerate(shapes):
         kind = shape[KIND]
@@ -107,11 +101,10 @@ def wall_spheres(
             position, normal = _cover_cap(tuple(shape), scene.drum_radius, spacing)
         elif kind == PLANE:
             position, normal = _cover_plane(shape, spacing, low, high)
-        else:
-            position, normal = _cover_cylinder(shape, spacing, low, high)
+        else:  # a cylinder without an end, as far as the box goes along it
+            row = _multiples(shape[POINT], shape[DIRECTION], spacing, low, high)
+            position, normal = _on_cylinder(shape, row * spacing, spacing, row)
         pieces.append((position, normal, np.full(len(position), index), np.full(len(position), kind == REVOLUTION)))
-    if not pieces:
-        return WallSpheres(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, bool))
     return WallSpheres(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
 
 
@@ -182,20 +175,14 @@ def _rings(start: tuple[float, float], end: tuple[float, float], axis: FloatArra
 def _cover_plane(shape: FloatArray, spacing: float, low: FloatArray, high: FloatArray) -> tuple[FloatArray, ...]:
     """Rows of points on a plane, where a box lies before it, every other row moved by half a spacing."""
     normal, first, second = _frame(shape[DIRECTION])
-    column, row = (_lattice(shape[POINT], axis, spacing, low, high) for axis in (first, second))
+    column, row = (_multiples(shape[POINT], axis, spacing, low, high) for axis in (first, second))
     across = (column[None, :] + 0.5 * (row[:, None] % 2)) * spacing
     up = np.broadcast_to(row[:, None] * spacing, across.shape)
     position = shape[POINT] + across.reshape(-1, 1) * first + up.reshape(-1, 1) * second
     return position, np.broadcast_to(normal, position.shape).copy()
 
 
-def _cover_cylinder(shape: FloatArray, spacing: float, low: FloatArray, high: FloatArray) -> tuple[FloatArray, ...]:
-    """A cylinder without an end, as far as a box goes along it."""
-    row = _lattice(shape[POINT], shape[DIRECTION], spacing, low, high)
-    return _on_cylinder(shape, row * spacing, spacing, row)
-
-
-def _lattice(point: FloatArray, axis: FloatArray, spacing: float, low: FloatArray, high: FloatArray) -> FloatArray:
+def _multiples(point: FloatArray, axis: FloatArray, spacing: float, low: FloatArray, high: FloatArray) -> FloatArray:
     """Numbers of the multiples of a spacing along an axis from a point that span a box."""
     corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
     along = (corners - point) @ axis / spacing
@@ -232,24 +219,17 @@ def see_spheres(position: Tensor, scene: Scene, time: float, radius: float, spac
     seen[sphere] = True
     kept, source_index = np.flatnonzero(seen), (np.cumsum(seen) - 1)[sphere]
 
-    device, like = position.device, position.detach()
-    query = torch.from_numpy(query_index).to(device)
-    source = torch.from_numpy(source_index).to(device)
-    point = torch.as_tensor(cover.position[kept], dtype=like.dtype, device=device)
+    def tensor(values: np.ndarray) -> Tensor:
+        return torch.from_numpy(values).to(position.device, None if values.dtype == np.int64 else position.dtype)
+
+    query, source, point = tensor(query_index), tensor(source_index), tensor(cover.position[kept])
     velocity = torch.zeros_like(point)
     for index, wall in enumerate(scene.walls):
-        mine = torch.from_numpy(np.flatnonzero(cover.wall[kept] == index)).to(device)
+        mine = tensor(np.flatnonzero(cover.wall[kept] == index))
         velocity[mine] = wall_velocity(wall, point[mine], scene, time)
-    return WallPairs(
-        near=near,
-        distance=distance,
-        query=query,
-        source=source,
-        relative=point.index_select(0, source) - position[near].index_select(0, query),
-        normal=torch.as_tensor(cover.normal[kept], dtype=like.dtype, device=device),
-        velocity=velocity,
-        moves=scene.needs.wall_motion,
-    )
+    relative = point.index_select(0, source) - position[near].index_select(0, query)
+    seen = query, source, relative, tensor(cover.normal[kept]), velocity
+    return WallPairs(near, distance, *seen, scene.needs.wall_motion)
 
 
 def see_contacts(position: Tensor, velocity: Tensor, scene: Scene, time: float, radius: float) -> WallPairs:
@@ -283,15 +263,6 @@ def see_contacts(position: Tensor, velocity: Tensor, scene: Scene, time: float, 
         columns.append((place[seen], relative, -toward[seen], moving, gap, moving - velocity[seen]))
     query, relative, normal, moving, gap, slip = (torch.cat(parts) for parts in zip(*columns, strict=True))
     order = torch.argsort(query, stable=True)
-    return WallPairs(
-        near=near,
-        distance=distances,
-        query=query[order],
-        source=torch.arange(len(query), device=position.device),
-        relative=relative[order],
-        normal=normal[order],
-        velocity=moving[order],
-        moves=scene.needs.wall_motion,
-        gap=gap[order],
-        slip=slip[order],
-    )
+    source = torch.arange(len(query), device=position.device)
+    seen = query[order], source, relative[order], normal[order], moving[order]
+    return WallPairs(near, distances, *seen, scene.needs.wall_motion, gap[order], slip[order])

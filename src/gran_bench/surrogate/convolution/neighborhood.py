@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -13,26 +12,13 @@ from numba import njit
 from torch import Tensor
 
 from gran_bench.neighbors import cell_neighbors, list_pairs
+from gran_bench.surrogate.convolution.kernels.lattice import LatticeBasis
+from gran_bench.surrogate.convolution.kernels.radial import RadialBasis
 
 # Rows are taken with index_select throughout: on a CPU, indexing with brackets takes twenty times as long.
 
 
-class KernelBasis(Protocol):
-    """What a layer needs of a basis; see LatticeBasis."""
-
-    radius: float
-    size: int
-    offsets: tuple[int, ...]
-    mirror: Tensor
-    mirror_sign: Tensor
-
-    def evaluate(self, relative: Tensor) -> tuple[Tensor, Tensor]:
-        """First function ``(M,)`` and values ``(M, 8)`` for vectors ``(M, 3)``, m."""
-        ...
-
-    def turned(self, first: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
-        """The same for the vectors turned round, from what ``evaluate`` gave."""
-        ...
+KernelBasis = LatticeBasis | RadialBasis  # all that a layer may have
 
 
 @dataclass(frozen=True)
@@ -80,17 +66,8 @@ class Neighborhood:
     def transposed(self) -> Neighborhood:
         """The same pairs listed by source, with queries in the sources' place (same vectors, kernel not mirrored)."""
         order = torch.argsort(self.source, stable=True)
-        counts = torch.bincount(self.source, minlength=self.source_count)
-        return replace(
-            self,
-            row_start=_starts(counts),
-            source=self.query[order],
-            first=self.first[order],
-            coefficient=self.coefficient.index_select(0, order),
-            window=self.window.index_select(0, order),
-            source_count=self.query_count,
-            symmetric=False,
-        )
+        turned = replace(self._chosen(order, self.source, self.query, self.source_count), symmetric=False)
+        return replace(turned, source_count=self.query_count)
 
     def restricted(self, kept: Tensor) -> Neighborhood:
         """The pairs among some of the particles, renumbered; for queries that are the sources.
@@ -102,14 +79,18 @@ class Neighborhood:
         place[kept] = torch.arange(len(kept), device=kept.device)
         query, source = place.index_select(0, self.query), place.index_select(0, self.source)
         inside = torch.nonzero((query >= 0) & (source >= 0))[:, 0]
+        return self._chosen(inside, query, source, len(kept))
+
+    def _chosen(self, pairs: Tensor, query: Tensor, source: Tensor, count: int) -> Neighborhood:
+        """Some of the pairs in their order, under other numbers of their ``count`` queries and as many sources."""
         return replace(
             self,
-            row_start=_starts(torch.bincount(query.index_select(0, inside), minlength=len(kept))),
-            source=source.index_select(0, inside),
-            first=self.first.index_select(0, inside),
-            coefficient=self.coefficient.index_select(0, inside),
-            window=self.window.index_select(0, inside),
-            source_count=len(kept),
+            row_start=_starts(torch.bincount(query.index_select(0, pairs), minlength=count)),
+            source=source.index_select(0, pairs),
+            first=self.first.index_select(0, pairs),
+            coefficient=self.coefficient.index_select(0, pairs),
+            window=self.window.index_select(0, pairs),
+            source_count=count,
         )
 
 
@@ -130,17 +111,8 @@ def weigh_pairs(
         relative: ``(M, 3)`` source − query, m; at most R long.
         symmetric: see :class:`Neighborhood`; the caller's promise.
     """
-    first, coefficient, window = _weigh(basis, relative)
-    return Neighborhood(
-        basis=basis,
-        row_start=_starts(torch.bincount(query, minlength=query_count)),
-        source=source,
-        first=first,
-        coefficient=coefficient,
-        window=window,
-        source_count=source_count,
-        symmetric=symmetric,
-    )
+    starts = _starts(torch.bincount(query, minlength=query_count))
+    return Neighborhood(basis, starts, source, *_weigh(basis, relative), source_count, symmetric)
 
 
 def particle_neighborhood(basis: KernelBasis, position: Tensor, period: float = 0.0) -> Neighborhood:
@@ -170,16 +142,11 @@ def particle_neighborhood(basis: KernelBasis, position: Tensor, period: float = 
     one, other, row_start, source, entry = lists
     first, coefficient, window = _weigh(basis, position.index_select(0, other) - position.index_select(0, one))
     mirrored_first, mirrored = basis.turned(first, coefficient)
-    return Neighborhood(
-        basis=basis,
-        row_start=row_start,
-        source=source,
-        first=torch.cat((first, mirrored_first)).index_select(0, entry),
-        coefficient=torch.cat((coefficient, mirrored)).index_select(0, entry),
-        window=torch.cat((window, window)).index_select(0, entry),
-        source_count=count,
-        symmetric=True,
+    first, coefficient, window = (
+        torch.cat(sides).index_select(0, entry)
+        for sides in ((first, mirrored_first), (coefficient, mirrored), (window, window))
     )
+    return Neighborhood(basis, row_start, source, first, coefficient, window, count, symmetric=True)
 
 
 def periodic_images(position: Tensor, reach: float, period: float) -> tuple[Tensor, Tensor]:
