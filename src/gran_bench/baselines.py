@@ -117,6 +117,9 @@ def interpolated_statistics(speed_rpm: float, training: Mapping[float, Trajector
         layer_speed=between("layer_speed", layers),
         layer_velocity=between("layer_velocity", layers),
         steady_undefined_because=low.steady_undefined_because or high.steady_undefined_because,
+        position=None,
+        failures=None,
+        registered={},
     )
 
 

@@ -1,4 +1,5 @@
 """The data: cases as HDF5 files that are made once, checked when read, and split into what trains and what judges."""
+# ruff: noqa: F401
 
 from gran_bench.dataset.case_file import Case, read_attributes, read_case, read_settled
 from gran_bench.dataset.case_spec import (
@@ -15,26 +16,3 @@ from gran_bench.dataset.ensure import ensure_case, ensure_cases
 from gran_bench.dataset.scene_document import from_document, to_document
 from gran_bench.dataset.summary import generate
 from gran_bench.dataset.windows import Window, Windows, dataset_digest
-
-__all__ = [
-    "Case",
-    "CaseSpec",
-    "DatasetError",
-    "Split",
-    "Window",
-    "Windows",
-    "dataset_digest",
-    "ensure_case",
-    "ensure_cases",
-    "from_document",
-    "generate",
-    "half_step",
-    "own_case",
-    "read_attributes",
-    "read_case",
-    "read_settled",
-    "replicas",
-    "rotation_label",
-    "split_cases",
-    "to_document",
-]

@@ -5,6 +5,7 @@ scattered in order, so that a result does not depend on the machine's load; then
 from the last iteration back to the first: each starts from the kept rows and sums, all else is computed again.
 """
 
+# ruff: noqa: F403, F405 (the rows of a block, and what is done with them)
 from __future__ import annotations
 
 import hashlib
@@ -20,54 +21,7 @@ from gran_bench.dem.fast.wall_list import shape_of, toward_wall
 from gran_bench.dem.walls import PLANE, REVOLUTION
 from gran_bench.surrogate.contact import constants
 from gran_bench.surrogate.contact.kernels import block as contact_block
-from gran_bench.surrogate.contact.kernels.block import (
-    ANSWER,
-    CHANNELS,
-    D_ANSWER,
-    D_EXTRA_PUSH,
-    D_EXTRA_TURN,
-    D_GAP,
-    D_MOTION,
-    D_NORMAL,
-    D_PUSH,
-    D_SHARE,
-    D_SPIN,
-    D_STIFFNESS,
-    D_SUM_A,
-    D_SUM_B,
-    D_TOGETHER,
-    D_TURN,
-    DISTANCE,
-    EXTRA_PUSH,
-    EXTRA_TURN,
-    GAP,
-    HALF,
-    LANES,
-    MOTION,
-    NORMAL,
-    ONE,
-    PUSH,
-    ROWS,
-    SPIN,
-    SPRING,
-    SUM_A,
-    SUM_B,
-    TOGETHER,
-    TURN,
-    ZERO,
-    block_jit,
-    cross,
-    dot,
-    less,
-    pair_adjoint,
-    plus,
-    respond,
-    respond_adjoint,
-    row_sum,
-    store,
-    three,
-    times,
-)
+from gran_bench.surrogate.contact.kernels.block import *
 from gran_bench.surrogate.walls import SHAPE
 
 SPIN_RESPONSE = np.float32(constants.SPIN_RESPONSE)
