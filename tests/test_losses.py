@@ -311,8 +311,11 @@ def test_frame_weights():
 
 def test_the_spin_has_frame_weights_of_its_own():
     loss = WindowLoss(LossConfig(position_l2=2.0, spin=0.5, frame_weights="uniform", spin_frame_weights="inverse"))
-    assert loss.weight_of("position_l2", 2, 3) == 2.0
-    assert loss.weight_of("spin", 2, 3) == 0.25
+    ahead = perfect()
+    wrong = moved(ahead, angular_velocity=ahead.predicted.angular_velocity + 1.0)
+    first, second = (loss.terms(wrong, frame, 3) for frame in (1, 2))
+    assert second["spin"].item() == pytest.approx(0.5 * first["spin"].item())
+    assert second["position_l2"].item() == first["position_l2"].item()
 
 
 def test_terms_are_weighted_each_by_its_own_weight_and_the_frames():

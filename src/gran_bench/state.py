@@ -63,35 +63,22 @@ class ContactHistory:
 
 
 class Held(NamedTuple):
-    """What an engine needs beside a state to go on from it as if it had not stopped.
+    """What an engine needs beside a state to go on from it as if it had not stopped."""
 
-    Attributes:
-        position: ``(N, 3)`` m, not brought into the period.
-        force, torque: ``(N, 3)`` of the last evaluation, N and N m.
-        order: ``(n,)`` int64, those that take part, in the order in which their forces are summed.
-    """
-
-    position: FloatArray
-    force: FloatArray
-    torque: FloatArray
-    order: np.ndarray
+    position: FloatArray  # (N, 3) m, not brought into the period
+    force: FloatArray  # (N, 3) N, of the last evaluation
+    torque: FloatArray  # (N, 3) N m
+    order: np.ndarray  # (n,) int64, those that take part, in the order in which their forces are summed
 
 
 @dataclass(frozen=True)
 class Continuation:
-    """What a run keeps beside its last state, so that a further run goes on bit for bit.
+    """What a run keeps beside its last state, so that a further run goes on bit for bit."""
 
-    Attributes:
-        key: of the state, the physics, the walls and the time step that it holds for; for others it is not looked at.
-        start: s, where the run's clock begins.
-        steps: since then.
-        held: of the engine.
-    """
-
-    key: str
-    start: float
-    steps: int
-    held: Held
+    key: str  # of the state, the physics, the walls and the time step that it holds for; others do not look at it
+    start: float  # s, where the run's clock begins
+    steps: int  # since then
+    held: Held  # of the engine
 
 
 @dataclass(frozen=True)

@@ -46,40 +46,25 @@ _SIGNS_OF_DAMAGE = (AttributeError, LookupError, OSError, RuntimeError, TypeErro
 
 @dataclass(frozen=True)
 class Case:
-    """A case as it was read.
+    """A case as it was read."""
 
-    Attributes:
-        scene: as it was simulated.
-        trajectory: float32, F frames; the first is the settled state.
-        settled: the state at the first frame, float64, with its contact history.
-        attributes: scalars and text by name: engine, time step, seeds, code version, cost.
-        digest: of the contents.
-        path: the file.
-    """
-
-    scene: Scene
-    trajectory: Trajectory
-    settled: ParticleState
-    attributes: dict[str, Any]
-    digest: str
+    scene: Scene  # as it was simulated
+    trajectory: Trajectory  # float32, F frames; the first is the settled state
+    settled: ParticleState  # at the first frame, float64, with its contact history
+    attributes: dict[str, Any]  # scalars and text by name: engine, time step, seeds, code version, cost
+    digest: str  # of the contents
     path: Path
 
 
 def write_case(
     path: Path, key: dict[str, Any], scene: Scene, trajectory: Trajectory, settled: ParticleState, facts: dict[str, Any]
 ) -> str:
-    """Write a case, whole or not at all.
+    """Write a case, whole or not at all; returns the digest.
 
     Args:
-        path: final name.
         key: what determines the case.
-        scene: as simulated.
-        trajectory: F frames with spin.
-        settled: state at the first frame, float64.
+        trajectory: F frames with spin; ``settled`` is the state at the first one, float64.
         facts: attributes beside those of scene and material.
-
-    Returns:
-        The digest.
     """
     arrays = {name: np.asarray(getattr(trajectory, name), np.float32) for name in _BY_FRAME}
     arrays["time"] = np.asarray(trajectory.time, np.float64)

@@ -20,41 +20,24 @@ class LossError(ValueError):
 
 @dataclass(frozen=True)
 class Target:
-    """What the DEM says about one frame ahead.
+    """What the DEM says about one frame ahead."""
 
-    Attributes:
-        position: ``(N, 3)`` m.
-        velocity: ``(N, 3)`` m/s, of the same kind (mean or instantaneous) as the model's.
-        angular_velocity: ``(N, 3)`` rad/s.
-        velocity_before: ``(N, 3)`` m/s, of that kind, one frame earlier; without the training noise.
-        mean_overlap: the DEM's own mean overlap of a contact of this frame, pairs and walls together, m.
-    """
-
-    position: Tensor
-    velocity: Tensor
-    angular_velocity: Tensor
-    velocity_before: Tensor
-    mean_overlap: float = 0.0
+    position: Tensor  # (N, 3) m
+    velocity: Tensor  # (N, 3) m/s, of the same kind (mean or instantaneous) as the model's
+    angular_velocity: Tensor  # (N, 3) rad/s
+    velocity_before: Tensor  # (N, 3) m/s, of that kind, one frame earlier; without the training noise
+    mean_overlap: float = 0.0  # m, of a contact of this frame, pairs and walls together
 
 
 @dataclass(frozen=True)
 class FrameAhead:
-    """A predicted frame, the state that the model made it from, and the truth.
+    """A predicted frame, the state that the model made it from, and the truth."""
 
-    Attributes:
-        before: state at the frame's start, as the model was given it: predicted itself from the second frame ahead
-            on, with the training noise at the first.
-        predicted: state at the frame's end.
-        target: the same instant in the DEM.
-        scene: gives d, Δt, gravity, walls and the period.
-        time: of the frame's start, s.
-    """
-
-    before: FrameState
-    predicted: FrameState
-    target: Target
+    before: FrameState  # at the frame's start, as the model was given it: with the training noise, or predicted itself
+    predicted: FrameState  # at its end
+    target: Target  # the same instant in the DEM
     scene: Scene
-    time: float
+    time: float  # s, of the frame's start
 
     @property
     def position_error(self) -> Tensor:

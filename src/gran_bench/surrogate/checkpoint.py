@@ -30,21 +30,12 @@ class CheckpointError(ValueError):
 
 @dataclass(frozen=True)
 class ModelCard:
-    """What a model file says about itself.
+    """What a model file says about itself; a rollout compares its scene and the drum's ``training_speeds_rpm``."""
 
-    Attributes:
-        model: resolved ``model`` keys.
-        boundary: resolved ``boundary`` keys.
-        scene: resolved ``scene`` keys that the model was trained on: diameter, frame interval, material, gravity,
-            walls and number of spheres, which a rollout compares.
-        origin: provenance: command, commit, hardware, data digest, training steps and seconds, and the drum's
-            ``training_speeds_rpm``, which a rollout compares too.
-    """
-
-    model: dict[str, Any]
+    model: dict[str, Any]  # resolved keys, as are the next two
     boundary: dict[str, Any]
-    scene: dict[str, Any]
-    origin: dict[str, Any]
+    scene: dict[str, Any]  # that the model was trained on
+    origin: dict[str, Any]  # command, commit, hardware, data digest, training steps and seconds, speeds
 
 
 def save_model(path: Path, weights: dict[str, Tensor], card: ModelCard) -> str:

@@ -20,20 +20,12 @@ from gran_bench.surrogate.step import FrameState, Surrogate
 
 @dataclass(frozen=True)
 class Rollout:
-    """What a rollout gave.
+    """What a rollout gave."""
 
-    Attributes:
-        trajectory: F frames; after the first non-finite frame all values are NaN, so that every figure made
-            from it shows the failure.
-        failed_frame: index of the first non-finite frame, or None.
-        seconds_per_frame: ``(F − 1,)`` wall time of each computed frame, s.
-        warnings: where the scene or the start is unlike what the model was trained for, a line each.
-    """
-
-    trajectory: Trajectory
-    failed_frame: int | None
-    seconds_per_frame: np.ndarray
-    warnings: tuple[str, ...] = ()
+    trajectory: Trajectory  # F frames; from the first non-finite one on NaN, so that every figure shows the failure
+    failed_frame: int | None  # the first non-finite one
+    seconds_per_frame: np.ndarray  # (F − 1,) wall time of each computed frame, s
+    warnings: tuple[str, ...] = ()  # where scene or start are unlike what the model was trained for, a line each
 
 
 def initial_frame(model: Surrogate, scene: Scene, state: ParticleState) -> FrameState:
@@ -53,13 +45,7 @@ def initial_frame(model: Surrogate, scene: Scene, state: ParticleState) -> Frame
 
 
 def step_frames(model: Surrogate, scene: Scene, state: ParticleState) -> Iterator[FrameState]:
-    """The state itself, then one frame after another without end, without gradients.
-
-    Args:
-        model: any surrogate.
-        scene: gives walls, motion, Δt.
-        state: start; its ``time`` is the clock of the walls' motion.
-    """
+    """The state itself, then one frame after another without end, without gradients; ``state.time`` is the clock."""
     frame = initial_frame(model, scene, state)
     for index in itertools.count():
         yield frame

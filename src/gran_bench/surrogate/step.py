@@ -25,11 +25,9 @@ class FrameState:
         position: ``(N, 3)`` m; y lies in [−L/2, L/2) where the scene is periodic.
         velocity: ``(N, 3)`` m/s, of the model's ``velocity_kind``.
         angular_velocity: ``(N, 3)`` rad/s, or None for a model that has no spin.
-        memory: whatever else a model keeps of the past, such as a
-            :class:`~gran_bench.surrogate.contact.memory.ContactMemory`; its ``renumbered`` follows spheres that leave.
-            Or None.
-        pair_acceleration: ``(N, 3)`` m/s², what particles gave each other in the frame that ends here, or None at a
-            start and for a model that does not tell it from what walls gave.
+        memory: whatever else a model keeps of the past, whose ``renumbered`` follows spheres that leave; or None.
+        pair_acceleration: ``(N, 3)`` m/s², what particles gave each other in the frame that ends here; None where
+            that is not told from what walls gave.
     """
 
     position: Tensor
@@ -155,13 +153,7 @@ class NewtonSurrogate(Surrogate):
         self.velocity_kind = "mean" if update == "mean" else "instantaneous"
 
     def acceleration(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> Tensor:
-        """Acceleration of contacts over the frame that starts at ``time``, ``(N, 3)`` m/s².
-
-        Args:
-            position: ``(N, 3)`` predicted x*, m.
-            velocity: ``(N, 3)`` predicted v*, m/s.
-            time: s, start of the frame.
-        """
+        """Acceleration of contacts over the frame from ``time``, s, at x* (m) and v* (m/s): ``(N, 3)`` m/s²."""
         raise NotImplementedError
 
     def accelerations(
@@ -207,12 +199,7 @@ def _rejoined(state: FrameState, inside: np.ndarray, advance: Callable[[FrameSta
 
 
 def wrap(position: Tensor, period: float) -> Tensor:
-    """Positions with y in [−L/2, L/2), as the DEM stores them; unchanged where ``period`` is 0.
-
-    Args:
-        position: ``(..., 3)`` m.
-        period: L, m, of the y axis; 0 where nothing wraps.
-    """
+    """Positions ``(..., 3)`` with y in [−L/2, L/2), as the DEM stores them; unchanged where the period L is 0."""
     if period <= 0.0:
         return position
     turns = torch.floor(position.detach()[..., 1] / period + 0.5)

@@ -13,17 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gran_bench.dem.walls import (
-    ABSENT,
-    CYLINDER,
-    DIRECTION,
-    KIND,
-    PLANE,
-    POINT,
-    SIZES,
-    any_normal_to,
-    wall_poses,
-)
+from gran_bench.dem import walls as dem_walls
+from gran_bench.dem.walls import ABSENT, CYLINDER, DIRECTION, KIND, PLANE, POINT, SIZES
 from gran_bench.scene import Rotation, Scene, Wall
 from gran_bench.state import FloatArray
 
@@ -58,7 +49,7 @@ class FrameWalls:
 
 def frame_walls(scene: Scene, time: float) -> FrameWalls:
     """The walls over the frame that starts at ``time``, s; their motion is exact."""
-    before, after = wall_poses(scene, time, scene.frame_interval, 1)[..., :SHAPE]
+    before, after = dem_walls.wall_poses(scene, time, scene.frame_interval, 1)[..., :SHAPE]
     turn, shift = np.zeros((len(scene.walls), 3, 3)), np.zeros((len(scene.walls), 3))
     for index, wall in enumerate(scene.walls):
         turn[index], shift[index] = _displacement(scene, wall, time)
@@ -124,7 +115,7 @@ def closest_point(shape: FloatArray, position: Tensor) -> tuple[Tensor, Tensor]:
     dr, ds = r1 - r0, s1 - s0
     share = (((reach - r0) * dr + (along - s0) * ds) / (dr * dr + ds * ds)).clamp(0.0, 1.0)
     distance, across_up = _length_and_direction(torch.stack((r0 + share * dr - reach, s0 + share * ds - along), 1))
-    outward = torch.where((reach > 0)[:, None], outward, position.new_tensor(any_normal_to(shape[DIRECTION])))
+    outward = torch.where((reach > 0)[:, None], outward, position.new_tensor(dem_walls.any_normal_to(shape[DIRECTION])))
     return distance, across_up[:, :1] * outward + across_up[:, 1:] * direction
 
 

@@ -44,26 +44,15 @@ class TrainingStopped(KeyboardInterrupt):
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """What a training did.
+    """What a training did."""
 
-    Attributes:
-        steps: optimiser updates in all.
-        seconds: wall time in all, across resumes, s.
-        stopped_by: ``steps`` or ``time``.
-        loss: of the last update (mean over windows of Σ over frames).
-        parameters: of the model, number of scalars.
-        planned_steps: updates that the budget has; None for a budget of time. Where they are more than ``steps``, the
-            clock has cut them.
-        learning_rate: of the last update.
-    """
-
-    steps: int
-    seconds: float
-    stopped_by: str
-    loss: float
-    parameters: int
-    planned_steps: int | None
-    learning_rate: float
+    steps: int  # optimiser updates in all
+    seconds: float  # wall time in all, across resumes
+    stopped_by: str  # steps or time
+    loss: float  # of the last update: mean over windows of the sum over frames
+    parameters: int  # of the model, number of scalars
+    planned_steps: int | None  # updates of the budget, None for one of time; where more than steps, the clock cut them
+    learning_rate: float  # of the last update
 
 
 class Trainer:
@@ -344,11 +333,15 @@ class Trainer:
             torch.set_num_threads(threads)
             bar.close()
         self.save()
-        stopped_by = "steps" if self.step >= budget.steps else "time"
-        count = sum(p.numel() for p in self.parameters)
-        planned = budget.steps if budget.budget == "steps" else None
-        rate = learning_rate(self.config.optim, max(self.step - 1, 0), self.expected_steps)
-        return TrainingResult(self.step, self.seconds, stopped_by, self.last_loss, count, planned, rate)
+        return TrainingResult(
+            self.step,
+            self.seconds,
+            "steps" if self.step >= budget.steps else "time",
+            self.last_loss,
+            sum(p.numel() for p in self.parameters),
+            budget.steps if budget.budget == "steps" else None,
+            learning_rate(self.config.optim, max(self.step - 1, 0), self.expected_steps),
+        )
 
     def final_weights(self) -> dict[str, Tensor]:
         """The weights to judge: the running average where there is one, else the last."""

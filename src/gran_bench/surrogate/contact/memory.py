@@ -100,12 +100,9 @@ def gather(
     positions: Sequence[FloatArray],
     angular_velocities: Sequence[FloatArray],
 ) -> ContactMemory:
-    """The memory at the end of a frame.
+    """The memory at the end of a frame of contacts with ``springs``, ``(M + W, 3)`` mm, at its start.
 
-    Args:
-        contacts: that the frame had.
-        springs: ``(M + W, 3)`` mm, theirs at the start.
-        positions, angular_velocities: ``(N, 3)`` m and rad/s at its two ends.
+    Positions and angular velocities are those at its two ends, ``(N, 3)`` m and rad/s.
     """
     radius, walls = scene.filling.radius / MILLIMETRE, contacts.walls
     start, end = (np.asarray(p, np.float32) / np.float32(MILLIMETRE) for p in positions)

@@ -190,7 +190,7 @@ def _multiples(point: FloatArray, axis: FloatArray, spacing: float, low: FloatAr
 
 
 def _near(position: Tensor, shapes: FloatArray, radius: float) -> tuple[Tensor, Tensor, list[tuple[Tensor, Tensor]]]:
-    """Particles closer than R to a wall, ``(P,)``, how far each is, and distance and direction of each wall for all."""
+    """Particles closer than R to a wall, how far each is, and distance and direction of each wall for all."""
     found = [closest_point(shape, position) for shape in shapes]
     distance = torch.stack([d for d, _ in found]).amin(dim=0)
     near = torch.nonzero(distance.detach() < radius)[:, 0]
@@ -198,14 +198,7 @@ def _near(position: Tensor, shapes: FloatArray, radius: float) -> tuple[Tensor, 
 
 
 def see_spheres(position: Tensor, scene: Scene, time: float, radius: float, spacing: float) -> WallPairs:
-    """The walls as boundary spheres; only those within R of a particle are kept.
-
-    Args:
-        position: ``(N, 3)`` m.
-        time: start of the frame, s.
-        radius: R, m.
-        spacing: of the spheres, m.
-    """
+    """The walls as spheres ``spacing`` m apart in the frame from ``time``, s; only those within R of a particle."""
     shapes = frame_walls(scene, time).after
     near, distance, _ = _near(position, shapes, radius)
     centres = position.detach()[near].double().cpu().numpy()
@@ -236,12 +229,6 @@ def see_contacts(position: Tensor, velocity: Tensor, scene: Scene, time: float, 
     """The walls as their closest points: one source for each particle and wall closer than R.
 
     Pieces of one surface answer a particle once, as in the DEM (:mod:`gran_bench.dem.seams`).
-
-    Args:
-        position: ``(N, 3)`` m.
-        velocity: ``(N, 3)`` m/s, for the slip.
-        time: start of the frame, s.
-        radius: R, m.
     """
     shapes = frame_walls(scene, time).after
     near, distances, found = _near(position, shapes, radius)

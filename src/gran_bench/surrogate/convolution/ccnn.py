@@ -31,16 +31,7 @@ _OUTPUT_START = 0.1  # first output weights, of their usual size: an untrained n
 
 
 class MixingLayer(nn.Module):
-    """convolution(h) + W h + b, and h itself where widths agree; h is the ReLU of what came before.
-
-    Args:
-        width_in: C_in.
-        width_out: C_out.
-        basis: of the convolution's kernel.
-        residual: add the input where C_in = C_out.
-        backend: of the convolution.
-        neighbors: expected of a particle.
-    """
+    """convolution(h) + W h + b of h = ReLU(features); with ``residual``, + features where C_in = C_out."""
 
     def __init__(
         self, width_in: int, width_out: int, basis: KernelBasis, residual: bool, backend: str, neighbors: float
@@ -153,19 +144,25 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
             features = layer(features, pairs)
         output = of_pairs = pairs.nearness(self.diameter)[:, None] * features
         if self.has_walls and scene.walls:
-            if self.boundary.kind == "analytic":
-                wall = see_contacts(position, velocity, scene, time, self.config.radius)
-            else:
-                spacing = self.boundary.spacing * scene.filling.diameter
-                wall = see_spheres(position, scene, time, self.config.radius, spacing)
+            wall = self._see_walls(position, velocity, scene, time)
             if len(wall.near):
                 fade = nearness(wall.distance, 0.5 * self.diameter, self.config.radius)
-                features, among = self._wall_input(velocity[wall.near], wall), pairs.restricted(wall.near)
-                for layer in self.wall_layers:
-                    features = layer(features, among)
-                output = output.index_add(0, wall.near, fade[:, None] * features)
+                of_wall = fade[:, None] * self._wall_branch(velocity[wall.near], pairs, wall)
+                output = output.index_add(0, wall.near, of_wall)
         unit = self.config.output_scale / scene.frame_interval**2
         return output * unit, of_pairs * unit
+
+    def _see_walls(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> WallPairs:
+        if self.boundary.kind == "analytic":
+            return see_contacts(position, velocity, scene, time, self.config.radius)
+        return see_spheres(position, scene, time, self.config.radius, self.boundary.spacing * scene.filling.diameter)
+
+    def _wall_branch(self, velocity: Tensor, pairs: Neighborhood, wall: WallPairs) -> Tensor:
+        """Output of the wall branch, ``(P, 3)``, from the near particles' velocities ``(P, 3)``."""
+        features, among = self._wall_input(velocity, wall), pairs.restricted(wall.near)
+        for layer in self.wall_layers:
+            features = layer(features, among)
+        return features
 
     def _wall_input(self, velocity: Tensor, wall: WallPairs) -> Tensor:
         """Layer 1 of the wall branch, ``(P, 3/2 width)``: own velocity, normals seen, velocities seen."""

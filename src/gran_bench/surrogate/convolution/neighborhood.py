@@ -70,11 +70,7 @@ class Neighborhood:
         return replace(turned, source_count=self.query_count)
 
     def restricted(self, kept: Tensor) -> Neighborhood:
-        """The pairs among some of the particles, renumbered; for queries that are the sources.
-
-        Args:
-            kept: ``(P,)`` int64, increasing.
-        """
+        """The pairs among the particles ``kept``, ``(P,)`` int64, renumbered; for queries that are the sources."""
         place = torch.full((self.source_count,), -1, dtype=torch.int64, device=self.source.device)
         place[kept] = torch.arange(len(kept), device=kept.device)
         query, source = place.index_select(0, self.query), place.index_select(0, self.source)
@@ -103,14 +99,7 @@ def weigh_pairs(
     source_count: int,
     symmetric: bool = False,
 ) -> Neighborhood:
-    """Window and basis functions of a list of pairs.
-
-    Args:
-        query: ``(M,)`` int64, sorted.
-        source: ``(M,)`` int64.
-        relative: ``(M, 3)`` source − query, m; at most R long.
-        symmetric: see :class:`Neighborhood`; the caller's promise.
-    """
+    """The neighbourhood of M pairs: sorted queries, sources, and ``(M, 3)`` source − query, m, at most R long."""
     starts = _starts(torch.bincount(query, minlength=query_count))
     return Neighborhood(basis, starts, source, *_weigh(basis, relative), source_count, symmetric)
 
@@ -121,10 +110,8 @@ def particle_neighborhood(basis: KernelBasis, position: Tensor, period: float = 
     Each pair is listed from both sides; the basis is evaluated on one side and mirrored to the other.
 
     Args:
-        basis: of the kernel; gives R.
         position: ``(N, 3)`` m; detach it to hold the geometry constant.
-        period: length of the periodic y axis, m; 0 for none. Where it is shorter than 2 R, a particle may be seen
-            through both sides.
+        period: of the y axis, m; 0 for none. Where it is shorter than 2 R, a particle may be seen through both sides.
     """
     count = len(position)
     if period > 0.0:
@@ -150,15 +137,8 @@ def particle_neighborhood(basis: KernelBasis, position: Tensor, period: float = 
 
 
 def periodic_images(position: Tensor, reach: float, period: float) -> tuple[Tensor, Tensor]:
-    """The points of one period and their images up to ``reach`` beyond its ends.
-
-    Args:
-        position: ``(N, 3)`` m, y in [−L/2, L/2).
-        reach: m.
-        period: L, m.
-
-    Returns:
-        points ``(N + G, 3)`` m, the originals first; the original of each, ``(N + G,)`` int64.
+    """Points of one period, y in [−L/2, L/2), then their images up to ``reach`` (m) beyond: ``(N + G, 3)`` m; and
+    the original of each, ``(N + G,)`` int64.
     """
     everyone = torch.arange(len(position), device=position.device)
     points, original = [position], [everyone]
@@ -196,13 +176,7 @@ def _both_sides(one, other, count):
 
 
 def nearness(distance: Tensor, touching: float, radius: float) -> Tensor:
-    """What a body at a distance counts: 1 as far as half-way from ``touching`` to R, from there falling to 0 at R.
-
-    Args:
-        distance: m.
-        touching: distance of touching bodies, m.
-        radius: R, m.
-    """
+    """What a body at a distance counts: 1 as far as half-way from ``touching`` to R, from there falling to 0 at R."""
     return _share_of_full(_window(distance.clamp_min(0.0) ** 2, radius), touching, radius)
 
 
