@@ -11,7 +11,7 @@ from gran_bench.config import LossConfig, SceneConfig
 from gran_bench.config.choices import loss_terms
 from gran_bench.config.registry import LOSS_TERMS
 from gran_bench.losses import FrameAhead, LossError, Target, WindowLoss, contact_overlaps, frame_weights
-from gran_bench.losses.particles import HUBER_WIDTH
+from gran_bench.losses.terms import HUBER_WIDTH
 from gran_bench.scene import Cone, Disc, Outlet, Plane, Scene, Translation, build_scene
 from gran_bench.surrogate.step import FrameState
 

@@ -11,12 +11,13 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
+
+from tqdm import tqdm
 
 from gran_bench.dataset.case_file import read_attributes
 from gran_bench.dataset.case_spec import CaseSpec, DatasetError
 from gran_bench.dataset.generation import Job
-from gran_bench.dataset.progress import SimulatedTimeBar
 from gran_bench.processes import ONE_THREAD, start_module
 
 
@@ -125,3 +126,54 @@ def _last_words(status: int, complaints: BinaryIO) -> str:
     if status < 0:
         why = f"its process was ended by signal {-status} (9: often a lack of memory; try dataset.workers=1)"
     return f"{why}; run the same command again, finished files are kept"
+
+
+class SimulatedTimeBar:
+    """A bar over the simulated seconds of all jobs; safe to feed from several threads.
+
+    Args:
+        jobs: everything that will run, each with its ``simulated_seconds``; none draws no bar.
+        show: False never draws; True draws where there is a terminal.
+    """
+
+    def __init__(self, jobs: list[Any], show: bool) -> None:
+        self._expected = {id(job): job.simulated_seconds for job in jobs}
+        self._covered = dict.fromkeys(self._expected, 0.0)
+        self._done, self._lock = 0, threading.Lock()
+        self._bar = tqdm(
+            total=round(sum(self._expected.values()), 6),
+            desc=self._description(),
+            disable=None if show and jobs else True,
+            bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.1f} s simulated "
+            "[{elapsed}<{remaining}{postfix}]",
+        )
+
+    def __enter__(self) -> SimulatedTimeBar:
+        return self
+
+    def __exit__(self, *exception: Any) -> None:
+        self._bar.close()
+
+    def reached(self, job: Any, seconds: float) -> None:
+        """``job`` has simulated ``seconds`` so far; a bed that takes longer than expected stretches the bar."""
+        with self._lock:
+            self._bar.total += max(0.0, seconds - self._expected[id(job)])
+            self._expected[id(job)] = max(seconds, self._expected[id(job)])
+            self._bar.update(seconds - self._covered[id(job)])
+            self._covered[id(job)] = seconds
+
+    def finished(self, job: Any) -> None:
+        """``job`` is done, whoever did it."""
+        self.reached(job, self._expected[id(job)])
+        with self._lock:
+            self._done += 1
+            self._bar.set_postfix_str("", refresh=False)
+            self._bar.set_description_str(self._description())
+
+    def waits(self, job: Any) -> None:
+        """``job`` waits for another process that is making the same file."""
+        with self._lock:
+            self._bar.set_postfix_str("waiting for another process")
+
+    def _description(self) -> str:
+        return f"data {self._done}/{len(self._expected)} files"
