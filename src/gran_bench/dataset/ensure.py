@@ -139,13 +139,12 @@ class SimulatedTimeBar:
     def __init__(self, jobs: list[Any], show: bool) -> None:
         self._expected = {id(job): job.simulated_seconds for job in jobs}
         self._covered = dict.fromkeys(self._expected, 0.0)
-        self._done, self._lock = 0, threading.Lock()
+        self._done, self._lock = -1, threading.Lock()
         self._bar = tqdm(
             total=round(sum(self._expected.values()), 6),
-            desc=self._description(),
+            desc=self._one_more(),
             disable=None if show and jobs else True,
-            bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.1f} s simulated "
-            "[{elapsed}<{remaining}{postfix}]",
+            bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.1f} s simulated [{elapsed}<{remaining}{postfix}]",
         )
 
     def __enter__(self) -> SimulatedTimeBar:
@@ -166,14 +165,14 @@ class SimulatedTimeBar:
         """``job`` is done, whoever did it."""
         self.reached(job, self._expected[id(job)])
         with self._lock:
-            self._done += 1
             self._bar.set_postfix_str("", refresh=False)
-            self._bar.set_description_str(self._description())
+            self._bar.set_description_str(self._one_more())
 
     def waits(self, job: Any) -> None:
         """``job`` waits for another process that is making the same file."""
         with self._lock:
             self._bar.set_postfix_str("waiting for another process")
 
-    def _description(self) -> str:
+    def _one_more(self) -> str:
+        self._done += 1
         return f"data {self._done}/{len(self._expected)} files"

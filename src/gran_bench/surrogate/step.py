@@ -76,11 +76,10 @@ class Surrogate(nn.Module):
         of instantaneous velocities, the stored velocity is taken.
 
         Args:
-            position: ``(N, 3)`` m.
-            velocity: ``(N, 3)`` m/s, as stored.
+            position, velocity: ``(N, 3)`` m and m/s, as stored.
             angular_velocity: ``(N, 3)`` rad/s; needed by a model that uses spin.
             previous_position: ``(N, 3)`` m, a frame earlier.
-            memory: of the start frame, as :meth:`memories` gives it; a model without memory takes no notice.
+            memory: of the start frame, as :meth:`memories` gives it; None at the settled state.
 
         Raises:
             ValueError: a model of spin that is given none, or a value that is not ``(N, 3)`` or not finite.
@@ -95,18 +94,13 @@ class Surrogate(nn.Module):
                 raise ValueError(f"{name} is not finite; give begin() finite values, a model can make nothing of it")
         if self.velocity_kind == "mean" and previous_position is not None:
             velocity = minimum_image(position - previous_position, scene.period) / scene.frame_interval
-        return FrameState(position, velocity, angular_velocity if self.uses_spin else None)
+        spin, memory = angular_velocity if self.uses_spin else None, memory if self.has_memory else None
+        return FrameState(position, velocity, spin, memory)
 
     def memories(
         self, scene: Scene, times: FloatArray, positions: FloatArray, angular_velocities: FloatArray
     ) -> list[object] | None:
-        """What the model remembers at each of F stored frames, from the settled one on; None without a memory.
-
-        Args:
-            times: ``(F,)`` s.
-            positions: ``(F, N, 3)`` m.
-            angular_velocities: ``(F, N, 3)`` rad/s.
-        """
+        """What the model remembers at each of F stored frames (s, m, rad/s), from the settled one on; or None."""
         return None
 
     def forward(self, state: FrameState, scene: Scene, time: float) -> FrameState:

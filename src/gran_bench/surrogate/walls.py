@@ -23,20 +23,12 @@ SHAPE = 11  # first columns of a pose: what a wall is, and where
 
 @dataclass(frozen=True)
 class FrameWalls:
-    """The W walls of a scene over one frame.
+    """The W walls of a scene over one frame; what is at c when it ends moved by ``turn`` c + ``shift`` in it."""
 
-    The material that is at c when the frame ends moved by ``turn`` c + ``shift`` in it.
-
-    Attributes:
-        before, after: ``(W, 11)`` shapes at the frame's start and end, the first columns of a pose, m.
-        turn: ``(W, 3, 3)``.
-        shift: ``(W, 3)`` m.
-    """
-
-    before: FloatArray
-    after: FloatArray
-    turn: FloatArray
-    shift: FloatArray
+    before: FloatArray  # (W, 11) shapes at the frame's start, the first columns of a pose, m
+    after: FloatArray  # (W, 11) at its end
+    turn: FloatArray  # (W, 3, 3)
+    shift: FloatArray  # (W, 3) m
 
     def in_unit(self, unit: float) -> FrameWalls:
         """The same with lengths in another unit, m."""

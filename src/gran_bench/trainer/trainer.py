@@ -150,9 +150,7 @@ class Trainer:
     def _cut_ahead(self, work: np.ndarray, seconds_a_frame: float) -> str | None:
         """A sentence that says how much of a budget of steps the clock will cut at this pace; None for nothing.
 
-        Args:
-            work: frames ahead of all updates up to each one: an update takes as long as it looks ahead.
-            seconds_a_frame: so far.
+        ``work``: frames ahead of all updates up to each one; an update takes as long as it looks ahead.
         """
         budget, done = self.config.trainer, work[self.step - 1]
         needed = self.spent + (work[-1] - done) * seconds_a_frame
@@ -174,18 +172,14 @@ class Trainer:
             count = len(window.position[0])
             window, memory = window.mirrored(), None if memory is None else memory.mirrored(window.scene, count)
         state = self._start(model, window, memory, rng)
-        scene, through_time = window.scene, self.config.rollout.gradient_through_time
+        scene, kind, through_time = window.scene, model.velocity_kind, self.config.rollout.gradient_through_time
         total, terms, gradients = 0.0, {}, [torch.zeros_like(p) for p in self.parameters]
         for k in range(1, frames + 1):
             start = window.time + (k - 1) * scene.frame_interval
             before, state = state, model(state, scene, start)
-            target = Target(
-                self._tensor(window.position[k]),
-                self._tensor(window.velocity_at(k, model.velocity_kind)),
-                self._tensor(window.angular_velocity[k]),
-                self._tensor(window.velocity_at(k - 1, model.velocity_kind)),
-                float(window.mean_overlap[k]),
-            )
+            truth = (window.position[k], window.velocity_at(k, kind), window.angular_velocity[k])
+            earlier = window.velocity_at(k - 1, kind)
+            target = Target(*map(self._tensor, (*truth, earlier)), float(window.mean_overlap[k]))
             shares = self.loss.terms(FrameAhead(before, state, target, scene, start), k, frames)
             for name, value in shares.items():
                 terms[name] = terms.get(name, 0.0) + value.item()
@@ -206,8 +200,8 @@ class Trainer:
     def _start(self, model: Surrogate, window: Window, memory: Any, rng: np.random.Generator) -> FrameState:
         """The window's first state with training noise, in the model's form."""
         rollout, scene = self.config.rollout, window.scene
-        position, velocity = self._tensor(window.position[0]), self._tensor(window.velocity_at(0, model.velocity_kind))
-        spin = self._tensor(window.angular_velocity[0])
+        first = window.position[0], window.velocity_at(0, model.velocity_kind), window.angular_velocity[0]
+        position, velocity, spin = map(self._tensor, first)
         if rollout.noise > 0:
 
             def noise() -> Tensor:
@@ -247,8 +241,7 @@ class Trainer:
         for i, parameter in enumerate(self.parameters):
             parameter.grad = torch.stack([gradients[i] for _, _, _, gradients in results]).mean(dim=0)
         metrics = {"loss": sum(r[1] for r in results) / len(results), "learning_rate": 0.0, "frames_ahead": frames}
-        for name in results[0][2]:
-            metrics[f"term/{name}"] = sum(r[2][name] for r in results) / len(results)
+        metrics |= {f"term/{name}": sum(r[2][name] for r in results) / len(results) for name in results[0][2]}
         norm = torch.linalg.vector_norm(torch.stack([torch.linalg.vector_norm(p.grad) for p in self.parameters]))
         metrics["gradient_norm"] = norm.item()
         if not (math.isfinite(metrics["loss"]) and math.isfinite(metrics["gradient_norm"])):
@@ -333,15 +326,12 @@ class Trainer:
             torch.set_num_threads(threads)
             bar.close()
         self.save()
-        return TrainingResult(
-            self.step,
-            self.seconds,
-            "steps" if self.step >= budget.steps else "time",
-            self.last_loss,
-            sum(p.numel() for p in self.parameters),
-            budget.steps if budget.budget == "steps" else None,
-            learning_rate(self.config.optim, max(self.step - 1, 0), self.expected_steps),
-        )
+        count = sum(p.numel() for p in self.parameters)
+        stopped_by, planned = "steps" if self.step >= budget.steps else "time", None
+        if budget.budget == "steps":
+            planned = budget.steps
+        rate = learning_rate(self.config.optim, max(self.step - 1, 0), self.expected_steps)
+        return TrainingResult(self.step, self.seconds, stopped_by, self.last_loss, count, planned, rate)
 
     def final_weights(self) -> dict[str, Tensor]:
         """The weights to judge: the running average where there is one, else the last."""

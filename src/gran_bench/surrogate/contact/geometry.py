@@ -19,26 +19,16 @@ from gran_bench.surrogate.walls import FrameWalls, frame_walls
 
 @dataclass(frozen=True)
 class ContactList:
-    """The contacts that a frame may have; found once a frame.
+    """The contacts that a frame may have; found once a frame."""
 
-    Attributes:
-        pairs: ``(M, 2)`` int64, i < j, sorted.
-        wall_particle: ``(W,)`` int64, sorted within each wall.
-        wall: ``(W,)`` int64, index into ``scene.walls``, sorted.
-        other_piece: ``(W,)`` int64, the piece of the same surface that the contact answers for as well, where a sphere
-            is over a seam; elsewhere the wall itself.
-        walls: of the frame, mm.
-        period: mm, along y; 0 where nothing wraps.
-        count: N.
-    """
-
-    pairs: NDArray[np.int64]
-    wall_particle: NDArray[np.int64]
-    wall: NDArray[np.int64]
+    pairs: NDArray[np.int64]  # (M, 2) i < j, sorted
+    wall_particle: NDArray[np.int64]  # (W,) sorted within each wall
+    wall: NDArray[np.int64]  # (W,) index into scene.walls, sorted
+    # (W,) of a sphere over a seam the piece of the same surface that the contact answers for too; else the wall itself
     other_piece: NDArray[np.int64]
-    walls: FrameWalls
-    period: float
-    count: int
+    walls: FrameWalls  # of the frame, mm
+    period: float  # mm, along y; 0 where nothing wraps
+    count: int  # N
 
     @property
     def keys(self) -> NDArray[np.int64]:

@@ -78,14 +78,14 @@ class ContactMemory:
         return ContactMemory(keys[kept], self.spring[kept])
 
 
-def springs_of(memory: ContactMemory, contacts: ContactList) -> Tensor:
+def springs_of(memory: ContactMemory | None, contacts: ContactList) -> Tensor:
     """The spring of each listed contact, zero where it is new, ``(M + W, 3)`` float32 mm.
 
     A contact over a seam goes on with the spring that the sphere had with the other piece of the surface.
     """
     keys, pairs = contacts.keys, len(contacts.pairs)
     spring = np.zeros((len(keys), 3), np.float32)
-    if len(memory.keys):
+    if memory is not None and len(memory.keys):
         for mine, wanted in ((spring[pairs:], contacts.keys_of_other_pieces), (spring, keys)):
             place = np.minimum(np.searchsorted(memory.keys, wanted), len(memory.keys) - 1)
             known = memory.keys[place] == wanted
@@ -121,13 +121,7 @@ def gather(
 def follow_memory(
     scene: Scene, times: Iterable[float], positions: FloatArray, angular_velocities: FloatArray
 ) -> Iterator[ContactMemory]:
-    """The memory at each of F stored frames, the first one empty; exact where that one is the settled state.
-
-    Args:
-        times: F times, s.
-        positions: ``(F, N, 3)`` m.
-        angular_velocities: ``(F, N, 3)`` rad/s.
-    """
+    """The memory at each of F stored frames (s, m, rad/s), the first empty; exact where that is the settled state."""
     memory = ContactMemory.empty()
     yield memory
     for k, time in enumerate(list(times)[:-1]):

@@ -82,20 +82,6 @@ class ContactNetwork(Surrogate):
         self.mix_weight = nn.Parameter(mix_weight)
         self.mix_bias = nn.Parameter(torch.zeros(iterations, channels + 1))
 
-    def begin(
-        self,
-        scene: Scene,
-        position: Tensor,
-        velocity: Tensor,
-        angular_velocity: Tensor | None = None,
-        previous_position: Tensor | None = None,
-        memory: ContactMemory | None = None,
-    ) -> FrameState:
-        """The state to start from; ``memory`` is that of the start frame, none at the settled state."""
-        state = super().begin(scene, position, velocity, angular_velocity, previous_position)
-        state.memory = (memory or ContactMemory.empty()) if self.has_memory else None
-        return state
-
     def memories(
         self, scene: Scene, times: FloatArray, positions: FloatArray, angular_velocities: FloatArray
     ) -> list[ContactMemory] | None:

@@ -96,19 +96,12 @@ def nearest_fade(model: Surrogate, contacts: ContactList, end: Tensor) -> Tensor
 
 @dataclass
 class Surfaces:
-    """What two surfaces do at C contacts.
+    """What two surfaces do at C contacts."""
 
-    Attributes:
-        normal: ``(C, 3)`` unit vectors from i to its partner.
-        gap: ``(C,)`` mm, negative where they overlap.
-        approach: ``(C,)`` u_n, mm a frame, positive where they part.
-        slip: ``(C, 3)`` tangential displacement of the partner's surface against that of i, mm a frame.
-    """
-
-    normal: Tensor
-    gap: Tensor
-    approach: Tensor
-    slip: Tensor
+    normal: Tensor  # (C, 3) unit vectors from i to its partner
+    gap: Tensor  # (C,) mm, negative where they overlap
+    approach: Tensor  # (C,) u_n, mm a frame, positive where they part
+    slip: Tensor  # (C, 3) tangential displacement of the partner's surface against that of i, mm a frame
 
 
 @dataclass

@@ -25,30 +25,18 @@ class WallPairs:
     """The wall as the particles near it see it in one frame.
 
     P particles are near: their centre is closer than R to a wall's surface. They see S sources through M pairs.
-
-    Attributes:
-        near: ``(P,)`` int64, indices of the near particles, increasing.
-        distance: ``(P,)`` of their centres from the nearest wall, m.
-        query: ``(M,)`` int64 into ``near``, sorted.
-        source: ``(M,)`` int64 into the sources.
-        relative: ``(M, 3)`` source − particle, m.
-        normal: ``(S, 3)`` unit normals into the container, or to the particle's side of a wall with two sides.
-        velocity: ``(S, 3)`` velocity of the wall's material, mean over the frame, m/s.
-        moves: whether any wall of the scene ever moves; where none does, the velocities are zero.
-        gap: ``(S,)`` distance from the wall to the particle's surface, in diameters; analytic sources only.
-        slip: ``(S, 3)`` velocity of the wall less that of the particle, m/s; analytic sources only.
     """
 
-    near: Tensor
-    distance: Tensor
-    query: Tensor
-    source: Tensor
-    relative: Tensor
-    normal: Tensor
-    velocity: Tensor
-    moves: bool
-    gap: Tensor | None = None
-    slip: Tensor | None = None
+    near: Tensor  # (P,) int64, indices of the near particles, increasing
+    distance: Tensor  # (P,) m, of their centres from the nearest wall
+    query: Tensor  # (M,) int64 into near, sorted
+    source: Tensor  # (M,) int64 into the sources
+    relative: Tensor  # (M, 3) m, source − particle
+    normal: Tensor  # (S, 3) unit normals into the container, or to the particle's side of a wall with two sides
+    velocity: Tensor  # (S, 3) m/s, of the wall's material, mean over the frame
+    moves: bool  # whether any wall of the scene ever moves; where none does, the velocities are zero
+    gap: Tensor | None = None  # (S,) from the wall to the particle's surface, in diameters; analytic sources only
+    slip: Tensor | None = None  # (S, 3) m/s, of the wall less that of the particle; analytic sources only
 
 
 @dataclass(frozen=True)
@@ -56,17 +44,12 @@ class WallSpheres:
     """W points that cover the walls of a scene; a smooth drum is the same at every angle, so they rest on it.
 
     A wall with two sides has each point twice, once with either normal.
-
-    Attributes:
-        position, normal: ``(W, 3)`` on the surface, m, and into the container, or to one side.
-        wall: ``(W,)`` index of the wall each lies on.
-        two_sided: ``(W,)`` bool; such a point is seen from the side that its normal points to.
     """
 
-    position: FloatArray
-    normal: FloatArray
-    wall: np.ndarray
-    two_sided: np.ndarray
+    position: FloatArray  # (W, 3) m, on the surface
+    normal: FloatArray  # (W, 3) into the container, or to one side
+    wall: np.ndarray  # (W,) index of the wall each lies on
+    two_sided: np.ndarray  # (W,) bool; such a point is seen from the side that its normal points to
 
 
 def wall_spheres(

@@ -25,26 +25,17 @@ KernelBasis = LatticeBasis | RadialBasis  # all that a layer may have
 class Neighborhood:
     """Who sees whom in a frame, and with which weight: shared by every layer of a basis.
 
-    Attributes:
-        basis: of the kernel.
-        row_start: ``(Q + 1,)`` int64; the pairs of query q are row_start[q] … row_start[q + 1].
-        source: ``(M,)`` int64, the source of each pair.
-        first: ``(M,)`` int64, first basis function of each pair.
-        coefficient: ``(M, 8)`` window × basis function; differentiable in the positions unless they were detached.
-        window: ``(M,)`` (1 − r²/R²)³.
-        source_count: S.
-        symmetric: queries are the sources, and with (q, i) the list holds (i, q) with the opposite vector. The
-            transposed layer is then the same layer with a mirrored kernel, and its backward pass needs no other list.
+    The transposed layer of a symmetric list is the same layer with a mirrored kernel: it needs no list of its own.
     """
 
-    basis: KernelBasis
-    row_start: Tensor
-    source: Tensor
-    first: Tensor
-    coefficient: Tensor
-    window: Tensor
-    source_count: int
-    symmetric: bool = False
+    basis: KernelBasis  # of the kernel
+    row_start: Tensor  # (Q + 1,) int64; the pairs of query q are row_start[q] … row_start[q + 1]
+    source: Tensor  # (M,) int64, the source of each pair
+    first: Tensor  # (M,) int64, first basis function of each pair
+    coefficient: Tensor  # (M, 8) window × basis function; differentiable in positions that were not detached
+    window: Tensor  # (M,) (1 − r²/R²)³
+    source_count: int  # S
+    symmetric: bool = False  # queries are the sources, and with (q, i) the list holds (i, q) with the opposite vector
 
     @property
     def query_count(self) -> int:

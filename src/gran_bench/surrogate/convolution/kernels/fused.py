@@ -148,14 +148,5 @@ class _FusedConvolution(torch.autograd.Function):
 
 
 def convolve_fused(features: Tensor, weight: Tensor, pairs: Neighborhood) -> Tensor:
-    """The same as :func:`~gran_bench.surrogate.convolution.cconv.convolve` on a CPU, with the geometry held constant.
-
-    Args:
-        features: ``(S, C_in)`` float32 or float64.
-        weight: ``(B, C_in, C_out)`` of the same type.
-        pairs: the frame's geometry.
-
-    Returns:
-        ``(Q, C_out)``.
-    """
+    """:func:`~gran_bench.surrogate.convolution.cconv.convolve` on a CPU in float32 or float64, the geometry constant."""
     return _FusedConvolution.apply(features, weight, pairs)
