@@ -144,7 +144,8 @@ class SimulatedTimeBar:
             total=round(sum(self._expected.values()), 6),
             desc=self._one_more(),
             disable=None if show and jobs else True,
-            bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.1f} s simulated [{elapsed}<{remaining}{postfix}]",
+            bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.1f} s simulated "
+            "[{elapsed}<{remaining}{postfix}]",
         )
 
     def __enter__(self) -> SimulatedTimeBar:

@@ -148,5 +148,5 @@ class _FusedConvolution(torch.autograd.Function):
 
 
 def convolve_fused(features: Tensor, weight: Tensor, pairs: Neighborhood) -> Tensor:
-    """:func:`~gran_bench.surrogate.convolution.cconv.convolve` on a CPU in float32 or float64, the geometry constant."""
+    """:func:`~gran_bench.surrogate.convolution.cconv.convolve` on a CPU in float32 or 64, the geometry constant."""
     return _FusedConvolution.apply(features, weight, pairs)
