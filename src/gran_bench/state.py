@@ -27,22 +27,15 @@ class StateError(ValueError):
 class ContactHistory:
     """The elastic tangential force that each touching contact remembers.
 
-    Attributes:
-        first: ``(M,)`` int64, index of the particle that the force acts on.
-        second: ``(M,)`` int64, index of the other particle, or ``-1 - w`` for wall ``w`` of the scene.
-        force: ``(M, 3)`` float64, elastic tangential force on ``first``, N.
-        overlap: ``(M,)`` float64, overlap when the force was stored, m.
-        rolling_moment: ``(M, 3)`` float64, elastic rolling moment on ``first``, N m; zeros without a rolling model.
-
     Raises:
         StateError: a shape that does not fit, or what is no array of numbers.
     """
 
-    first: NDArray[np.int64]
-    second: NDArray[np.int64]
-    force: FloatArray
-    overlap: FloatArray
-    rolling_moment: FloatArray | None = None
+    first: NDArray[np.int64]  # (M,) index of the particle that the force acts on
+    second: NDArray[np.int64]  # (M,) index of the other particle, or -1 - w for wall w of the scene
+    force: FloatArray  # (M, 3) N, elastic tangential force on first
+    overlap: FloatArray  # (M,) m, when the force was stored
+    rolling_moment: FloatArray | None = None  # (M, 3) N m, elastic, on first; zeros without a rolling model
 
     def __post_init__(self) -> None:
         _keep(self, "first", _indices("history.first", self.first, np.int64))
@@ -83,33 +76,21 @@ class Continuation:
 
 @dataclass(frozen=True)
 class ParticleState:
-    """N spheres at one instant.
-
-    Attributes:
-        position: ``(N, 3)`` centres, m.
-        velocity: ``(N, 3)`` m/s.
-        angular_velocity: ``(N, 3)`` rad/s.
-        radius: ``(N,)`` m.
-        time: s, in the scene's clock.
-        history: what the contacts remember; empty for a fresh filling.
-        material: ``(N,)`` uint8, index into the scene's ``materials``; zeros unless given.
-        continuation: of the run that ended here; None where none did.
-
-    Lists will do for arrays.
+    """N spheres at one instant. Lists will do for arrays.
 
     Raises:
         StateError: what is no array of numbers, a shape that does not fit, a value that is not finite, a radius that
             is not positive, or a material that is no index.
     """
 
-    position: FloatArray
-    velocity: FloatArray
-    angular_velocity: FloatArray
-    radius: FloatArray
-    time: float = 0.0
-    history: ContactHistory = field(default_factory=ContactHistory.empty)
-    material: NDArray[np.uint8] | None = None
-    continuation: Continuation | None = None
+    position: FloatArray  # (N, 3) m, of the centres
+    velocity: FloatArray  # (N, 3) m/s
+    angular_velocity: FloatArray  # (N, 3) rad/s
+    radius: FloatArray  # (N,) m
+    time: float = 0.0  # s, in the scene's clock
+    history: ContactHistory = field(default_factory=ContactHistory.empty)  # empty for a fresh filling
+    material: NDArray[np.uint8] | None = None  # (N,) index into the scene's materials; zeros unless given
+    continuation: Continuation | None = None  # of the run that ended here, if one did
 
     def __post_init__(self) -> None:
         position = _numbers("position", self.position)
@@ -142,15 +123,6 @@ class ParticleState:
 class Trajectory:
     """F frames of N spheres, as a solver or a surrogate made them; nothing clipped, dropped or projected.
 
-    Attributes:
-        time: ``(F,)`` s.
-        position: ``(F, N, 3)`` m.
-        velocity: ``(F, N, 3)`` m/s, instantaneous unless ``velocity_kind`` says ``mean``.
-        angular_velocity: ``(F, N, 3)`` rad/s, or None for a model that has no spin.
-        radius: ``(N,)`` m.
-        diagnostics: per-frame scalars ``(F,)`` by name (overlap and energy figures), in SI.
-        velocity_kind: ``instantaneous``, or ``mean`` over the frame that ends at ``time``.
-
     Lists will do for arrays. Positions, velocities and spins may hold what is not finite: it is counted as a failure.
 
     Raises:
@@ -158,13 +130,13 @@ class Trajectory:
             is not positive, or an unknown kind of velocity.
     """
 
-    time: FloatArray
-    position: FloatArray
-    velocity: FloatArray
-    angular_velocity: FloatArray | None
-    radius: FloatArray
-    diagnostics: dict[str, FloatArray] = field(default_factory=dict)
-    velocity_kind: str = "instantaneous"
+    time: FloatArray  # (F,) s
+    position: FloatArray  # (F, N, 3) m
+    velocity: FloatArray  # (F, N, 3) m/s
+    angular_velocity: FloatArray | None  # (F, N, 3) rad/s, or None for a model that has no spin
+    radius: FloatArray  # (N,) m
+    diagnostics: dict[str, FloatArray] = field(default_factory=dict)  # overlaps and energies by name, (F,), in SI
+    velocity_kind: str = "instantaneous"  # or mean, over the frame that ends at time
 
     def __post_init__(self) -> None:
         position = _numbers("trajectory position", self.position)

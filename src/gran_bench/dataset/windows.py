@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -86,8 +87,14 @@ class Windows:
         intervals = {case.scene.frame_interval for case in cases}
         if len(intervals) > 1:
             raise DatasetError(f"cases have frame intervals of {sorted(intervals)} s; train on one interval")
-        for case in cases:
-            _check_finite(case)
+        for case, name in itertools.product(cases, ("position", "velocity", "angular_velocity")):
+            # A solver may leave what is no number, whose seal is whole all the same.
+            broken = np.flatnonzero(~np.isfinite(getattr(case.trajectory, name)).all(axis=(1, 2)))
+            if len(broken):
+                raise DatasetError(
+                    f"{case.path} has a {name} that is not finite in {len(broken)} of its frames, first in frame "
+                    f"{broken[0]}; no training can use it: delete it and run the same command again, or leave it out"
+                )
         self.cases, self.seed = list(cases), seed
         self.startup_fraction, self.startup_seconds = startup_fraction, startup_seconds
         self._overlap = [_mean_overlap(case) for case in cases]
@@ -144,17 +151,6 @@ def dataset_digest(cases: Iterable[Case | Path | str]) -> str:
     """16 hex digits over the digests of cases, whatever their order."""
     digests = sorted(c.digest if isinstance(c, Case) else read_attributes(c)["digest"] for c in cases)
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()[:16]
-
-
-def _check_finite(case: Case) -> None:
-    """Refuses a case that a solver left with something that is no number, whose seal is whole all the same."""
-    for name in ("position", "velocity", "angular_velocity"):
-        broken = np.flatnonzero(~np.isfinite(getattr(case.trajectory, name)).all(axis=(1, 2)))
-        if len(broken):
-            raise DatasetError(
-                f"{case.path} has a {name} that is not finite in {len(broken)} of its frames, first in frame "
-                f"{broken[0]}; no training can use it: delete it and run the same command again, or leave it out"
-            )
 
 
 def _mean_overlap(case: Case) -> FloatArray:

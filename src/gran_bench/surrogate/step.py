@@ -19,21 +19,13 @@ from gran_bench.surrogate.trained_for import TrainedFor
 
 @dataclass
 class FrameState:
-    """What a surrogate carries from frame to frame.
+    """What a surrogate carries from frame to frame."""
 
-    Attributes:
-        position: ``(N, 3)`` m; y lies in [−L/2, L/2) where the scene is periodic.
-        velocity: ``(N, 3)`` m/s, of the model's ``velocity_kind``.
-        angular_velocity: ``(N, 3)`` rad/s, or None for a model that has no spin.
-        memory: whatever else a model keeps of the past, whose ``renumbered`` follows spheres that leave; or None.
-        pair_acceleration: ``(N, 3)`` m/s², what particles gave each other in the frame that ends here; None where
-            that is not told from what walls gave.
-    """
-
-    position: Tensor
-    velocity: Tensor
-    angular_velocity: Tensor | None = None
-    memory: object | None = None
+    position: Tensor  # (N, 3) m; y lies in [−L/2, L/2) where the scene is periodic
+    velocity: Tensor  # (N, 3) m/s, of the model's velocity_kind
+    angular_velocity: Tensor | None = None  # (N, 3) rad/s, or None for a model that has no spin
+    memory: object | None = None  # whatever else a model keeps of the past; its `renumbered` follows spheres that leave
+    # (N, 3) m/s², what particles gave each other in the frame that ends here; None where it is not told from walls'
     pair_acceleration: Tensor | None = None
 
     def of_each(self, change: Callable[[Tensor], Tensor]) -> FrameState:
@@ -47,19 +39,12 @@ class FrameState:
 
 
 class Surrogate(nn.Module):
-    """A learned map from one frame to the next, at any number of particles.
+    """A learned map from one frame to the next, at any number of particles."""
 
-    Attributes:
-        velocity_kind: ``mean`` over the frame that ends at the state, or ``instantaneous``.
-        uses_spin: whether angular velocities are part of the state.
-        has_memory: whether the state carries a memory of earlier frames.
-        trained_for: what the model was made for, which a rollout compares; None for a model of no scene.
-    """
-
-    velocity_kind: str = "mean"
-    uses_spin: bool = False
-    has_memory: bool = False
-    trained_for: TrainedFor | None = None
+    velocity_kind: str = "mean"  # over the frame that ends at the state, or instantaneous
+    uses_spin: bool = False  # whether angular velocities are part of the state
+    has_memory: bool = False  # whether the state carries a memory of earlier frames
+    trained_for: TrainedFor | None = None  # what it was made for, which a rollout compares
 
     def begin(
         self,

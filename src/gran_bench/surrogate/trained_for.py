@@ -17,15 +17,10 @@ class ModelMismatch(ValueError):
 
 @dataclass(frozen=True)
 class TrainedFor:
-    """What a model was made for; its file's card says it.
+    """What a model was made for; its file's card says it."""
 
-    Attributes:
-        scene: gives d, Δt, materials, gravity, walls and the number of spheres.
-        speeds_rpm: of the drum in the training cases, rpm; empty where that is not known.
-    """
-
-    scene: Scene
-    speeds_rpm: tuple[float, ...] = ()
+    scene: Scene  # gives d, Δt, materials, gravity, walls and the number of spheres
+    speeds_rpm: tuple[float, ...] = ()  # of the drum in the training cases; empty where that is not known
 
     def warnings(self, scene: Scene, state: ParticleState) -> tuple[str, ...]:
         """What is an extrapolation of a rollout from a state, a line each.

@@ -33,14 +33,10 @@ class ContactList:
     @property
     def keys(self) -> NDArray[np.int64]:
         """One increasing number for each contact, pairs first, ``(M + W,)``."""
-        return np.concatenate((self.pairs @ (self.count, 1), self._of_walls(self.wall)))
+        return np.concatenate((self.pairs @ (self.count, 1), self.wall_keys(self.wall)))
 
-    @property
-    def keys_of_other_pieces(self) -> NDArray[np.int64]:
-        """The key that each wall contact would have with the other piece of its surface, ``(W,)``."""
-        return self._of_walls(self.other_piece)
-
-    def _of_walls(self, wall: NDArray[np.int64]) -> NDArray[np.int64]:
+    def wall_keys(self, wall: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The key that each wall contact would have with another wall, ``(W,)``."""
         return (self.count + wall) * self.count + self.wall_particle
 
 

@@ -33,15 +33,10 @@ FLIP = np.array([1.0, -1.0, 1.0], np.float32)  # y → −y
 
 @dataclass(frozen=True)
 class ContactMemory:
-    """The springs of the touching contacts of one instant.
+    """The springs of the touching contacts of one instant."""
 
-    Attributes:
-        keys: ``(C,)`` int64, increasing, as of :attr:`ContactList.keys`.
-        spring: ``(C, 3)`` float32, tangential displacement of the partner's surface against that of i, mm.
-    """
-
-    keys: NDArray[np.int64]
-    spring: FloatArray
+    keys: NDArray[np.int64]  # (C,) increasing, as of ContactList.keys
+    spring: FloatArray  # (C, 3) float32 mm, tangential displacement of the partner's surface against that of i
 
     @classmethod
     def empty(cls) -> ContactMemory:
@@ -86,7 +81,7 @@ def springs_of(memory: ContactMemory | None, contacts: ContactList) -> Tensor:
     keys, pairs = contacts.keys, len(contacts.pairs)
     spring = np.zeros((len(keys), 3), np.float32)
     if memory is not None and len(memory.keys):
-        for mine, wanted in ((spring[pairs:], contacts.keys_of_other_pieces), (spring, keys)):
+        for mine, wanted in ((spring[pairs:], contacts.wall_keys(contacts.other_piece)), (spring, keys)):
             place = np.minimum(np.searchsorted(memory.keys, wanted), len(memory.keys) - 1)
             known = memory.keys[place] == wanted
             mine[known] = memory.spring[place[known]]

@@ -106,7 +106,14 @@ def particle_neighborhood(basis: KernelBasis, position: Tensor, period: float = 
     """
     count = len(position)
     if period > 0.0:
-        points, particle = periodic_images(position, basis.radius, period)
+        points, particle = [position], [torch.arange(count, device=position.device)]
+        for image in range(1, math.ceil(basis.radius / period) + 1):  # those that are seen beyond the period's ends
+            for shift in (-image * period, image * period):
+                moved = position + position.new_tensor((0.0, shift, 0.0))
+                near = torch.nonzero(moved.detach()[:, 1].abs() <= 0.5 * period + basis.radius)[:, 0]
+                points.append(moved[near])
+                particle.append(near)
+        points, particle = torch.cat(points), torch.cat(particle)
         queries, sources = (p.detach().double().cpu().numpy() for p in (position, points))
         query, image = (torch.from_numpy(i).to(position.device) for i in cell_neighbors(queries, sources, basis.radius))
         others = image != query
@@ -125,21 +132,6 @@ def particle_neighborhood(basis: KernelBasis, position: Tensor, period: float = 
         for sides in ((first, mirrored_first), (coefficient, mirrored), (window, window))
     )
     return Neighborhood(basis, row_start, source, first, coefficient, window, count, symmetric=True)
-
-
-def periodic_images(position: Tensor, reach: float, period: float) -> tuple[Tensor, Tensor]:
-    """Points of one period, y in [−L/2, L/2), then their images up to ``reach`` (m) beyond: ``(N + G, 3)`` m; and
-    the original of each, ``(N + G,)`` int64.
-    """
-    everyone = torch.arange(len(position), device=position.device)
-    points, original = [position], [everyone]
-    for image in range(1, math.ceil(reach / period) + 1):
-        for shift in (-image * period, image * period):
-            moved = position + position.new_tensor((0.0, shift, 0.0))
-            near = torch.nonzero(moved.detach()[:, 1].abs() <= 0.5 * period + reach)[:, 0]
-            points.append(moved[near])
-            original.append(near)
-    return torch.cat(points), torch.cat(original)
 
 
 @njit(cache=True, nogil=True)

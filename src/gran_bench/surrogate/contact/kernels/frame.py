@@ -26,7 +26,7 @@ from gran_bench.surrogate.walls import SHAPE
 
 SPIN_RESPONSE = np.float32(constants.SPIN_RESPONSE)
 CHANNEL_CLAMP = np.float32(constants.CHANNEL_CLAMP)
-SMALLEST = np.float32(1e-12)  # mm; keeps a division by a distance finite
+TINY = np.float32(1e-12)  # mm; keeps a division by a distance finite
 
 # A particle's row: end of the frame y, displacement D, spin q, channels h.
 END, MOVE, TURNED, CHANNEL = 0, 3, 6, 9
@@ -118,7 +118,7 @@ def _wall_adjoint(b, contacts, first, last, walls, w, state):  # pragma: no cove
             along = dot(o, d)
             across = less(o, along, d)
             reach = math.sqrt(dot(across, across))
-            inverse = ONE / max(reach, SMALLEST)
+            inverse = ONE / max(reach, TINY)
             out = times(inverse, across)
             f = cross(d, out)
             around = dot(n, out) * inverse * dot(f, t)
@@ -126,7 +126,7 @@ def _wall_adjoint(b, contacts, first, last, walls, w, state):  # pragma: no cove
             share = (reach - r0) * dr + (along - s0) * ds
             if kind == REVOLUTION and not ZERO < share < dr * dr + ds * ds:
                 e = cross(n, f)
-                over = dot(e, t) / max(distance, SMALLEST)
+                over = dot(e, t) / max(distance, TINY)
                 c0, c1, c2 = c0 - over * e[0], c1 - over * e[1], c2 - over * e[2]
         store(b, D_NORMAL, c, (-c0, -c1, -c2))
 
