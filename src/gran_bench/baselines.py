@@ -20,12 +20,7 @@ from gran_bench.state import FloatArray, ParticleState, Trajectory
 
 
 def ballistic(scene: Scene, settled: ParticleState) -> Trajectory:
-    """Free flight: x = x₀ + v₀ τ + ½ g τ², v = v₀ + g τ, the spin kept; nothing touches anything.
-
-    Args:
-        scene: gives gravity, frame interval and number of states.
-        settled: the first state.
-    """
+    """Free flight from a settled state: x = x₀ + v₀ τ + ½ g τ², v = v₀ + g τ, the spin kept; nothing touches."""
     time = _clock(scene, settled)
     past = (time - settled.time)[:, None, None]
     gravity = np.asarray(scene.gravity)
@@ -41,9 +36,7 @@ def ballistic(scene: Scene, settled: ParticleState) -> Trajectory:
 def rigid_rotation(scene: Scene, settled: ParticleState) -> Trajectory:
     """The whole bed turns with the wall: x = Q(φ) x₀, v = ω × x, spin ω, with φ the angle that the wall has turned.
 
-    Args:
-        scene: gives the rotation, frame interval and number of states.
-        settled: the first state, which is kept as it is.
+    The settled state, the first one, is kept as it is.
     """
     time, axis = _clock(scene, settled), np.asarray(scene.rotation.axis)
     angle = np.array([scene.rotation.angle(settled.time, t) for t in time])[:, None, None]

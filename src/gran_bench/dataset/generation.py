@@ -43,11 +43,7 @@ class Job:
         return scene.start_time if self.settles else scene.end_time - scene.start_time
 
     def run(self, report: Report, waiting: Callable[[], None] = lambda: None) -> None:
-        """Make the file unless it is there.
-
-        Args:
-            report: gets the simulated time covered, s.
-            waiting: called once if another process is making the same file.
+        """Make the file unless it is there; ``waiting`` is called once if another process is making it.
 
         Raises:
             DatasetError: the simulation failed or the file cannot be written or read.

@@ -42,8 +42,7 @@ def position_mse(ahead: FrameAhead) -> Tensor:
 def huber(ahead: FrameAhead) -> Tensor:
     """Mean h(e) of e = ‖x̂ − x‖ / d: h = e²/2δ up to δ = 0.01, e − δ/2 beyond.
 
-    Huber's function over δ, so that it grows as `position_l2` does where errors are large, and its weight and the
-    clip of the gradient mean the same. Within δ (0.5 mm of 50 mm spheres) the gradient falls to zero with the error.
+    Huber's function over δ, so that it grows as `position_l2` does where errors are large.
 
     Source: Huber (1964), Robust estimation of a location parameter, Annals of Mathematical Statistics 35.
     """
@@ -63,10 +62,8 @@ def velocity(ahead: FrameAhead) -> Tensor:
 def acceleration(ahead: FrameAhead) -> Tensor:
     """Mean ‖â − a‖ Δt² / d of one frame, with â = (v̂ⁿ⁺¹ − v̂ⁿ)/Δt and a = (vⁿ⁺¹ − vⁿ)/Δt.
 
-    Both are whole accelerations; gravity is the same in the two, so this is the error of the contact acceleration as
-    well. v̂ⁿ is what the model started the frame from. Its error, inherited from earlier frames or put there as noise,
-    is not counted again: a model is held to the DEM's acceleration, not to putting right what came before. At the
-    first frame without noise the term equals `velocity`.
+    v̂ⁿ is what the model started the frame from, noise and earlier errors included: a model is held to the DEM's
+    acceleration, not to putting right what came before. At the first frame without noise the term equals `velocity`.
     """
     gained = ahead.predicted.velocity - ahead.before.velocity
     wanted = ahead.target.velocity - ahead.target.velocity_before
@@ -110,8 +107,7 @@ def center_of_mass(ahead: FrameAhead) -> Tensor:
 def energy(ahead: FrameAhead) -> Tensor:
     """|Ê_k − E_k| / max(E_k, N m g d), with E_k = Σ ½ m v² + Σ ½ I ω² and I = ⅖ m r² of a solid sphere.
 
-    Rotation counts, on both sides alike, for a model that has spin; without it E_k is translational. Velocities are
-    of the model's kind: means over a frame have less energy than those at its end, on both sides.
+    Without spin E_k is translational, on both sides. Velocities are of the model's kind.
 
     Raises:
         LossError: a scene without gravity, whose bed at rest has no energy to compare with.
@@ -167,8 +163,7 @@ def contact_overlaps(position: Tensor, scene: Scene, time: float) -> Tensor:
     """Overlaps of the contacts of pairs and walls, ``(C,)`` m; differentiable in ``position`` ``(N, 3)``.
 
     Walls are where they are at the end of the frame that starts at ``time``, s. Spheres beyond an outlet touch
-    nothing. A position that is not finite has no neighbours: the result is then one NaN, attached to the graph, so that
-    the loss is seen to diverge where all other terms are.
+    nothing. One NaN, attached to the graph, where a position is not finite and so has no neighbours.
     """
     if not torch.isfinite(position).all():
         return (position.sum() * math.nan).reshape(1)
@@ -190,9 +185,8 @@ def contact_overlaps(position: Tensor, scene: Scene, time: float) -> Tensor:
 def momentum(ahead: FrameAhead) -> Tensor:
     """‖Σ m a_pp‖ / Σ ‖m a_pp‖: the share of the particle–particle accelerations that nobody answers.
 
-    0 where action equals reaction, 1 where all push one way; the masses are equal and cancel. It looks at the model
-    alone and needs no target. The sum under the line is at least 1e-9 d/Δt² a sphere, so that a bed out of contact
-    costs 0.
+    0 where action equals reaction, 1 where all push one way; the masses are equal and cancel. The sum under the line
+    is at least 1e-9 d/Δt² a sphere, so that a bed out of contact costs 0.
 
     Raises:
         LossError: a model that does not tell pairs and walls apart, or whose contacts conserve momentum anyway.

@@ -43,13 +43,8 @@ def stretch(
 ):  # fmt: skip  # pragma: no cover - jitted
     """ξ' of all contacts, pairs first; zero, and ``touches`` False, of those that do not touch at the frame's end.
 
-    Args:
-        pairs, near, wall, other_piece: of a :class:`~gran_bench.surrogate.contact.geometry.ContactList`.
-        start, end, spin: ``(N, 3)`` positions at the frame's two ends, mm, and q, mm a frame.
-        diameter, period: mm.
-        before, after, turn, shift: of its :class:`~gran_bench.surrogate.walls.FrameWalls`.
-        springs, result: ``(M + W, 3)`` ξ and ξ', mm.
-        touches: ``(M + W,)`` bool.
+    The first four and ``before`` to ``shift`` are of a :class:`~gran_bench.surrogate.contact.geometry.ContactList`;
+    start, end and spin ``(N, 3)`` positions at the frame's two ends, mm, and q, mm a frame; springs and result ξ and ξ'.
     """
     normal, back, motion, turned = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for c in range(len(pairs) + len(near)):
