@@ -14,9 +14,9 @@ import torch
 from gran_bench.config import DemConfig
 from gran_bench.dem.simulate import settle, simulate
 from gran_bench.provenance import commit, hardware
-from gran_bench.rollout import rollout
 from gran_bench.shipped import shipped_model, shipped_scene
 from gran_bench.surrogate.checkpoint import load_model
+from gran_bench.surrogate.rollout import rollout
 
 FRAMES = 100
 

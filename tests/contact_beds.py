@@ -101,8 +101,8 @@ def cluster(scene: Scene, count: int, seed: int = 0, dtype: torch.dtype = torch.
 def with_memory(model: ContactNetwork, scene: Scene, state: FrameState) -> FrameState:
     """The state with springs at half of its contacts."""
     if model.has_memory:
-        contacts = find_contacts(scene, frame_walls(scene, 1.51), state.position.detach().numpy(), DIAMETER * 1.1, 0.01)
-        keys = contacts.keys(len(state.position))[::2]
+        contacts = find_contacts(scene, 1.51, state.position.detach().numpy(), DIAMETER * 1.1, 0.01)
+        keys = contacts.keys[::2]
         spring = np.random.default_rng(5).normal(0.0, 0.3, (len(keys), 3)).astype(np.float32)
         state.memory = ContactMemory(keys, spring)
     return state

@@ -169,7 +169,7 @@ def test_spheres_seen_are_all_within_reach_and_no_others(periodic):
     position = inside_drum(300, seed=0, length=length + (0.05 if periodic else 0.0))
     pairs = see_spheres(position, scene, 1.5, REACH, SPACING)
     assert pairs.relative.norm(dim=1).max() < REACH
-    assert torch.equal(pairs.source.unique(), torch.arange(pairs.source_count))
+    assert torch.equal(pairs.source.unique(), torch.arange(len(pairs.normal)))
     cover = covered(scene, beyond=REACH)
     query, sphere = every_neighbor(position.numpy(), cover.position, REACH)
     seen = torch.stack((pairs.near[pairs.query].double(), *pairs.relative.T), dim=1)

@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
@@ -10,7 +11,6 @@ from contact_beds import VARIANTS, at_walls, cluster, drum, furnished, network, 
 from gran_bench.surrogate.contact import compiling
 from gran_bench.surrogate.contact.geometry import find_contacts
 from gran_bench.surrogate.contact.kernels.frame import frame_adjoint, frame_forward
-from gran_bench.surrogate.walls import frame_walls
 
 
 class TestFusedKernel:
@@ -63,26 +63,33 @@ class TestFusedKernel:
                 assert all(torch.equal(a, b) for a, b in zip(alone, together, strict=True))
 
 
-def test_kernels_compiled_ahead_are_the_ones_that_a_run_calls(monkeypatch):
+def test_kernels_compiled_ahead_are_the_ones_that_a_run_calls(monkeypatch, tmp_path):
     # Compiled in the run's own process they would sum in another order, and the first run would train other weights.
     compiling.main()
     scene = drum()
     model = network(scene, backend="fused", iterations=4, memory=True)
     state = with_memory(model, scene, cluster(scene, 60))
-    assert len(find_contacts(scene, frame_walls(scene, 1.5), state.position.numpy(), 0.06, 0.01).wall) > 1
+    assert len(find_contacts(scene, 1.5, state.position.numpy(), 0.06, 0.01).wall) > 1
     model(model(state, scene, 1.5), scene, 1.51).position.sum().backward()
     assert (len(frame_forward.signatures), len(frame_adjoint.signatures)) == (1, 1)
-    calls = []
-    monkeypatch.setattr(compiling, "MARK", "nothing.compiled")
-    monkeypatch.setattr(compiling.subprocess, "run", lambda words, **_: calls.append(words[-1]) or Failed)
+    started = []
+
+    class Process:
+        """Of the other process, how it ends."""
+
+        def __init__(self, module: str, **_) -> None:
+            started.append(module)
+
+        def wait(self, patience: float) -> int:
+            return self.status
+
+    monkeypatch.setattr(compiling, "MARK", f"{tmp_path.name}.compiled")
+    monkeypatch.setattr(compiling, "start_module", Process)
     assert compiling.kernels_missing("contact")
     assert not compiling.kernels_missing("radial")
-    compiling.compile_kernels("contact")
-    assert calls == ["gran_bench.surrogate.contact.compiling"]
-    assert compiling.kernels_missing("contact")  # it failed, so the run compiles for itself
-
-
-class Failed:
-    """What a process leaves that could not do it."""
-
-    returncode = 1
+    mark = Path(frame_forward.stats.cache_path) / compiling.MARK
+    for Process.status, missing in ((1, True), (0, False)):  # where it fails, the run compiles for itself
+        compiling.compile_kernels("contact")
+        assert compiling.kernels_missing("contact") is missing
+    mark.unlink()
+    assert started == ["gran_bench.surrogate.contact.compiling"] * 2

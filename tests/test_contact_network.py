@@ -8,9 +8,10 @@ from contact_beds import VARIANTS, at_walls, cluster, drum, furnished, network, 
 from gran_bench.config import ContactModelConfig
 from gran_bench.neighbors import tree_pairs
 from gran_bench.scene import Plane
-from gran_bench.surrogate.contact.constants import MILLIMETRE, PAIR
-from gran_bench.surrogate.contact.geometry import find_contacts, wall_surfaces
+from gran_bench.surrogate.contact.constants import PAIR
+from gran_bench.surrogate.contact.geometry import find_contacts
 from gran_bench.surrogate.contact.network import ContactNetwork
+from gran_bench.surrogate.contact.solver import contact_groups
 from gran_bench.surrogate.step import FrameState
 from gran_bench.surrogate.walls import frame_walls
 
@@ -38,7 +39,7 @@ class TestDefinition:
             model.output_weight.zero_()  # contacts answer nothing; the channels' biases alone take gravity back
             model.output_bias.zero_()
             model.stiffness.zero_()
-        reach, width = (1e-3 * length for length in model.weights.fades[PAIR])
+        reach, width = (1e-3 * length for length in model.fades[PAIR])
 
         def lifted(gap: float) -> float:
             position = torch.tensor([[0.0, 0.0, 0.0], [0.05 + gap, 0.0, 0.0]], dtype=torch.float64)
@@ -70,10 +71,10 @@ class TestContactList:
     def test_it_lists_what_a_tree_finds(self, periodic):
         scene = drum(periodic=periodic)
         position = cluster(scene, 60).position.numpy()
-        listed = find_contacts(scene, frame_walls(scene, 1.5), position, 0.06, 0.01)
+        listed = find_contacts(scene, 1.5, position, 0.06, 0.01)
         assert np.array_equal(listed.pairs, tree_pairs(position, 0.06, scene.period))
         assert set(listed.wall) == set(range(len(scene.walls)))
-        assert (np.diff(listed.keys(60)) > 0).all()
+        assert (np.diff(listed.keys) > 0).all()
 
     def test_a_position_that_is_not_finite_ends_in_a_frame_that_is_not(self):
         scene = drum()
@@ -140,11 +141,12 @@ class TestConservation:
 class TestWalls:
     def test_a_sphere_that_turns_with_the_drum_neither_slips_nor_approaches(self):
         scene = drum(speed_rpm=45.0)
-        theta, walls = scene.rotation.angle(1.6, 1.61), frame_walls(scene, 1.6).in_unit(MILLIMETRE)
+        theta = scene.rotation.angle(1.6, 1.61)
         end = torch.tensor([[105.0, 20.0, 0.0], [-63.0, 0.0, -84.0]], dtype=torch.float64)
-        displacement = end @ torch.tensor(walls.turn[0]).T
+        contacts = find_contacts(scene, 1.6, 1e-3 * end.numpy(), 0.06, 0.01)
+        displacement = end @ torch.tensor(contacts.walls.turn[0]).T
         spin = torch.tensor([[0.0, 25.0 * theta, 0.0]], dtype=torch.float64).expand(2, 3)
-        seen = wall_surfaces(walls, 0, end, displacement, spin, 25.0)
+        seen = contact_groups(contacts, "cpu")[1].surfaces(end, displacement, spin, 50.0)
         assert seen.gap.numpy() == pytest.approx(0.0, abs=1e-9)
         # What is left is of second order in the angle turned.
         assert seen.slip.abs().max() < 25.0 * theta**2

@@ -28,7 +28,7 @@ from gran_bench.dataset import (
     split_cases,
     to_document,
 )
-from gran_bench.dataset.progress import SimulatedTimeBar
+from gran_bench.dataset.ensure import SimulatedTimeBar
 from gran_bench.dem.simulate import SimulationResult, settle, simulate
 from gran_bench.provenance.source_digest import bare_code
 from gran_bench.scene import Rotation, SceneError, build_scene

@@ -33,7 +33,7 @@ MODULES = sorted(path for path in SOURCE.rglob("*.py") if path.name != "__init__
 # A module may import from rooms before its own.
 ROOMS = [
     *("cache_folders", "files", "config", "provenance", "processes"),
-    *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses", "rollout"),
+    *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses"),
     *("metrics", "baselines", "trainer", "evaluation", "plots", "export", "tracking", "run", "compose"),
     *("sweep", "compare", "shipped", "entry", "benchmark", "stress", "report"),
 ]

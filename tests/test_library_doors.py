@@ -36,7 +36,6 @@ from gran_bench.config import (
 )
 from gran_bench.config.rules import ConfigError
 from gran_bench.dem.simulate import settle
-from gran_bench.rollout import rollout
 from gran_bench.scene import (
     Cone,
     Cylinder,
@@ -55,6 +54,7 @@ from gran_bench.scene import (
 )
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import ContactHistory, ParticleState
+from gran_bench.surrogate.rollout import rollout
 
 # ---- configs -------------------------------------------------------------------------------------------------
 

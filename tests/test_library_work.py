@@ -48,7 +48,6 @@ from gran_bench.metrics.outside import count_failures
 from gran_bench.metrics.overlap import overlap_series
 from gran_bench.metrics.position_error import mean_spread, separation
 from gran_bench.metrics.speeds import velocities, wasserstein_series
-from gran_bench.rollout import rollout, step_frames
 from gran_bench.scene import (
     box,
 )
@@ -56,6 +55,7 @@ from gran_bench.shipped import shipped_model
 from gran_bench.state import Trajectory
 from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import ModelCard, load_model, save_model
+from gran_bench.surrogate.rollout import rollout, step_frames
 
 # ---- running -------------------------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from gran_bench.config import LossConfig, SceneConfig
 from gran_bench.config.choices import loss_terms
 from gran_bench.config.registry import LOSS_TERMS
 from gran_bench.losses import FrameAhead, LossError, Target, WindowLoss, contact_overlaps, frame_weights
-from gran_bench.losses.particles import HUBER_WIDTH
+from gran_bench.losses.terms import HUBER_WIDTH
 from gran_bench.scene import Cone, Disc, Outlet, Plane, Scene, Translation, build_scene
 from gran_bench.surrogate.step import FrameState
 
@@ -311,8 +311,11 @@ def test_frame_weights():
 
 def test_the_spin_has_frame_weights_of_its_own():
     loss = WindowLoss(LossConfig(position_l2=2.0, spin=0.5, frame_weights="uniform", spin_frame_weights="inverse"))
-    assert loss.weight_of("position_l2", 2, 3) == 2.0
-    assert loss.weight_of("spin", 2, 3) == 0.25
+    ahead = perfect()
+    wrong = moved(ahead, angular_velocity=ahead.predicted.angular_velocity + 1.0)
+    first, second = (loss.terms(wrong, frame, 3) for frame in (1, 2))
+    assert second["spin"].item() == pytest.approx(0.5 * first["spin"].item())
+    assert second["position_l2"].item() == first["position_l2"].item()
 
 
 def test_terms_are_weighted_each_by_its_own_weight_and_the_frames():

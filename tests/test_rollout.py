@@ -7,11 +7,11 @@ from torch import nn
 
 from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig, SceneConfig
 from gran_bench.dem.outlet import taking_part
-from gran_bench.rollout import rollout
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import ParticleState
 from gran_bench.surrogate.build import build_model
+from gran_bench.surrogate.rollout import rollout
 from gran_bench.surrogate.step import FrameState, Surrogate
 
 SCENE = build_scene(SceneConfig(name="drum"))

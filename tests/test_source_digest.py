@@ -31,7 +31,7 @@ NEUTRAL = (
     *("surrogate/checkpoint", "__init__"),
 )
 # In a run's key by the digest of its data.
-DATA = ("dataset/case_spec", "dataset/progress", "dataset/workers", "dem/simulate")
+DATA = ("dataset/case_spec", "dem/simulate")
 
 
 @pytest.fixture
@@ -63,7 +63,7 @@ TRAININGS = {f"train {model}" for model in MODELS}
     ("file", "changed"),
     [
         ("trainer/trainer.py", TRAININGS),
-        ("losses/window.py", TRAININGS),
+        ("losses/frame_ahead.py", TRAININGS),
         ("surrogate/contact/solver.py", {"train contact", "model contact", "compare"}),
         ("surrogate/convolution/cconv.py", {"train ccnn", "train radial", "model ccnn", "model radial", "compare"}),
         ("metrics/angle_of_repose.py", {"judge", "compare"}),

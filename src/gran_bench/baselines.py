@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,12 +20,7 @@ from gran_bench.state import FloatArray, ParticleState, Trajectory
 
 
 def ballistic(scene: Scene, settled: ParticleState) -> Trajectory:
-    """Free flight: x = x₀ + v₀ τ + ½ g τ², v = v₀ + g τ, the spin kept; nothing touches anything.
-
-    Args:
-        scene: gives gravity, frame interval and number of states.
-        settled: the first state.
-    """
+    """Free flight from a settled state: x = x₀ + v₀ τ + ½ g τ², v = v₀ + g τ, the spin kept; nothing touches."""
     time = _clock(scene, settled)
     past = (time - settled.time)[:, None, None]
     gravity = np.asarray(scene.gravity)
@@ -40,9 +36,7 @@ def ballistic(scene: Scene, settled: ParticleState) -> Trajectory:
 def rigid_rotation(scene: Scene, settled: ParticleState) -> Trajectory:
     """The whole bed turns with the wall: x = Q(φ) x₀, v = ω × x, spin ω, with φ the angle that the wall has turned.
 
-    Args:
-        scene: gives the rotation, frame interval and number of states.
-        settled: the first state, which is kept as it is.
+    The settled state, the first one, is kept as it is.
     """
     time, axis = _clock(scene, settled), np.asarray(scene.rotation.axis)
     angle = np.array([scene.rotation.angle(settled.time, t) for t in time])[:, None, None]
@@ -99,17 +93,26 @@ def interpolated_statistics(speed_rpm: float, training: Mapping[float, Trajector
         )
     share = 0.0 if above == below else (speed_rpm - below) / (above - below)
     layers = min(len(low.layer_speed), len(high.layer_speed))
-    return TrajectorySummary(
-        time=low.time,
-        velocity_kind=low.velocity_kind,
-        series={name: _between_series(low.series[name], high.series[name], share) for name in low.series},
-        sorted_speed=_between(low.sorted_speed, high.sorted_speed, share),
-        sorted_component=_between(low.sorted_component, high.sorted_component, share),
-        layer_speed=_between(low.layer_speed[:layers], high.layer_speed[:layers], share),
-        layer_velocity=_between(low.layer_velocity[:layers], high.layer_velocity[:layers], share),
+
+    def between(name: str, rows: int | None = None) -> FloatArray:
+        one, other = getattr(low, name)[:rows], getattr(high, name)[:rows]
+        return one + (other - one) * np.asarray(share, one.dtype)
+
+    def series(one: Series, other: Series) -> Series:
+        value = (1.0 - share) * one.value + share * other.value
+        return replace(one, value=value, undefined_because=one.undefined_because or other.undefined_because)
+
+    return replace(
+        low,
+        series={name: series(low.series[name], high.series[name]) for name in low.series},
+        sorted_speed=between("sorted_speed"),
+        sorted_component=between("sorted_component"),
+        layer_speed=between("layer_speed", layers),
+        layer_velocity=between("layer_velocity", layers),
         steady_undefined_because=low.steady_undefined_because or high.steady_undefined_because,
-        diameter=low.diameter,
-        period=low.period,
+        position=None,
+        failures=None,
+        registered={},
     )
 
 
@@ -123,12 +126,3 @@ def _trajectory(
 ) -> Trajectory:
     single = [array.astype(np.float32) for array in (position, velocity, spin)]
     return Trajectory(time, *single, settled.radius)
-
-
-def _between(low: FloatArray, high: FloatArray, share: float) -> FloatArray:
-    return low + (high - low) * np.asarray(share, low.dtype)
-
-
-def _between_series(low: Series, high: Series, share: float) -> Series:
-    value = (1.0 - share) * low.value + share * high.value
-    return Series(low.time, value, low.unit, low.undefined_because or high.undefined_because, low.invalid_because)

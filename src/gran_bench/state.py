@@ -27,33 +27,24 @@ class StateError(ValueError):
 class ContactHistory:
     """The elastic tangential force that each touching contact remembers.
 
-    Attributes:
-        first: ``(M,)`` int64, index of the particle that the force acts on.
-        second: ``(M,)`` int64, index of the other particle, or ``-1 - w`` for wall ``w`` of the scene.
-        force: ``(M, 3)`` float64, elastic tangential force on ``first``, N.
-        overlap: ``(M,)`` float64, overlap when the force was stored, m.
-        rolling_moment: ``(M, 3)`` float64, elastic rolling moment on ``first``, N m; zeros without a rolling model.
-
     Raises:
         StateError: a shape that does not fit, or what is no array of numbers.
     """
 
-    first: NDArray[np.int64]
-    second: NDArray[np.int64]
-    force: FloatArray
-    overlap: FloatArray
-    rolling_moment: FloatArray | None = None
+    first: NDArray[np.int64]  # (M,) index of the particle that the force acts on
+    second: NDArray[np.int64]  # (M,) index of the other particle, or -1 - w for wall w of the scene
+    force: FloatArray  # (M, 3) N, elastic tangential force on first
+    overlap: FloatArray  # (M,) m, when the force was stored
+    rolling_moment: FloatArray | None = None  # (M, 3) N m, elastic, on first; zeros without a rolling model
 
     def __post_init__(self) -> None:
-        for name in ("first", "second"):
-            _keep(self, name, _indices(f"history.{name}", getattr(self, name), np.int64))
+        _keep(self, "first", _indices("history.first", self.first, np.int64))
         count = len(self.first)
+        _keep(self, "second", _indices("history.second", self.second, np.int64, (count,)))
         if self.rolling_moment is None:
             _keep(self, "rolling_moment", np.zeros((count, 3)))
-        _hold_shape("history.second", self.second, (count,))
         for name, shape in (("force", (count, 3)), ("overlap", (count,)), ("rolling_moment", (count, 3))):
-            _keep(self, name, _numbers(f"history.{name}", getattr(self, name)))
-            _hold_shape(f"history.{name}", getattr(self, name), shape)
+            _keep(self, name, _numbers(f"history.{name}", getattr(self, name), shape))
 
     @classmethod
     def empty(cls) -> ContactHistory:
@@ -65,84 +56,57 @@ class ContactHistory:
 
 
 class Held(NamedTuple):
-    """What an engine needs beside a state to go on from it as if it had not stopped.
+    """What an engine needs beside a state to go on from it as if it had not stopped."""
 
-    Attributes:
-        position: ``(N, 3)`` m, not brought into the period.
-        force, torque: ``(N, 3)`` of the last evaluation, N and N m.
-        order: ``(n,)`` int64, those that take part, in the order in which their forces are summed.
-    """
-
-    position: FloatArray
-    force: FloatArray
-    torque: FloatArray
-    order: np.ndarray
+    position: FloatArray  # (N, 3) m, not brought into the period
+    force: FloatArray  # (N, 3) N, of the last evaluation
+    torque: FloatArray  # (N, 3) N m
+    order: np.ndarray  # (n,) int64, those that take part, in the order in which their forces are summed
 
 
 @dataclass(frozen=True)
 class Continuation:
-    """What a run keeps beside its last state, so that a further run goes on bit for bit.
+    """What a run keeps beside its last state, so that a further run goes on bit for bit."""
 
-    Attributes:
-        key: of the state, the physics, the walls and the time step that it holds for; for others it is not looked at.
-        start: s, where the run's clock begins.
-        steps: since then.
-        held: of the engine.
-    """
-
-    key: str
-    start: float
-    steps: int
-    held: Held
+    key: str  # of the state, the physics, the walls and the time step that it holds for; others do not look at it
+    start: float  # s, where the run's clock begins
+    steps: int  # since then
+    held: Held  # of the engine
 
 
 @dataclass(frozen=True)
 class ParticleState:
-    """N spheres at one instant.
-
-    Attributes:
-        position: ``(N, 3)`` centres, m.
-        velocity: ``(N, 3)`` m/s.
-        angular_velocity: ``(N, 3)`` rad/s.
-        radius: ``(N,)`` m.
-        time: s, in the scene's clock.
-        history: what the contacts remember; empty for a fresh filling.
-        material: ``(N,)`` uint8, index into the scene's ``materials``; zeros unless given.
-        continuation: of the run that ended here; None where none did.
-
-    Lists will do for arrays.
+    """N spheres at one instant. Lists will do for arrays.
 
     Raises:
         StateError: what is no array of numbers, a shape that does not fit, a value that is not finite, a radius that
             is not positive, or a material that is no index.
     """
 
-    position: FloatArray
-    velocity: FloatArray
-    angular_velocity: FloatArray
-    radius: FloatArray
-    time: float = 0.0
-    history: ContactHistory = field(default_factory=ContactHistory.empty)
-    material: NDArray[np.uint8] | None = None
-    continuation: Continuation | None = None
+    position: FloatArray  # (N, 3) m, of the centres
+    velocity: FloatArray  # (N, 3) m/s
+    angular_velocity: FloatArray  # (N, 3) rad/s
+    radius: FloatArray  # (N,) m
+    time: float = 0.0  # s, in the scene's clock
+    history: ContactHistory = field(default_factory=ContactHistory.empty)  # empty for a fresh filling
+    material: NDArray[np.uint8] | None = None  # (N,) index into the scene's materials; zeros unless given
+    continuation: Continuation | None = None  # of the run that ended here, if one did
 
     def __post_init__(self) -> None:
-        for name in ("position", "velocity", "angular_velocity", "radius"):
-            _keep(self, name, _numbers(name, getattr(self, name)))
-        count = self.position.shape[0] if self.position.ndim else 0
-        for name in ("position", "velocity", "angular_velocity"):
-            array = getattr(self, name)
-            _hold_shape(name, array, (count, 3))
+        position = _numbers("position", self.position)
+        count = position.shape[0] if position.ndim else 0
+        for name in _BY_SPHERE:
+            array = _numbers(name, getattr(self, name), (count, 3))
             if not np.isfinite(array).all():
                 bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
                 raise StateError(
                     f"{name} is not finite for {name_some(bad)}; "
                     "repair the values or remove the particles before the run"
                 )
-        _hold_radius("radius", self.radius, count)
+            _keep(self, name, array)
+        _keep(self, "radius", _radii("radius", self.radius, count))
         material = np.zeros(count, np.uint8) if self.material is None else self.material
-        _keep(self, "material", _indices("material", material, np.uint8))
-        _hold_shape("material", self.material, (count,))
+        _keep(self, "material", _indices("material", material, np.uint8, (count,)))
         try:
             _keep(self, "time", checked_value(float, None, self.time, "time"))
             checked_value(ContactHistory, None, self.history, "history")
@@ -159,15 +123,6 @@ class ParticleState:
 class Trajectory:
     """F frames of N spheres, as a solver or a surrogate made them; nothing clipped, dropped or projected.
 
-    Attributes:
-        time: ``(F,)`` s.
-        position: ``(F, N, 3)`` m.
-        velocity: ``(F, N, 3)`` m/s, instantaneous unless ``velocity_kind`` says ``mean``.
-        angular_velocity: ``(F, N, 3)`` rad/s, or None for a model that has no spin.
-        radius: ``(N,)`` m.
-        diagnostics: per-frame scalars ``(F,)`` by name (overlap and energy figures), in SI.
-        velocity_kind: ``instantaneous``, or ``mean`` over the frame that ends at ``time``.
-
     Lists will do for arrays. Positions, velocities and spins may hold what is not finite: it is counted as a failure.
 
     Raises:
@@ -175,29 +130,27 @@ class Trajectory:
             is not positive, or an unknown kind of velocity.
     """
 
-    time: FloatArray
-    position: FloatArray
-    velocity: FloatArray
-    angular_velocity: FloatArray | None
-    radius: FloatArray
-    diagnostics: dict[str, FloatArray] = field(default_factory=dict)
-    velocity_kind: str = "instantaneous"
+    time: FloatArray  # (F,) s
+    position: FloatArray  # (F, N, 3) m
+    velocity: FloatArray  # (F, N, 3) m/s
+    angular_velocity: FloatArray | None  # (F, N, 3) rad/s, or None for a model that has no spin
+    radius: FloatArray  # (N,) m
+    diagnostics: dict[str, FloatArray] = field(default_factory=dict)  # overlaps and energies by name, (F,), in SI
+    velocity_kind: str = "instantaneous"  # or mean, over the frame that ends at time
 
     def __post_init__(self) -> None:
-        arrays = ("position", "velocity") if self.angular_velocity is None else _BY_SPHERE
-        for name in ("time", "radius", *arrays):
-            _keep(self, name, _numbers(f"trajectory {name}", getattr(self, name)))
-        if self.position.ndim != 3:
-            raise StateError(f"trajectory position has shape {self.position.shape}; expected (F, N, 3)")
-        frames, count = self.position.shape[:2]
-        for name in arrays:
-            _hold_shape(f"trajectory {name}", getattr(self, name), (frames, count, 3))
-        _hold_shape("trajectory time", self.time, (frames,))
+        position = _numbers("trajectory position", self.position)
+        if position.ndim != 3:
+            raise StateError(f"trajectory position has shape {position.shape}; expected (F, N, 3)")
+        frames, count = position.shape[:2]
+        for name in _BY_SPHERE[: 2 if self.angular_velocity is None else 3]:
+            _keep(self, name, _numbers(f"trajectory {name}", getattr(self, name), (frames, count, 3)))
+        _keep(self, "time", _numbers("trajectory time", self.time, (frames,)))
         if not (np.isfinite(self.time).all() and (np.diff(self.time) > 0).all()):
             raise StateError("trajectory time is not finite or does not increase; give the time of each frame, s")
-        _hold_radius("trajectory radius", self.radius, count)
+        _keep(self, "radius", _radii("trajectory radius", self.radius, count))
         for name, values in self.diagnostics.items():
-            _hold_shape(f"trajectory {name}", _numbers(f"trajectory {name}", values), (frames,))
+            _numbers(f"trajectory {name}", values, (frames,))
         if self.velocity_kind not in VELOCITY_KINDS:
             raise StateError(f"velocity_kind={self.velocity_kind!r}; choose {' or '.join(VELOCITY_KINDS)}")
 
@@ -238,34 +191,36 @@ def _array(value: Any) -> NDArray:
         return np.asarray(None)
 
 
-def _numbers(name: str, value: Any) -> FloatArray:
-    """``value`` as an array of floating-point numbers; one that is such an array stays itself."""
+def _numbers(name: str, value: Any, shape: tuple[int, ...] | None = None) -> FloatArray:
+    """``value`` as an array of floating-point numbers, of a shape; one that is such an array stays itself."""
     array = _array(value)
-    if array.dtype.kind in "iu":
-        return array.astype(np.float64)
-    if array.dtype.kind != "f":
+    if array.dtype.kind not in "iuf":
         raise StateError(f"{name} is no array of numbers; give one of equally long rows")
-    return array
+    return _of_shape(name, array if array.dtype.kind == "f" else array.astype(np.float64), shape)
 
 
-def _indices(name: str, value: Any, dtype: type[np.integer]) -> NDArray[np.integer]:
-    """``value`` as an array of whole numbers that ``dtype`` holds."""
+def _indices(
+    name: str, value: Any, dtype: type[np.integer], shape: tuple[int, ...] | None = None
+) -> NDArray[np.integer]:
+    """``value`` as an array of whole numbers that ``dtype`` holds, of a shape."""
     found, legal = _array(value), np.iinfo(dtype)
     if found.size and (found.dtype.kind not in "iu" or found.min() < legal.min or found.max() > legal.max):
         raise StateError(f"{name} of {found.dtype} is no array of indices; give whole numbers up to {legal.max}")
-    return found.astype(dtype, copy=False)
+    return _of_shape(name, found.astype(dtype, copy=False), shape)
 
 
-def _hold_shape(name: str, array: NDArray, shape: tuple[int, ...]) -> None:
-    if array.shape != shape:
+def _of_shape(name: str, array: NDArray, shape: tuple[int, ...] | None) -> NDArray:
+    if shape is not None and array.shape != shape:
         raise StateError(f"{name} has shape {array.shape}; expected {shape}")
+    return array
 
 
-def _hold_radius(name: str, radius: FloatArray, count: int) -> None:
-    _hold_shape(name, radius, (count,))
+def _radii(name: str, value: Any, count: int) -> FloatArray:
+    radius = _numbers(name, value, (count,))
     bad = np.flatnonzero(~(np.isfinite(radius) & (radius > 0)))
     if len(bad):
         raise StateError(f"{name} must be positive and finite; {name_some(bad, 'is', 'are')} not")
+    return radius
 
 
 def name_some(indices: NDArray[np.integer], one: str = "", several: str = "", most: int = 5) -> str:

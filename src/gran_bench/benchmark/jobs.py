@@ -83,8 +83,8 @@ def _surrogate(job: dict[str, Any]) -> Run:
     # Imported here, so that the memory of a DEM does not have PyTorch in it.
     import torch
 
-    from gran_bench.rollout import rollout
     from gran_bench.surrogate.checkpoint import load_model
+    from gran_bench.surrogate.rollout import rollout
 
     torch.set_num_threads(1)
     scene, (bed, _) = from_document(job["scene"]), read_settled(job["bed"])

@@ -13,31 +13,5 @@ from gran_bench.dataset.case_spec import (
 )
 from gran_bench.dataset.ensure import ensure_case, ensure_cases
 from gran_bench.dataset.scene_document import from_document, to_document
-from gran_bench.dataset.summary import CaseRow, case_rows, generate, table
+from gran_bench.dataset.summary import generate
 from gran_bench.dataset.windows import Window, Windows, dataset_digest
-
-__all__ = [
-    "Case",
-    "CaseRow",
-    "CaseSpec",
-    "DatasetError",
-    "Split",
-    "Window",
-    "Windows",
-    "case_rows",
-    "dataset_digest",
-    "ensure_case",
-    "ensure_cases",
-    "from_document",
-    "generate",
-    "half_step",
-    "own_case",
-    "read_attributes",
-    "read_case",
-    "read_settled",
-    "replicas",
-    "rotation_label",
-    "split_cases",
-    "table",
-    "to_document",
-]

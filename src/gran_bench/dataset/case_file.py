@@ -39,67 +39,50 @@ from gran_bench.scene import Scene, SceneError
 from gran_bench.state import ContactHistory, ParticleState, StateError, Trajectory
 
 _BY_FRAME = ("position", "velocity", "angular_velocity")
-_STATE = ("position", "velocity", "angular_velocity", "radius")
+_STATE = ("position", "velocity", "angular_velocity", "radius", "material")
 _HISTORY = ("first", "second", "force", "overlap", "rolling_moment")
-_SIGNS_OF_DAMAGE = (
-    AttributeError,
-    IndexError,
-    KeyError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    yaml.YAMLError,
-)
+_SIGNS_OF_DAMAGE = (AttributeError, LookupError, OSError, RuntimeError, TypeError, ValueError, yaml.YAMLError)
 
 
 @dataclass(frozen=True)
 class Case:
-    """A case as it was read.
+    """A case as it was read."""
 
-    Attributes:
-        scene: as it was simulated.
-        trajectory: float32, F frames; the first is the settled state.
-        settled: the state at the first frame, float64, with its contact history.
-        attributes: scalars and text by name: engine, time step, seeds, code version, cost.
-        digest: of the contents.
-        path: the file.
-    """
-
-    scene: Scene
-    trajectory: Trajectory
-    settled: ParticleState
-    attributes: dict[str, Any]
-    digest: str
+    scene: Scene  # as it was simulated
+    trajectory: Trajectory  # float32, F frames; the first is the settled state
+    settled: ParticleState  # at the first frame, float64, with its contact history
+    attributes: dict[str, Any]  # scalars and text by name: engine, time step, seeds, code version, cost
+    digest: str  # of the contents
     path: Path
 
 
 def write_case(
     path: Path, key: dict[str, Any], scene: Scene, trajectory: Trajectory, settled: ParticleState, facts: dict[str, Any]
 ) -> str:
-    """Write a case, whole or not at all.
+    """Write a case, whole or not at all; returns the digest.
 
     Args:
-        path: final name.
         key: what determines the case.
-        scene: as simulated.
-        trajectory: F frames with spin.
-        settled: state at the first frame, float64.
+        trajectory: F frames with spin; ``settled`` is the state at the first one, float64.
         facts: attributes beside those of scene and material.
-
-    Returns:
-        The digest.
     """
     arrays = {name: np.asarray(getattr(trajectory, name), np.float32) for name in _BY_FRAME}
     arrays["time"] = np.asarray(trajectory.time, np.float64)
     for name, values in trajectory.diagnostics.items():
         arrays[f"diagnostics/{name}"] = np.asarray(values, np.float64)
-    return _write(path, key, arrays | _state_arrays(settled), settled.time, _scene_attributes(key, scene) | facts)
+    attributes = {
+        "scene": yaml.safe_dump(key["scene"], sort_keys=False),
+        "scene_name": scene.name,
+        "frame_interval": scene.frame_interval,
+    }
+    for owner in ("material", "wall_material"):
+        attributes |= {f"{owner}.{name}": value for name, value in key["scene"][owner].items()}
+    return _write(path, key, arrays, settled, attributes | facts)
 
 
 def write_settled(path: Path, key: dict[str, Any], state: ParticleState, facts: dict[str, Any]) -> str:
     """Write a settled bed, whole or not at all; returns the digest."""
-    return _write(path, key, _state_arrays(state), state.time, facts)
+    return _write(path, key, {}, state, facts)
 
 
 def read_case(path: Path | str, frames: slice | None = None) -> Case:
@@ -119,21 +102,12 @@ def read_case(path: Path | str, frames: slice | None = None) -> Case:
     with _opened(path) as file:
         chosen = slice(None) if frames is None else frames
         arrays = {name: file[name][chosen] for name in (*_BY_FRAME, "time")}
-        for name, values in file["diagnostics"].items():
-            arrays[f"diagnostics/{name}"] = values[chosen]
+        diagnostics = {name: values[chosen] for name, values in file["diagnostics"].items()}
         attributes = _checked_attributes(file)
-        state_arrays, state_time = _read_state_arrays(file)
-        if frames is None:
-            _check_digest(attributes, arrays | state_arrays, state_time)
+        named = arrays | {f"diagnostics/{name}": values for name, values in diagnostics.items()}
+        settled = _read_state(file, attributes["digest"] if frames is None else None, attributes["key"], named)
         scene = from_document(yaml.safe_load(attributes["scene"]))
-        settled = _state(state_arrays, state_time)
-        diagnostics = {n.split("/")[1]: v for n, v in arrays.items() if n.startswith("diagnostics/")}
-        trajectory = Trajectory(
-            time=arrays["time"],
-            **{name: arrays[name] for name in _BY_FRAME},
-            radius=settled.radius.astype(np.float32),
-            diagnostics=diagnostics,
-        )
+        trajectory = Trajectory(**arrays, radius=settled.radius.astype(np.float32), diagnostics=diagnostics)
         return Case(scene, trajectory, settled, attributes, attributes["digest"], path)
 
 
@@ -145,9 +119,7 @@ def read_settled(path: Path | str) -> tuple[ParticleState, dict[str, Any]]:
     """
     with _opened(path) as file:
         attributes = _checked_attributes(file)
-        arrays, time = _read_state_arrays(file)
-        _check_digest(attributes, arrays, time)
-        return _state(arrays, time), attributes
+        return _read_state(file, attributes["digest"], attributes["key"], {}), attributes
 
 
 def read_attributes(path: Path | str) -> dict[str, Any]:
@@ -160,11 +132,12 @@ def read_attributes(path: Path | str) -> dict[str, Any]:
         return _checked_attributes(file)
 
 
-# ---- writing -------------------------------------------------------------------------------------------------
-
-
-def _write(path: Path, key: dict, arrays: dict[str, np.ndarray], state_time: float, attributes: dict) -> str:
-    key_text, state_time = yaml.safe_dump(key, sort_keys=True), float(state_time)
+def _write(path: Path, key: dict, arrays: dict[str, np.ndarray], state: ParticleState, attributes: dict) -> str:
+    key_text, state_time = yaml.safe_dump(key, sort_keys=True), float(state.time)
+    for group, owner, names in (("settled", state, _STATE), ("settled/history", state.history, _HISTORY)):
+        for name in names:
+            values = np.asarray(getattr(owner, name))
+            arrays[f"{group}/{name}"] = np.asarray(values, np.float64) if values.dtype.kind == "f" else values
     digest = _digest(key_text, arrays, state_time)
     attributes = attributes | {"format_version": FORMAT_VERSION, "key": key_text, "digest": digest}
     # v110 puts checksums on HDF5's own structures too; any HDF5 since 1.10 (2016) reads it. Built in memory, because
@@ -185,29 +158,6 @@ def _write(path: Path, key: dict, arrays: dict[str, np.ndarray], state_time: flo
         image = file.id.get_file_image()
     write_atomically(path, lambda disk: disk.write(image))
     return digest
-
-
-def _state_arrays(state: ParticleState) -> dict[str, np.ndarray]:
-    arrays = {f"settled/{name}": np.asarray(getattr(state, name), np.float64) for name in _STATE}
-    arrays["settled/material"] = state.material
-    for name in _HISTORY:
-        kind = np.int64 if name in ("first", "second") else np.float64
-        arrays[f"settled/history/{name}"] = np.asarray(getattr(state.history, name), kind)
-    return arrays
-
-
-def _scene_attributes(key: dict[str, Any], scene: Scene) -> dict[str, Any]:
-    attributes: dict[str, Any] = {
-        "scene": yaml.safe_dump(key["scene"], sort_keys=False),
-        "scene_name": scene.name,
-        "frame_interval": scene.frame_interval,
-    }
-    for owner in ("material", "wall_material"):
-        attributes |= {f"{owner}.{name}": value for name, value in key["scene"][owner].items()}
-    return attributes
-
-
-# ---- reading -------------------------------------------------------------------------------------------------
 
 
 @contextmanager
@@ -248,25 +198,14 @@ def _checked_attributes(file: h5py.File) -> dict[str, Any]:
     return attributes
 
 
-def _read_state_arrays(file: h5py.File) -> tuple[dict[str, np.ndarray], float]:
-    names = ["settled/material", *(f"settled/{name}" for name in _STATE)] + [
-        f"settled/history/{name}" for name in _HISTORY
-    ]
-    return {name: file[name][...] for name in names}, float(file["settled"].attrs["time"])
-
-
-def _state(arrays: dict[str, np.ndarray], time: float) -> ParticleState:
-    history = ContactHistory(*(arrays[f"settled/history/{name}"] for name in _HISTORY))
-    values = {name: arrays[f"settled/{name}"] for name in (*_STATE, "material")}
-    return ParticleState(**values, time=time, history=history)
-
-
-# ---- integrity -----------------------------------------------------------------------------------------------
-
-
-def _check_digest(attributes: dict[str, Any], arrays: dict[str, np.ndarray], state_time: float) -> None:
-    if _digest(attributes["key"], arrays, state_time) != attributes["digest"]:
+def _read_state(file: h5py.File, digest: str | None, key: str, others: dict[str, np.ndarray]) -> ParticleState:
+    """The settled state; with a digest, that of the key, the state and the other arrays is held against it."""
+    names = [f"settled/{name}" for name in _STATE] + [f"settled/history/{name}" for name in _HISTORY]
+    arrays, time = {name: file[name][...] for name in names}, float(file["settled"].attrs["time"])
+    if digest is not None and _digest(key, arrays | others, time) != digest:
         raise ValueError("its contents do not match their digest")
+    history = ContactHistory(*(arrays[f"settled/history/{name}"] for name in _HISTORY))
+    return ParticleState(**{name: arrays[f"settled/{name}"] for name in _STATE}, time=time, history=history)
 
 
 def _digest(key: str, arrays: dict[str, np.ndarray], state_time: float) -> str:

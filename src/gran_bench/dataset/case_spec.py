@@ -27,23 +27,14 @@ class DatasetError(RuntimeError):
 
 @dataclass(frozen=True)
 class CaseSpec:
-    """A case to be made: everything that its numbers depend on.
+    """A case to be made: everything that its numbers depend on."""
 
-    Attributes:
-        scene: with the rotation of this case.
-        dem: the solver's settings.
-        packing_seed: of the filling.
-        nudge: length of a random displacement of every particle of the settled state, m; 0 for none.
-        nudge_seed: of the directions of the nudge.
-        settling_dem: the solver's settings for the settled bed, where they differ from ``dem``.
-    """
-
-    scene: Scene
-    dem: DemConfig = field(default_factory=DemConfig)
-    packing_seed: int = 0
-    nudge: float = 0.0
-    nudge_seed: int = 0
-    settling_dem: DemConfig | None = None
+    scene: Scene  # with the rotation of this case
+    dem: DemConfig = field(default_factory=DemConfig)  # the solver's settings
+    packing_seed: int = 0  # of the filling
+    nudge: float = 0.0  # m, length of a random displacement of every particle of the settled state
+    nudge_seed: int = 0  # of its directions
+    settling_dem: DemConfig | None = None  # the solver's settings for the settled bed, where they differ from dem
 
     def __post_init__(self) -> None:
         check_arguments(scene=(self.scene, Scene), dem=(self.dem, DemConfig), nudge=(self.nudge, float))
@@ -53,8 +44,7 @@ class CaseSpec:
     @property
     def settling_scene(self) -> Scene:
         """The scene in which the bed settles: at rest, and the same whatever follows."""
-        scene = self.scene.at_rest()
-        return replace(scene, end_time=scene.start_time + scene.frame_interval)
+        return replace(self.scene.at_rest(), end_time=self.scene.start_time + self.scene.frame_interval)
 
     @property
     def bed_dem(self) -> DemConfig:
@@ -64,30 +54,16 @@ class CaseSpec:
     @property
     def settling_key(self) -> dict[str, Any]:
         """What determines the settled bed; cases that differ in what follows share it."""
-        scene = to_document(self.settling_scene)
-        scene.pop("name")
-        return {
-            "kind": "settled",
-            "format": FORMAT_VERSION,
-            "scene": scene,
-            "dem": _dem_key(self.settling_scene, self.bed_dem),
-            "packing_seed": int(self.packing_seed),
-            "code": dem_source_hash(),
-        }
+        key = _key("settled", self.settling_scene, self.bed_dem) | {"packing_seed": int(self.packing_seed)}
+        key["scene"].pop("name")
+        return key
 
     @property
     def key(self) -> dict[str, Any]:
         """What determines the case, as plain data; its hash names the file."""
-        return {
-            "kind": "case",
-            "format": FORMAT_VERSION,
-            "scene": to_document(self.scene),
-            "dem": _dem_key(self.scene, self.dem),
-            "settled": self.settling_key,
-            "nudge": float(self.nudge),
-            "nudge_seed": int(self.nudge_seed) if self.nudge else 0,
-            "code": dem_source_hash(),
-        }
+        seed = int(self.nudge_seed) if self.nudge else 0
+        own = {"settled": self.settling_key, "nudge": float(self.nudge), "nudge_seed": seed}
+        return _key("case", self.scene, self.dem) | own
 
     @property
     def label(self) -> str:
@@ -96,7 +72,7 @@ class CaseSpec:
         if self.nudge:
             words.append(f"replica{self.nudge_seed}")
         if self.settling_dem is not None:
-            words.append(f"dt{choose_time_step(self.scene, self.dem.time_step, self.dem.allow_unsafe_step)[0]:.3g}")
+            words.append(f"dt{_time_step(self.scene, self.dem):.3g}")
         return "_".join(re.sub(r"[^\w.+-]", "-", word) for word in words)
 
     def path(self, root: Path | str) -> Path:
@@ -123,8 +99,8 @@ def replicas(spec: CaseSpec, count: int) -> list[CaseSpec]:
 
 def half_step(spec: CaseSpec) -> CaseSpec:
     """The same case from the same settled bed with half the time step."""
-    time_step, _ = choose_time_step(spec.scene, spec.dem.time_step, spec.dem.allow_unsafe_step)
-    return replace(spec, dem=replace(spec.dem, time_step=0.5 * time_step), settling_dem=spec.bed_dem)
+    finer = replace(spec.dem, time_step=0.5 * _time_step(spec.scene, spec.dem))
+    return replace(spec, dem=finer, settling_dem=spec.bed_dem)
 
 
 @dataclass(frozen=True)
@@ -155,11 +131,7 @@ def split_cases(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> Split:
             f"scene {scene.name!r} keeps its own motion, so it makes one case and no splits by speed; "
             "choose a drum with one speed"
         )
-    sides = {
-        "training": dataset.training_speeds_rpm,
-        "validation": dataset.validation_speeds_rpm,
-        "holdout": dataset.holdout_speeds_rpm,
-    }
+    sides = {side: getattr(dataset, f"{side}_speeds_rpm") for side in ("training", "validation", "holdout")}
     seen: dict[float, str] = {}
     for side, speeds in sides.items():
         for speed in map(float, speeds):
@@ -177,12 +149,8 @@ def split_cases(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> Split:
             seen[speed] = side
     if not sides["training"]:
         raise DatasetError("dataset.training_speeds_rpm is empty; give at least one speed to train on")
-    return Split(
-        **{
-            side: [CaseSpec(scene.at_speed(speed), dem, dataset.packing_seed) for speed in speeds]
-            for side, speeds in sides.items()
-        }
-    )
+    cases = [[CaseSpec(scene.at_speed(v), dem, dataset.packing_seed) for v in speeds] for speeds in sides.values()]
+    return Split(*cases)
 
 
 def own_case(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> CaseSpec:
@@ -196,10 +164,15 @@ def key_hash(key: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _dem_key(scene: Scene, dem: DemConfig) -> dict[str, Any]:
-    """The solver's settings that change numbers; skin and threads don't."""
-    time_step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
-    return {"engine": dem.engine, "time_step": float(time_step), "precision": dem.precision, "slip": dem.slip}
+def _time_step(scene: Scene, dem: DemConfig) -> float:
+    return float(choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)[0])
+
+
+def _key(kind: str, scene: Scene, dem: DemConfig) -> dict[str, Any]:
+    """A scene, the solver's settings that change numbers (skin and threads don't), and its code."""
+    solver = {"engine": dem.engine, "time_step": _time_step(scene, dem), "precision": dem.precision, "slip": dem.slip}
+    document = to_document(scene)
+    return {"kind": kind, "format": FORMAT_VERSION, "scene": document, "dem": solver, "code": dem_source_hash()}
 
 
 @functools.cache

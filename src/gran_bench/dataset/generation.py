@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from gran_bench.dem.simulate import settle, simulate
 from gran_bench.files import locked, remove_leftovers
 from gran_bench.state import ParticleState
 
-T = TypeVar("T")
 Report = Callable[[float], None]  # called with the simulated time that a job has covered so far, s
 
 
@@ -44,60 +43,49 @@ class Job:
         return scene.start_time if self.settles else scene.end_time - scene.start_time
 
     def run(self, report: Report, waiting: Callable[[], None] = lambda: None) -> None:
-        """Make the file unless it is there.
-
-        Args:
-            report: gets the simulated time covered, s.
-            waiting: called once if another process is making the same file.
+        """Make the file unless it is there; ``waiting`` is called once if another process is making it.
 
         Raises:
             DatasetError: the simulation failed or the file cannot be written or read.
         """
-        lock = self.path.parent / ".locks" / f"{self.path.stem}.lock"
+        path = self.path
         try:
-            with locked(lock, waiting):
-                if self.path.exists():
-                    read_attributes(self.path)
+            with locked(path.parent / ".locks" / f"{path.stem}.lock", waiting):
+                if path.exists():
+                    read_attributes(path)
                     return
-                remove_leftovers(self.path)
-                if self.settles:
-                    _make_settled(self, report)
-                else:
-                    _make_case(self, report)
+                remove_leftovers(path)
+                (_make_settled if self.settles else _make_case)(self, path, report)
         except BrokenPipeError:  # of a report: whoever listened is gone
             raise
         except OSError as error:
             raise DatasetError(
-                f"{self.path} cannot be made: {error.strerror or error}; free space, or choose another dataset.root"
+                f"{path} cannot be made: {error.strerror or error}; free space, or choose another dataset.root"
             ) from error
+        except (ValueError, RuntimeError) as error:  # a simulation that fails
+            raise DatasetError(str(error)) from error
 
 
-def _make_settled(job: Job, report: Report) -> None:
-    spec, began = job.spec, time.perf_counter()
-    said: list[str] = []
-    state = _simulation(
-        lambda: settle(spec.settling_scene, spec.packing_seed, dem=spec.bed_dem, progress=report, warn=said.append)
-    )
-    facts = _facts(spec) | {"warnings": "\n".join(said), "wall_seconds": time.perf_counter() - began}
-    write_settled(job.path, spec.settling_key, state, facts)
+def _make_settled(job: Job, path: Path, report: Report) -> None:
+    spec, began, said = job.spec, time.perf_counter(), []
+    state = settle(spec.settling_scene, spec.packing_seed, dem=spec.bed_dem, progress=report, warn=said.append)
+    facts = {"warnings": "\n".join(said), "wall_seconds": time.perf_counter() - began}
+    write_settled(path, spec.settling_key, state, _facts(spec) | facts)
 
 
-def _make_case(job: Job, report: Report) -> None:
-    spec, scene = job.spec, job.spec.scene
+def _make_case(job: Job, path: Path, report: Report) -> None:
+    spec, scene, key = job.spec, job.spec.scene, job.spec.key
     bed, bed_facts = read_settled(spec.settled_path(job.root))
     start = nudged(bed, spec.nudge, spec.nudge_seed)
-    result = _simulation(
-        lambda: simulate(
-            scene, start, scene.end_time, dem=spec.dem, progress=lambda clock: report(clock - scene.start_time)
-        ),
+    result = simulate(
+        scene, start, scene.end_time, dem=spec.dem, progress=lambda clock: report(clock - scene.start_time)
     )
-    key = spec.key
     if result.time_step != key["dem"]["time_step"]:
         raise DatasetError(
             f"the solver took steps of {result.time_step:g} s where {key['dem']['time_step']:g} s name the file; "
             "set dem.time_step"
         )
-    facts = _facts(spec) | {
+    facts = {
         "time_step": result.time_step,
         "steps": result.steps,
         "nudge": float(spec.nudge),
@@ -107,7 +95,7 @@ def _make_case(job: Job, report: Report) -> None:
         "settling_wall_seconds": float(bed_facts["wall_seconds"]),
         "settled_digest": bed_facts["digest"],
     }
-    write_case(job.path, key, scene, result.trajectory, start, facts)
+    write_case(path, key, scene, result.trajectory, start, _facts(spec) | facts)
 
 
 def nudged(state: ParticleState, length: float, seed: int) -> ParticleState:
@@ -117,14 +105,6 @@ def nudged(state: ParticleState, length: float, seed: int) -> ParticleState:
     direction = np.random.default_rng(seed).standard_normal(state.position.shape)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     return replace(state, position=state.position + length * direction)
-
-
-def _simulation(run: Callable[[], T]) -> T:
-    """Run the solver; a simulation that fails becomes an error of the data set, which names the case."""
-    try:
-        return run()
-    except (ValueError, RuntimeError) as error:
-        raise DatasetError(str(error)) from error
 
 
 def _facts(spec: CaseSpec) -> dict[str, Any]:

@@ -9,15 +9,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 from gran_bench.scene import Cone, Cylinder, Disc, Plane, Scene, SceneError, Spin, Translation, Vibration
 
 # Where a field may hold one of several things, its document says which.
-_KINDS = {
-    "plane": Plane,
-    "cylinder": Cylinder,
-    "disc": Disc,
-    "cone": Cone,
-    "spin": Spin,
-    "translation": Translation,
-    "vibration": Vibration,
-}
+_KINDS = {cls.__name__.lower(): cls for cls in (Plane, Cylinder, Disc, Cone, Spin, Translation, Vibration)}
 _NAMES = {cls: kind for kind, cls in _KINDS.items()}
 _WHOLE_NUMBERS = {"count", "first", "second"}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,29 +20,17 @@ from gran_bench.state import FloatArray
 
 @dataclass(frozen=True)
 class Window:
-    """A start frame (index 0) and A frames ahead of one case; views into the case, not copies.
-
-    Attributes:
-        scene: of the case.
-        case: index of the case.
-        start: index of the start frame in the case.
-        time: of the start frame, s.
-        position: ``(A + 1, N, 3)`` float32, m.
-        velocity: ``(A + 1, N, 3)`` float32, instantaneous, m/s.
-        angular_velocity: ``(A + 1, N, 3)`` float32, rad/s.
-        previous_position: ``(N, 3)`` float32, one frame before the start, m; None at the settled state.
-        mean_overlap: ``(A + 1,)`` the DEM's mean overlap of a contact, pairs and walls together, m; 0 without contacts.
-    """
+    """A start frame (index 0) and A frames ahead of one case; views into the case, not copies."""
 
     scene: Scene
-    case: int
-    start: int
-    time: float
-    position: FloatArray
-    velocity: FloatArray
-    angular_velocity: FloatArray
-    previous_position: FloatArray | None
-    mean_overlap: FloatArray
+    case: int  # index of the case
+    start: int  # index of the start frame in it
+    time: float  # s, of the start frame
+    position: FloatArray  # (A + 1, N, 3) float32, m
+    velocity: FloatArray  # (A + 1, N, 3) float32, instantaneous, m/s
+    angular_velocity: FloatArray  # (A + 1, N, 3) float32, rad/s
+    previous_position: FloatArray | None  # (N, 3) float32, a frame before the start, m; None at the settled state
+    mean_overlap: FloatArray  # (A + 1,) the DEM's mean overlap of a contact, pairs and walls, m; 0 without contacts
 
     def velocity_at(self, frame: int, kind: str) -> FloatArray:
         """Velocity at a frame of the window, ``(N, 3)`` float32, m/s.
@@ -98,8 +87,14 @@ class Windows:
         intervals = {case.scene.frame_interval for case in cases}
         if len(intervals) > 1:
             raise DatasetError(f"cases have frame intervals of {sorted(intervals)} s; train on one interval")
-        for case in cases:
-            _check_finite(case)
+        for case, name in itertools.product(cases, ("position", "velocity", "angular_velocity")):
+            # A solver may leave what is no number, whose seal is whole all the same.
+            broken = np.flatnonzero(~np.isfinite(getattr(case.trajectory, name)).all(axis=(1, 2)))
+            if len(broken):
+                raise DatasetError(
+                    f"{case.path} has a {name} that is not finite in {len(broken)} of its frames, first in frame "
+                    f"{broken[0]}; no training can use it: delete it and run the same command again, or leave it out"
+                )
         self.cases, self.seed = list(cases), seed
         self.startup_fraction, self.startup_seconds = startup_fraction, startup_seconds
         self._overlap = [_mean_overlap(case) for case in cases]
@@ -118,15 +113,15 @@ class Windows:
         checked(RolloutConfig, "frames", frames_ahead)
         rng = np.random.default_rng((self.seed, number))
         index = int(rng.integers(len(self.cases)))
-        scene, frames = self.cases[index].scene, self.cases[index].trajectory.frame_count
-        starts = frames - frames_ahead
+        case = self.cases[index]
+        starts = case.trajectory.frame_count - frames_ahead
         if starts < 1:
             raise DatasetError(
-                f"rollout.frames={frames_ahead} is more than {self.cases[index].path.name} has ({frames - 1} ahead of "
-                "its first); choose fewer frames or a later scene.end_time"
+                f"rollout.frames={frames_ahead} is more than {case.path.name} has "
+                f"({case.trajectory.frame_count - 1} ahead of its first); choose fewer frames or a later scene.end_time"
             )
         if rng.random() < self.startup_fraction:
-            starts = min(starts, max(1, round(self.startup_seconds / scene.frame_interval)))
+            starts = min(starts, max(1, round(self.startup_seconds / case.scene.frame_interval)))
         return self.window(index, int(rng.integers(starts)), frames_ahead)
 
     def window(self, case: int, start: int, frames_ahead: int) -> Window:
@@ -137,18 +132,14 @@ class Windows:
         """
         if not (0 <= case < len(self.cases) and 0 <= start < self.cases[case].trajectory.frame_count - frames_ahead):
             raise DatasetError(f"case {case} has no window of {frames_ahead} frames ahead of frame {start}")
-        trajectory, span = self.cases[case].trajectory, slice(start, start + frames_ahead + 1)
-        return Window(
-            scene=self.cases[case].scene,
-            case=case,
-            start=start,
-            time=float(trajectory.time[start]),
-            position=trajectory.position[span],
-            velocity=trajectory.velocity[span],
-            angular_velocity=trajectory.angular_velocity[span],
-            previous_position=trajectory.position[start - 1] if start else None,
-            mean_overlap=self._overlap[case][span],
+        scene, motion, span = (
+            self.cases[case].scene,
+            self.cases[case].trajectory,
+            slice(start, start + frames_ahead + 1),
         )
+        ahead = motion.position[span], motion.velocity[span], motion.angular_velocity[span]
+        previous = motion.position[start - 1] if start else None
+        return Window(scene, case, start, float(motion.time[start]), *ahead, previous, self._overlap[case][span])
 
     @property
     def digest(self) -> str:
@@ -160,17 +151,6 @@ def dataset_digest(cases: Iterable[Case | Path | str]) -> str:
     """16 hex digits over the digests of cases, whatever their order."""
     digests = sorted(c.digest if isinstance(c, Case) else read_attributes(c)["digest"] for c in cases)
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()[:16]
-
-
-def _check_finite(case: Case) -> None:
-    """Refuses a case that a solver left with something that is no number, whose seal is whole all the same."""
-    for name in ("position", "velocity", "angular_velocity"):
-        broken = np.flatnonzero(~np.isfinite(getattr(case.trajectory, name)).all(axis=(1, 2)))
-        if len(broken):
-            raise DatasetError(
-                f"{case.path} has a {name} that is not finite in {len(broken)} of its frames, first in frame "
-                f"{broken[0]}; no training can use it: delete it and run the same command again, or leave it out"
-            )
 
 
 def _mean_overlap(case: Case) -> FloatArray:

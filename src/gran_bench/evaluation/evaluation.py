@@ -24,8 +24,8 @@ from gran_bench.metrics.judge import judge, nearest_case
 from gran_bench.metrics.judgement import Judgement
 from gran_bench.metrics.position_error import HORIZONS, short_horizon_errors, spread_starts
 from gran_bench.metrics.summary import TrajectorySummary, summarise
-from gran_bench.rollout import Rollout, extrapolations, rollout
 from gran_bench.state import FloatArray, Trajectory
+from gran_bench.surrogate.rollout import Rollout, extrapolations, rollout
 from gran_bench.surrogate.step import Surrogate
 
 Tell = Callable[[str], None]

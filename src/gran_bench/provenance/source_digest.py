@@ -23,12 +23,12 @@ SOLVER = ("dem", "neighbors", "scene")
 _READING = (
     *("state.py", "scene", "neighbors", "dem/outlet.py", "dem/seams.py", "dem/fast/wall_list.py", "dem/walls.py"),
     *("dataset/case_file.py", "dataset/scene_document.py", "dataset/windows.py"),
-    *("surrogate", "-surrogate/checkpoint.py", "-surrogate/contact", "-surrogate/convolution"),
+    *("surrogate", *(f"-surrogate/{name}" for name in ("checkpoint.py", "rollout.py", "contact", "convolution"))),
 )
 # What decides the weights of a training, beside the model's modules.
 TRAINING = (*_READING, "losses", "trainer")
 # What a judge says of given weights, beside the model's modules. The DEM's runs are in its key by their names.
-JUDGING = (*_READING, "dataset/generation.py", "rollout.py", "metrics", "baselines.py", "evaluation")
+JUDGING = (*_READING, "dataset/generation.py", "surrogate/rollout.py", "metrics", "baselines.py", "evaluation")
 # What a benchmark measures of a method.
 COMPARING = (
     *(*JUDGING, *SOLVER, "surrogate"),

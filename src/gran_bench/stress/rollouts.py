@@ -12,7 +12,6 @@ from gran_bench.compose import checked_config, compose
 from gran_bench.config import BoundaryConfig, TrainConfig
 from gran_bench.config.reading import read_config
 from gran_bench.metrics.outside import count_failures, distance_outside
-from gran_bench.rollout import Rollout, rollout
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import FloatArray, ParticleState
@@ -20,6 +19,7 @@ from gran_bench.stress.beds import bed_in_place, energy_scale, escapes, kinetic_
 from gran_bench.stress.expectation import Observation
 from gran_bench.stress.experiment import Bench, Experiment, Subject
 from gran_bench.surrogate.build import build_model
+from gran_bench.surrogate.rollout import Rollout, rollout
 from gran_bench.surrogate.step import FrameState, Surrogate
 
 WILD = 2.0  # M (g D + ½ ω² R²): more kinetic energy than falling and turning can give, with room for a model's errors

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from gran_bench.rollout import initial_frame, rollout
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import FloatArray, ParticleState
 from gran_bench.stress.beds import settled_bed
 from gran_bench.stress.expectation import Observation
 from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.surrogate.rollout import initial_frame, rollout
 from gran_bench.surrogate.step import Surrogate
 
 TURN_DEG = 40.0  # about the axis; no multiple of an angle that a lattice could know

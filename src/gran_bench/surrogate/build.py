@@ -12,12 +12,7 @@ from gran_bench.surrogate.step import Surrogate
 from gran_bench.surrogate.trained_for import TrainedFor
 
 
-def build_model(
-    model: Section,
-    boundary: BoundaryConfig,
-    scene: Scene,
-    speeds_rpm: Sequence[float] = (),
-) -> Surrogate:
+def build_model(model: Section, boundary: BoundaryConfig, scene: Scene, speeds_rpm: Sequence[float] = ()) -> Surrogate:
     """The surrogate that a config names, with fresh weights from torch's global generator.
 
     Args:

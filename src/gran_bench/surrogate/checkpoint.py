@@ -30,21 +30,12 @@ class CheckpointError(ValueError):
 
 @dataclass(frozen=True)
 class ModelCard:
-    """What a model file says about itself.
+    """What a model file says about itself; a rollout compares its scene and the drum's ``training_speeds_rpm``."""
 
-    Attributes:
-        model: resolved ``model`` keys.
-        boundary: resolved ``boundary`` keys.
-        scene: resolved ``scene`` keys that the model was trained on: diameter, frame interval, material, gravity,
-            walls and number of spheres, which a rollout compares.
-        origin: provenance: command, commit, hardware, data digest, training steps and seconds, and the drum's
-            ``training_speeds_rpm``, which a rollout compares too.
-    """
-
-    model: dict[str, Any]
+    model: dict[str, Any]  # resolved keys, as are the next two
     boundary: dict[str, Any]
-    scene: dict[str, Any]
-    origin: dict[str, Any]
+    scene: dict[str, Any]  # that the model was trained on
+    origin: dict[str, Any]  # command, commit, hardware, data digest, training steps and seconds, speeds
 
 
 def save_model(path: Path, weights: dict[str, Tensor], card: ModelCard) -> str:
@@ -98,19 +89,16 @@ def load_card(path: Path) -> tuple[ModelCard, dict[str, Tensor]]:
         weights = content.pop("weights")
         return ModelCard(**content), weights
     except Exception as error:
+        model = path / MODEL if path.is_dir() else path.with_name(MODEL)  # what may have been meant
+        if model != path and model.exists():
+            remedy = f"give {model}"
+        elif path.name == CHECKPOINT:
+            remedy = f"it is of a training that has not ended; the command that began it leaves {MODEL} beside it"
+        else:
+            remedy = "get or train it again"
         raise CheckpointError(
-            f"{path} is not a whole gran-bench model file ({type(error).__name__}: {error}); {_remedy(Path(path))}"
+            f"{path} is not a whole gran-bench model file ({type(error).__name__}: {error}); {remedy}"
         ) from error
-
-
-def _remedy(path: Path) -> str:
-    """What to give instead of a file that is no model: the model beside it or in it, where there is one."""
-    model = path / MODEL if path.is_dir() else path.with_name(MODEL)
-    if model != path and model.exists():
-        return f"give {model}"
-    if path.name == CHECKPOINT:
-        return f"it is the state of a training that has not ended; the command that began it leaves {MODEL} beside it"
-    return "get or train it again"
 
 
 def load_model(path: str | Path, device: str = "cpu") -> tuple[Surrogate, ModelCard]:

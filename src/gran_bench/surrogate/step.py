@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -19,45 +19,32 @@ from gran_bench.surrogate.trained_for import TrainedFor
 
 @dataclass
 class FrameState:
-    """What a surrogate carries from frame to frame.
+    """What a surrogate carries from frame to frame."""
 
-    Attributes:
-        position: ``(N, 3)`` m; y lies in [−L/2, L/2) where the scene is periodic.
-        velocity: ``(N, 3)`` m/s, of the model's ``velocity_kind``.
-        angular_velocity: ``(N, 3)`` rad/s, or None for a model that has no spin.
-        memory: whatever else a model keeps of the past, such as a
-            :class:`~gran_bench.surrogate.contact.memory.ContactMemory`; its ``renumbered`` follows spheres that leave.
-            Or None.
-        pair_acceleration: ``(N, 3)`` m/s², what particles gave each other in the frame that ends here, or None at a
-            start and for a model that does not tell it from what walls gave.
-    """
-
-    position: Tensor
-    velocity: Tensor
-    angular_velocity: Tensor | None = None
-    memory: object | None = None
+    position: Tensor  # (N, 3) m; y lies in [−L/2, L/2) where the scene is periodic
+    velocity: Tensor  # (N, 3) m/s, of the model's velocity_kind
+    angular_velocity: Tensor | None = None  # (N, 3) rad/s, or None for a model that has no spin
+    memory: object | None = None  # whatever else a model keeps of the past; its `renumbered` follows spheres that leave
+    # (N, 3) m/s², what particles gave each other in the frame that ends here; None where it is not told from walls'
     pair_acceleration: Tensor | None = None
+
+    def of_each(self, change: Callable[[Tensor], Tensor]) -> FrameState:
+        """The same state with each of its tensors changed."""
+        values = vars(self).items()
+        return FrameState(**{name: change(value) if isinstance(value, Tensor) else value for name, value in values})
 
     def detached(self) -> FrameState:
         """The same state, cut off from the frames that made it."""
-        values = (getattr(self, field.name) for field in fields(self))
-        return FrameState(*(value.detach() if isinstance(value, Tensor) else value for value in values))
+        return self.of_each(Tensor.detach)
 
 
 class Surrogate(nn.Module):
-    """A learned map from one frame to the next, at any number of particles.
+    """A learned map from one frame to the next, at any number of particles."""
 
-    Attributes:
-        velocity_kind: ``mean`` over the frame that ends at the state, or ``instantaneous``.
-        uses_spin: whether angular velocities are part of the state.
-        has_memory: whether the state carries a memory of earlier frames.
-        trained_for: what the model was made for, which a rollout compares; None for a model of no scene.
-    """
-
-    velocity_kind: str = "mean"
-    uses_spin: bool = False
-    has_memory: bool = False
-    trained_for: TrainedFor | None = None
+    velocity_kind: str = "mean"  # over the frame that ends at the state, or instantaneous
+    uses_spin: bool = False  # whether angular velocities are part of the state
+    has_memory: bool = False  # whether the state carries a memory of earlier frames
+    trained_for: TrainedFor | None = None  # what it was made for, which a rollout compares
 
     def begin(
         self,
@@ -74,11 +61,10 @@ class Surrogate(nn.Module):
         of instantaneous velocities, the stored velocity is taken.
 
         Args:
-            position: ``(N, 3)`` m.
-            velocity: ``(N, 3)`` m/s, as stored.
+            position, velocity: ``(N, 3)`` m and m/s, as stored.
             angular_velocity: ``(N, 3)`` rad/s; needed by a model that uses spin.
             previous_position: ``(N, 3)`` m, a frame earlier.
-            memory: of the start frame, as :meth:`memories` gives it; a model without memory takes no notice.
+            memory: of the start frame, as :meth:`memories` gives it; None at the settled state.
 
         Raises:
             ValueError: a model of spin that is given none, or a value that is not ``(N, 3)`` or not finite.
@@ -93,18 +79,13 @@ class Surrogate(nn.Module):
                 raise ValueError(f"{name} is not finite; give begin() finite values, a model can make nothing of it")
         if self.velocity_kind == "mean" and previous_position is not None:
             velocity = minimum_image(position - previous_position, scene.period) / scene.frame_interval
-        return FrameState(position, velocity, angular_velocity if self.uses_spin else None)
+        spin, memory = angular_velocity if self.uses_spin else None, memory if self.has_memory else None
+        return FrameState(position, velocity, spin, memory)
 
     def memories(
         self, scene: Scene, times: FloatArray, positions: FloatArray, angular_velocities: FloatArray
     ) -> list[object] | None:
-        """What the model remembers at each of F stored frames, from the settled one on; None without a memory.
-
-        Args:
-            times: ``(F,)`` s.
-            positions: ``(F, N, 3)`` m.
-            angular_velocities: ``(F, N, 3)`` rad/s.
-        """
+        """What the model remembers at each of F stored frames (s, m, rad/s), from the settled one on; or None."""
         return None
 
     def forward(self, state: FrameState, scene: Scene, time: float) -> FrameState:
@@ -151,13 +132,7 @@ class NewtonSurrogate(Surrogate):
         self.velocity_kind = "mean" if update == "mean" else "instantaneous"
 
     def acceleration(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> Tensor:
-        """Acceleration of contacts over the frame that starts at ``time``, ``(N, 3)`` m/s².
-
-        Args:
-            position: ``(N, 3)`` predicted x*, m.
-            velocity: ``(N, 3)`` predicted v*, m/s.
-            time: s, start of the frame.
-        """
+        """Acceleration of contacts over the frame from ``time``, s, at x* (m) and v* (m/s): ``(N, 3)`` m/s²."""
         raise NotImplementedError
 
     def accelerations(
@@ -167,59 +142,43 @@ class NewtonSurrogate(Surrogate):
         return self.acceleration(position, velocity, scene, time), None
 
     def advance(self, state: FrameState, scene: Scene, time: float) -> FrameState:
-        interval = scene.frame_interval
-        before = state.velocity
-        predicted = before
-        if scene.needs.gravity:
-            predicted = before + before.new_tensor(scene.gravity) * interval
-        guess = state.position + interval * self._travel_velocity(before, predicted)
-        guess = wrap(guess, scene.period)
+        interval, before = scene.frame_interval, state.velocity
+
+        def moved(velocity: Tensor) -> Tensor:
+            travel = velocity if self.update == "mean" else 0.5 * (before + velocity)
+            return wrap(state.position + interval * travel, scene.period)
+
+        predicted = before + before.new_tensor(scene.gravity) * interval if scene.needs.gravity else before
+        guess = moved(predicted)
         if torch.isfinite(guess).all() and torch.isfinite(predicted).all():
             acceleration, of_pairs = self.accelerations(guess, predicted, scene, time)
             velocity = predicted + interval * acceleration
-        else:
-            velocity = of_pairs = torch.full_like(
-                predicted, torch.nan
-            )  # neighbours of nowhere do not exist: the failure shows
-        position = state.position + interval * self._travel_velocity(before, velocity)
-        return FrameState(wrap(position, scene.period), velocity, pair_acceleration=of_pairs)
-
-    def _travel_velocity(self, before: Tensor, after: Tensor) -> Tensor:
-        """Velocity that carries a particle through the frame, ``(N, 3)`` m/s."""
-        return after if self.update == "mean" else 0.5 * (before + after)
+        else:  # neighbours of nowhere do not exist: the failure shows
+            velocity = of_pairs = torch.full_like(predicted, torch.nan)
+        return FrameState(moved(velocity), velocity, pair_acceleration=of_pairs)
 
 
 def _rejoined(state: FrameState, inside: np.ndarray, advance: Callable[[FrameState], FrameState]) -> FrameState:
     """The whole state after the spheres that are ``inside``, ``(N,)`` bool, were moved on; the others as they were."""
     number = np.flatnonzero(inside)
     rows = torch.from_numpy(number).to(state.position.device)
-
-    def part(values: Tensor | None) -> Tensor | None:
-        return None if values is None else values.index_select(0, rows)
-
-    def whole(values: Tensor | None, moved: Tensor | None) -> Tensor | None:
-        return None if values is None or moved is None else values.index_copy(0, rows, moved)
-
-    memory = state.memory
+    part, memory = state.of_each(lambda values: values.index_select(0, rows)), state.memory
     if memory is not None:
-        memory = memory.renumbered(np.where(inside, np.cumsum(inside) - 1, -1), len(number))
-    after = advance(FrameState(part(state.position), part(state.velocity), part(state.angular_velocity), memory))
-    return FrameState(
-        whole(state.position, after.position),
-        whole(state.velocity, after.velocity),
-        whole(state.angular_velocity, after.angular_velocity),
-        None if after.memory is None else after.memory.renumbered(number, len(inside)),
-        whole(torch.zeros_like(state.position), after.pair_acceleration),
-    )
+        part.memory = memory.renumbered(np.where(inside, np.cumsum(inside) - 1, -1), len(number))
+    part.pair_acceleration = None
+    after = advance(part)
+    if after.memory is not None:
+        after.memory = after.memory.renumbered(number, len(inside))
+    state = replace(state, pair_acceleration=torch.zeros_like(state.position))
+    for name, values in vars(state).items():
+        moved = getattr(after, name)
+        if isinstance(moved, Tensor) and isinstance(values, Tensor):
+            setattr(after, name, values.index_copy(0, rows, moved))
+    return after
 
 
 def wrap(position: Tensor, period: float) -> Tensor:
-    """Positions with y in [−L/2, L/2), as the DEM stores them; unchanged where ``period`` is 0.
-
-    Args:
-        position: ``(..., 3)`` m.
-        period: L, m, of the y axis; 0 where nothing wraps.
-    """
+    """Positions ``(..., 3)`` with y in [−L/2, L/2), as the DEM stores them; unchanged where the period L is 0."""
     if period <= 0.0:
         return position
     turns = torch.floor(position.detach()[..., 1] / period + 0.5)

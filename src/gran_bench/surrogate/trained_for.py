@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from gran_bench.scene import Material, Scene
+from gran_bench.scene import Scene
 from gran_bench.state import ParticleState
 
 
@@ -18,15 +17,10 @@ class ModelMismatch(ValueError):
 
 @dataclass(frozen=True)
 class TrainedFor:
-    """What a model was made for; its file's card says it.
+    """What a model was made for; its file's card says it."""
 
-    Attributes:
-        scene: gives d, Δt, materials, gravity, walls and the number of spheres.
-        speeds_rpm: of the drum in the training cases, rpm; empty where that is not known.
-    """
-
-    scene: Scene
-    speeds_rpm: tuple[float, ...] = ()
+    scene: Scene  # gives d, Δt, materials, gravity, walls and the number of spheres
+    speeds_rpm: tuple[float, ...] = ()  # of the drum in the training cases; empty where that is not known
 
     def warnings(self, scene: Scene, state: ParticleState) -> tuple[str, ...]:
         """What is an extrapolation of a rollout from a state, a line each.
@@ -34,55 +28,44 @@ class TrainedFor:
         Raises:
             ModelMismatch: another diameter, several, another frame interval, or walls for a model that saw none.
         """
-        for complaint in self._complaints(scene, state):
-            raise ModelMismatch(complaint)
-        return tuple(self._extrapolations(scene, state))
-
-    def _complaints(self, scene: Scene, state: ParticleState) -> Iterator[str]:
-        trained = self.scene.filling.radius
+        home = self.scene
         radii = np.unique((*state.radius, scene.filling.radius)) if state.count else np.array([scene.filling.radius])
-        if not np.allclose(radii, trained, rtol=1e-6, atol=0.0):
+        if not np.allclose(radii, home.filling.radius, rtol=1e-6, atol=0.0):
             found = f"{radii[0]:g} m" if len(radii) == 1 else f"{radii[0]:g} to {radii[-1]:g} m (state and scene)"
-            yield (
-                f"spheres of radius {found}: this model knows spheres of radius {trained:g} m alone; give it such a "
-                "bed and scene.filling.diameter, or train a model on yours"
+            raise ModelMismatch(
+                f"spheres of radius {found}: this model knows spheres of radius {home.filling.radius:g} m alone; give "
+                "it such a bed and scene.filling.diameter, or train a model on yours"
             )
-        if not np.isclose(scene.frame_interval, self.scene.frame_interval, rtol=1e-9, atol=0.0):
-            yield (
-                f"scene.frame_interval={scene.frame_interval:g} s: this model steps {self.scene.frame_interval:g} s "
+        if not np.isclose(scene.frame_interval, home.frame_interval, rtol=1e-9, atol=0.0):
+            raise ModelMismatch(
+                f"scene.frame_interval={scene.frame_interval:g} s: this model steps {home.frame_interval:g} s "
                 "and nothing else; choose that, or train a model on yours"
             )
-        if scene.walls and not self.scene.walls:
-            yield (
+        if scene.walls and not home.walls:
+            raise ModelMismatch(
                 f"the walls of scene {scene.name!r}: this model was trained without walls and cannot know them; "
                 "train a model in a scene with walls"
             )
-
-    def _extrapolations(self, scene: Scene, state: ParticleState) -> Iterator[str]:
-        home = self.scene
-        for name in ("material", "wall_material"):
-            here, there = getattr(scene, name), getattr(home, name)
-            for entry in fields(Material):
-                value, trained = getattr(here, entry.name), getattr(there, entry.name)
-                if value != trained and (name == "material" or scene.walls):
-                    yield f"scene.{name}.{entry.name}={value:g}, trained on {trained:g}"
-        kinds = len(np.unique(state.material))
-        if kinds > 1:
-            yield f"spheres of {kinds} materials, which the model cannot tell apart"
+        lines = []
+        for name in ("material", "wall_material") if scene.walls else ("material",):
+            for entry, value in asdict(getattr(scene, name)).items():
+                if value != (trained := getattr(getattr(home, name), entry)):
+                    lines.append(f"scene.{name}.{entry}={value:g}, trained on {trained:g}")
+        if (kinds := len(np.unique(state.material))) > 1:
+            lines.append(f"spheres of {kinds} materials, which the model cannot tell apart")
         if scene.gravity != home.gravity:
-            yield f"scene.gravity={list(scene.gravity)}, trained on {list(home.gravity)}"
+            lines.append(f"scene.gravity={list(scene.gravity)}, trained on {list(home.gravity)}")
         if (scene.walls, scene.period) != (home.walls, home.period):
-            yield f"walls: {_container(scene)}; trained in {_container(home)}"
+            lines.append(f"walls: {_container(scene)}; trained in {_container(home)}")
         turns = any(wall.turns and wall.motion is None for wall in scene.walls)
-        speeds = scene.rotation.speeds_rpm if turns else ()
+        speeds = sorted(scene.rotation.speeds_rpm) if turns else ()
         known = self.speeds_rpm if home.takes_speeds else home.rotation.speeds_rpm
-        if known and speeds:
-            low, high = min(known), max(known)
-            if min(speeds) < low or max(speeds) > high:
-                here = " to ".join(f"{rpm:g}" for rpm in sorted({min(speeds), max(speeds)}))
-                yield f"a drum at {here} rpm, trained at {low:g} to {high:g} rpm"
+        if known and speeds and (speeds[0] < min(known) or speeds[-1] > max(known)):
+            here = " to ".join(f"{rpm:g}" for rpm in dict.fromkeys((speeds[0], speeds[-1])))
+            lines.append(f"a drum at {here} rpm, trained at {min(known):g} to {max(known):g} rpm")
         if state.count != home.filling.count:
-            yield f"{state.count} spheres, trained on {home.filling.count}"
+            lines.append(f"{state.count} spheres, trained on {home.filling.count}")
+        return tuple(lines)
 
 
 def _container(scene: Scene) -> str:

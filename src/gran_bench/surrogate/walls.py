@@ -13,17 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gran_bench.dem.walls import (
-    ABSENT,
-    CYLINDER,
-    DIRECTION,
-    KIND,
-    PLANE,
-    POINT,
-    SIZES,
-    any_normal_to,
-    wall_poses,
-)
+from gran_bench.dem import walls as dem_walls
+from gran_bench.dem.walls import ABSENT, CYLINDER, DIRECTION, KIND, PLANE, POINT, SIZES
 from gran_bench.scene import Rotation, Scene, Wall
 from gran_bench.state import FloatArray
 
@@ -32,20 +23,12 @@ SHAPE = 11  # first columns of a pose: what a wall is, and where
 
 @dataclass(frozen=True)
 class FrameWalls:
-    """The W walls of a scene over one frame.
+    """The W walls of a scene over one frame; what is at c when it ends moved by ``turn`` c + ``shift`` in it."""
 
-    The material that is at c when the frame ends moved by ``turn`` c + ``shift`` in it.
-
-    Attributes:
-        before, after: ``(W, 11)`` shapes at the frame's start and end, the first columns of a pose, m.
-        turn: ``(W, 3, 3)``.
-        shift: ``(W, 3)`` m.
-    """
-
-    before: FloatArray
-    after: FloatArray
-    turn: FloatArray
-    shift: FloatArray
+    before: FloatArray  # (W, 11) shapes at the frame's start, the first columns of a pose, m
+    after: FloatArray  # (W, 11) at its end
+    turn: FloatArray  # (W, 3, 3)
+    shift: FloatArray  # (W, 3) m
 
     def in_unit(self, unit: float) -> FrameWalls:
         """The same with lengths in another unit, m."""
@@ -58,7 +41,7 @@ class FrameWalls:
 
 def frame_walls(scene: Scene, time: float) -> FrameWalls:
     """The walls over the frame that starts at ``time``, s; their motion is exact."""
-    before, after = wall_poses(scene, time, scene.frame_interval, 1)[..., :SHAPE]
+    before, after = dem_walls.wall_poses(scene, time, scene.frame_interval, 1)[..., :SHAPE]
     turn, shift = np.zeros((len(scene.walls), 3, 3)), np.zeros((len(scene.walls), 3))
     for index, wall in enumerate(scene.walls):
         turn[index], shift[index] = _displacement(scene, wall, time)
@@ -124,7 +107,7 @@ def closest_point(shape: FloatArray, position: Tensor) -> tuple[Tensor, Tensor]:
     dr, ds = r1 - r0, s1 - s0
     share = (((reach - r0) * dr + (along - s0) * ds) / (dr * dr + ds * ds)).clamp(0.0, 1.0)
     distance, across_up = _length_and_direction(torch.stack((r0 + share * dr - reach, s0 + share * ds - along), 1))
-    outward = torch.where((reach > 0)[:, None], outward, position.new_tensor(any_normal_to(shape[DIRECTION])))
+    outward = torch.where((reach > 0)[:, None], outward, position.new_tensor(dem_walls.any_normal_to(shape[DIRECTION])))
     return distance, across_up[:, :1] * outward + across_up[:, 1:] * direction
 
 

@@ -1,6 +1,5 @@
 """Training: updates, checkpoints, resuming bit for bit."""
 
-from gran_bench.trainer.schedule import frames_ahead, learning_rate
 from gran_bench.trainer.trainer import (
     CHECKPOINT,
     DIVERGED,
@@ -8,15 +7,6 @@ from gran_bench.trainer.trainer import (
     TrainingDiverged,
     TrainingResult,
     TrainingStopped,
+    frames_ahead,
+    learning_rate,
 )
-
-__all__ = [
-    "CHECKPOINT",
-    "DIVERGED",
-    "Trainer",
-    "TrainingDiverged",
-    "TrainingResult",
-    "TrainingStopped",
-    "frames_ahead",
-    "learning_rate",
-]

@@ -9,12 +9,13 @@ of the seed and the update's number, so a resumed training is bit-identical to o
 from __future__ import annotations
 
 import copy
+import itertools
 import math
-import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +24,13 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from gran_bench.config import TrainConfig
+from gran_bench.config import OptimConfig, RolloutConfig, TrainConfig
 from gran_bench.dataset import Window, Windows
 from gran_bench.losses import FrameAhead, Target, WindowLoss
 from gran_bench.surrogate.checkpoint import CHECKPOINT, CheckpointError, read_tensors, write_tensors
 from gran_bench.surrogate.step import FrameState, Surrogate
-from gran_bench.trainer.schedule import frames_ahead, learning_rate
 
 DIVERGED = "diverged.pt"
-METRICS_EVERY_SECONDS = 5.0
 
 
 class TrainingDiverged(RuntimeError):
@@ -44,26 +43,15 @@ class TrainingStopped(KeyboardInterrupt):
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """What a training did.
+    """What a training did."""
 
-    Attributes:
-        steps: optimiser updates in all.
-        seconds: wall time in all, across resumes, s.
-        stopped_by: ``steps`` or ``time``.
-        loss: of the last update (mean over windows of Σ over frames).
-        parameters: of the model, number of scalars.
-        planned_steps: updates that the budget has; None for a budget of time. Where they are more than ``steps``, the
-            clock has cut them.
-        learning_rate: of the last update.
-    """
-
-    steps: int
-    seconds: float
-    stopped_by: str
-    loss: float
-    parameters: int
-    planned_steps: int | None
-    learning_rate: float
+    steps: int  # optimiser updates in all
+    seconds: float  # wall time in all, across resumes
+    stopped_by: str  # steps or time
+    loss: float  # of the last update: mean over windows of the sum over frames
+    parameters: int  # of the model, number of scalars
+    planned_steps: int | None  # updates of the budget, None for one of time; where more than steps, the clock cut them
+    learning_rate: float  # of the last update
 
 
 class Trainer:
@@ -96,33 +84,21 @@ class Trainer:
         self.optimizer = torch.optim.Adam(self.parameters, lr=config.optim.learning_rate)
         self.average = [p.detach().clone() for p in self.parameters] if config.optim.weight_average else None
         self.step, self.seconds, self.spent, self.last_loss = 0, 0.0, 0.0, math.nan
-        on_cpu = self.parameters[0].device.type == "cpu"
-        self.workers = min(config.threads, config.optim.accumulate) if on_cpu else 1
-        self._memories: dict[int, list[Any]] = {}
-        self._following = threading.Lock()
-        self.replicas = [model] + [self._sharing_copy() for _ in range(self.workers - 1)]
+        self.workers = min(config.threads, config.optim.accumulate) if self._on_cpu else 1
+        self.replicas = [model] + [copy.deepcopy(model) for _ in range(self.workers - 1)]
+        for replica in self.replicas[1:]:  # it reads the same weights and collects gradients of its own
+            for own, shared in zip(replica.parameters(), self.parameters, strict=True):
+                own.data = shared.data
 
-    def _sharing_copy(self) -> Surrogate:
-        """A copy of the model that reads the same weights and collects gradients of its own."""
-        twin = copy.deepcopy(self.model)
-        for own, shared in zip(twin.parameters(), self.parameters, strict=True):
-            own.data = shared.data
-        return twin
-
-    # ---- checkpoints -------------------------------------------------------------------------------------
+    @property
+    def _on_cpu(self) -> bool:
+        return self.parameters[0].device.type == "cpu"
 
     def save(self) -> None:
         """Write the checkpoint, whole or not at all."""
-        state = {
-            "model": self.model.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-            "average": self.average,
-            "step": self.step,
-            "seconds": self.seconds,
-            "spent": self.spent,
-            "loss": self.last_loss,
-        }
-        write_tensors(self.folder / CHECKPOINT, state)
+        state = {"model": self.model.state_dict(), "optimizer": self.optimizer.state_dict(), "average": self.average}
+        clocks = {"step": self.step, "seconds": self.seconds, "spent": self.spent, "loss": self.last_loss}
+        write_tensors(self.folder / CHECKPOINT, state | clocks)
 
     def resume(self) -> bool:
         """Go on from the checkpoint in the folder; False if there is none.
@@ -145,8 +121,8 @@ class Trainer:
         if self.average is not None:
             for kept, saved in zip(self.average, state["average"], strict=True):
                 kept.copy_(saved)
-        self.step, self.seconds, self.last_loss = state["step"], state["seconds"], state["loss"]
-        self.spent = state["spent"]
+        self.step, self.seconds, self.spent = state["step"], state["seconds"], state["spent"]
+        self.last_loss = state["loss"]
         return True
 
     @property
@@ -167,15 +143,13 @@ class Trainer:
 
         Processor time, summed over threads, gives each choice of a sweep as much work, whatever else the machine does.
         """
-        on_cpu = self.parameters[0].device.type == "cpu"
-        return time.process_time() if on_cpu and self.config.trainer.budget == "time" else time.monotonic()
+        by_processor = self._on_cpu and self.config.trainer.budget == "time"
+        return time.process_time() if by_processor else time.monotonic()
 
     def _cut_ahead(self, work: np.ndarray, seconds_a_frame: float) -> str | None:
         """A sentence that says how much of a budget of steps the clock will cut at this pace; None for nothing.
 
-        Args:
-            work: frames ahead of all updates up to each one: an update takes as long as it looks ahead.
-            seconds_a_frame: so far.
+        ``work``: frames ahead of all updates up to each one; an update takes as long as it looks ahead.
         """
         budget, done = self.config.trainer, work[self.step - 1]
         needed = self.spent + (work[-1] - done) * seconds_a_frame
@@ -188,60 +162,45 @@ class Trainer:
             f"learning rate is cut; raise trainer.minutes to {math.ceil(needed / 60.0)} or lower trainer.steps"
         )
 
-    # ---- one update --------------------------------------------------------------------------------------
-
     def _window_gradients(self, model: Surrogate, draw: int, frames: int) -> tuple[float, dict[str, float], list]:
         """Loss, its terms and its gradients for one window; touches nothing that threads share."""
         window = self.windows.draw(draw, frames)
         rng = np.random.default_rng((self.config.seed, 7919, draw))
-        memory = self._memory(window)
+        memory = self._memories[window.case][window.start] if model.has_memory else None
         if self.config.rollout.mirror and rng.random() < 0.5:
             count = len(window.position[0])
             window, memory = window.mirrored(), None if memory is None else memory.mirrored(window.scene, count)
         state = self._start(model, window, memory, rng)
-        scene, through_time = window.scene, self.config.rollout.gradient_through_time
-        total, terms = None, {}
-        gradients = [torch.zeros_like(p) for p in self.parameters] if not through_time else None
+        scene, kind, through_time = window.scene, model.velocity_kind, self.config.rollout.gradient_through_time
+        total, terms, gradients = 0.0, {}, [torch.zeros_like(p) for p in self.parameters]
         for k in range(1, frames + 1):
             start = window.time + (k - 1) * scene.frame_interval
             before, state = state, model(state, scene, start)
-            ahead = FrameAhead(before, state, self._target(model, window, k), scene, start)
-            shares = self.loss.terms(ahead, k, frames)
-            share = sum(shares.values())
+            truth = (window.position[k], window.velocity_at(k, kind), window.angular_velocity[k])
+            earlier = window.velocity_at(k - 1, kind)
+            target = Target(*map(self._tensor, (*truth, earlier)), float(window.mean_overlap[k]))
+            shares = self.loss.terms(FrameAhead(before, state, target, scene, start), k, frames)
             for name, value in shares.items():
                 terms[name] = terms.get(name, 0.0) + value.item()
-            if through_time:
-                total = share if total is None else total + share
-            else:
-                for g, new in zip(gradients, self._gradients(share, model), strict=True):
-                    g += new
-                state = state.detached()
-        if through_time:
-            gradients = self._gradients(total, model)
+            total = total + sum(shares.values())
+            if not through_time or k == frames:
+                own = list(model.parameters())
+                found = torch.autograd.grad(total, own, allow_unused=True, materialize_grads=True)
+                gradients = [g + new for g, new in zip(gradients, found, strict=True)]
+                total, state = 0.0, state.detached()
         return sum(terms.values()), terms, gradients
 
-    @staticmethod
-    def _gradients(loss: Tensor, model: Surrogate) -> list[Tensor]:
-        """∂loss/∂parameter, zeros where a parameter has no part in it."""
-        return list(torch.autograd.grad(loss, list(model.parameters()), allow_unused=True, materialize_grads=True))
-
-    def _memory(self, window: Window) -> Any:
-        """What a model with a memory remembers at the window's start; each case is followed once."""
-        if not self.model.has_memory:
-            return None
-        with self._following:
-            if window.case not in self._memories:
-                motion = self.windows.cases[window.case].trajectory
-                self._memories[window.case] = self.model.memories(
-                    window.scene, motion.time, motion.position, motion.angular_velocity
-                )
-        return self._memories[window.case][window.start]
+    @cached_property
+    def _memories(self) -> list[Any]:
+        """What a model with a memory remembers at each frame of each case."""
+        motions = [(case.scene, case.trajectory) for case in self.windows.cases]
+        return [self.model.memories(scene, m.time, m.position, m.angular_velocity) for scene, m in motions]
 
     def _start(self, model: Surrogate, window: Window, memory: Any, rng: np.random.Generator) -> FrameState:
         """The window's first state with training noise, in the model's form."""
         rollout, scene = self.config.rollout, window.scene
-        position, velocity = self._tensor(window.position[0]), self._tensor(window.velocity_at(0, model.velocity_kind))
-        spin = self._tensor(window.angular_velocity[0])
+        first = window.position[0], window.velocity_at(0, model.velocity_kind), window.angular_velocity[0]
+        position, velocity, spin = map(self._tensor, first)
         if rollout.noise > 0:
 
             def noise() -> Tensor:
@@ -256,16 +215,6 @@ class Trainer:
                 velocity = velocity + moved / scene.frame_interval
         return model.begin(scene, position, velocity, spin, memory=memory)
 
-    def _target(self, model: Surrogate, window: Window, k: int) -> Target:
-        """What the DEM says about frame ``k`` of the window."""
-        return Target(
-            self._tensor(window.position[k]),
-            self._tensor(window.velocity_at(k, model.velocity_kind)),
-            self._tensor(window.angular_velocity[k]),
-            self._tensor(window.velocity_at(k - 1, model.velocity_kind)),
-            float(window.mean_overlap[k]),
-        )
-
     def _tensor(self, array: np.ndarray) -> Tensor:
         like = self.parameters[0]
         return torch.as_tensor(array).to(device=like.device, dtype=like.dtype)
@@ -279,17 +228,19 @@ class Trainer:
         config, steps = self.config.optim, self.expected_steps
         frames = frames_ahead(self.config.rollout, self.step, steps)
         first = self.step * config.accumulate
-        # Window w runs on copy w mod workers; the copies are used by one thread at a time.
-        lanes = [
-            pool.submit(self._lane, lane, range(first + lane, first + config.accumulate, self.workers), frames)
-            for lane in range(self.workers)
-        ]
-        results = sorted((result for lane in lanes for result in lane.result()), key=lambda result: result[0])
+        if self.model.has_memory:
+            _ = self._memories  # before several threads want them
+
+        def lane(number: int) -> list[tuple[int, float, dict[str, float], list[Tensor]]]:
+            """The windows of one thread, one after another, on its own copy of the model."""
+            draws = range(first + number, first + config.accumulate, self.workers)
+            return [(draw, *self._window_gradients(self.replicas[number], draw, frames)) for draw in draws]
+
+        results = sorted(itertools.chain(*pool.map(lane, range(self.workers))), key=lambda result: result[0])
         for i, parameter in enumerate(self.parameters):
             parameter.grad = torch.stack([gradients[i] for _, _, _, gradients in results]).mean(dim=0)
         metrics = {"loss": sum(r[1] for r in results) / len(results), "learning_rate": 0.0, "frames_ahead": frames}
-        for name in results[0][2]:
-            metrics[f"term/{name}"] = sum(r[2][name] for r in results) / len(results)
+        metrics |= {f"term/{name}": sum(r[2][name] for r in results) / len(results) for name in results[0][2]}
         norm = torch.linalg.vector_norm(torch.stack([torch.linalg.vector_norm(p.grad) for p in self.parameters]))
         metrics["gradient_norm"] = norm.item()
         if not (math.isfinite(metrics["loss"]) and math.isfinite(metrics["gradient_norm"])):
@@ -308,20 +259,13 @@ class Trainer:
             torch._foreach_lerp_(self.average, [p.detach() for p in self.parameters], 1.0 - decay)
         return metrics
 
-    def _lane(self, lane: int, draws: range, frames: int) -> list[tuple[int, float, dict, list]]:
-        """The windows of one thread, one after another, on its own copy of the model."""
-        return [(draw, *self._window_gradients(self.replicas[lane], draw, frames)) for draw in draws]
-
     def _save_divergence(self, draws: list[int]) -> None:
-        path = self.folder / DIVERGED
-        state = {"model": self.model.state_dict(), "step": self.step, "draws": draws, "seed": self.config.seed}
-        write_tensors(path, state)
+        path, seed = self.folder / DIVERGED, self.config.seed
+        write_tensors(path, {"model": self.model.state_dict(), "step": self.step, "draws": draws, "seed": seed})
         raise TrainingDiverged(
             f"the loss is not finite at update {self.step}; the weights and the windows that led there are in {path}. "
             "Try a smaller optim.learning_rate, optim.gradient_clip=0.2 or fewer rollout.frames"
         )
-
-    # ---- the whole training ------------------------------------------------------------------------------
 
     def run(self, progress: bool = True) -> TrainingResult:
         """Train until the budget of steps or minutes is spent; resumes where a checkpoint is.
@@ -381,9 +325,10 @@ class Trainer:
             torch.set_num_threads(threads)
             bar.close()
         self.save()
-        stopped_by = "steps" if self.step >= budget.steps else "time"
         count = sum(p.numel() for p in self.parameters)
-        planned = budget.steps if budget.budget == "steps" else None
+        stopped_by, planned = "steps" if self.step >= budget.steps else "time", None
+        if budget.budget == "steps":
+            planned = budget.steps
         rate = learning_rate(self.config.optim, max(self.step - 1, 0), self.expected_steps)
         return TrainingResult(self.step, self.seconds, stopped_by, self.last_loss, count, planned, rate)
 
@@ -394,3 +339,35 @@ class Trainer:
             for (name, _), value in zip(self.model.named_parameters(), self.average, strict=True):
                 state[name] = value.detach().clone()
         return state
+
+
+def learning_rate(config: OptimConfig, step: int, steps: int) -> float:
+    """Learning rate of update ``step`` (0 … steps − 1).
+
+    ``steps`` falls geometrically in ``decay_steps`` equal drops from the first to the final rate, ``cosine``
+    follows half a cosine between them, ``constant`` stays. A linear warm-up multiplies the first updates.
+    """
+    first, final = config.learning_rate, config.final_learning_rate
+    progress = step / max(steps, 1)
+    if config.schedule == "steps":
+        drops = min(int(progress * (config.decay_steps + 1)), config.decay_steps)
+        rate = first * (final / first) ** (drops / max(config.decay_steps, 1))
+    elif config.schedule == "cosine":
+        rate = final + 0.5 * (first - final) * (1.0 + math.cos(math.pi * progress))
+    else:
+        rate = first
+    return rate * min(1.0, (step + 1) / config.warmup_steps) if config.warmup_steps else rate
+
+
+def frames_ahead(config: RolloutConfig, step: int, steps: int) -> int:
+    """F at update ``step``: ``frames``, growing to ``final_frames`` where that is set.
+
+    ``growth = jump`` goes there at once at ``final_from`` of the budget; ``linear`` takes every number on the way, each
+    for as many updates, and is there at the same moment.
+    """
+    first, last, until = config.frames, config.final_frames, config.final_from * steps
+    if last is None:
+        return first
+    if step >= until:
+        return last
+    return first + int((last - first) * step / until) if config.growth == "linear" else first

@@ -7,17 +7,15 @@ of an installation would train other weights than the same run does later.
 
 from __future__ import annotations
 
-import os
 import subprocess
 from pathlib import Path
 
 import numba
 import torch
 
-import gran_bench
 from gran_bench.config import ContactModelConfig
 from gran_bench.files import locked, write_text
-from gran_bench.processes import watched
+from gran_bench.processes import kill_group, start_module
 from gran_bench.scene import Cylinder, Filling, Material, Rotation, Scene
 from gran_bench.surrogate.contact.kernels import frame as contact_frame
 from gran_bench.surrogate.contact.kernels.frame import digest_of_sources, frame_forward
@@ -33,7 +31,8 @@ def kernels_missing(model: str) -> bool:
     if model != "contact" or folder is None:
         return False
     try:
-        return (Path(folder) / MARK).read_text("utf-8") != _wanted() or not any(Path(folder).glob("contact_frame*.nbc"))
+        entries = Path(folder).glob(f"{Path(contact_frame.__file__).stem}.*.nbc")
+        return (Path(folder) / MARK).read_text("utf-8") != _wanted() or not any(entries)
     except OSError:
         return True
 
@@ -53,20 +52,13 @@ def compile_kernels(model: str) -> None:
         with locked(folder / "contact_frame.lock"):
             if not kernels_missing(model):
                 return
-            paths = [str(Path(gran_bench.__file__).parent.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
-            done = subprocess.run(
-                watched("-m", "gran_bench.surrogate.contact.compiling"),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
-                timeout=PATIENCE,
-                start_new_session=True,
-                check=False,
-            )
-            if done.returncode == 0:
+            quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+            process = start_module("gran_bench.surrogate.contact.compiling", **quiet)
+            if process.wait(PATIENCE) == 0:
                 write_text(folder / MARK, _wanted())
-    except (OSError, subprocess.TimeoutExpired):
+    except subprocess.TimeoutExpired:
+        kill_group(process)
+    except OSError:
         pass
 
 

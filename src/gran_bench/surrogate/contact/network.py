@@ -15,11 +15,9 @@ from gran_bench.state import FloatArray
 from gran_bench.surrogate.contact.constants import MILLIMETRE, RAMP_NODES, WALL_FADE
 from gran_bench.surrogate.contact.geometry import find_contacts
 from gran_bench.surrogate.contact.kernels.fused import fused_solve
-from gran_bench.surrogate.contact.memory import ContactMemory, follow_memory, springs_of, update_memory
+from gran_bench.surrogate.contact.memory import ContactMemory, follow_memory, gather, springs_of
 from gran_bench.surrogate.contact.solver import nearest_fade, solve_contacts
-from gran_bench.surrogate.contact.weights import ContactWeights
 from gran_bench.surrogate.step import FrameState, Surrogate, wrap
-from gran_bench.surrogate.walls import frame_walls
 
 
 class ContactNetwork(Surrogate):
@@ -57,14 +55,18 @@ class ContactNetwork(Surrogate):
         super().__init__()
         self.config = config
         self.diameter = scene.filling.diameter / MILLIMETRE
-        self.velocity_kind = config.velocity
+        self.velocity_kind, self.is_instantaneous = config.velocity, config.velocity == "instantaneous"
         self.has_memory = config.memory
         check_model(config)
         check_radius(config, scene.filling.diameter, scene.period)
+        # Of a pair and of a wall: the gap at which an answer has faded to nothing, and the width of its fading, mm.
+        reach = config.wall_reach / MILLIMETRE
+        of_pair = config.radius / MILLIMETRE - self.diameter, PAIR_FADE * self.diameter
+        self.fades = of_pair, (reach, WALL_FADE * config.wall_reach / MILLIMETRE)
 
         iterations, hidden, channels = config.iterations, config.hidden, config.channels
         inputs = len(RAMP_NODES) - 1 + 5 + channels + 2 * config.memory
-        outputs = 3 + channels + config.memory + 2 * self._is_instantaneous
+        outputs = 3 + channels + config.memory + 2 * self.is_instantaneous
         self.hidden_weight = nn.Parameter(_uniform((iterations, 2, hidden, inputs), inputs))
         self.hidden_bias = nn.Parameter(_uniform((iterations, 2, hidden), inputs))
         output_weight = _uniform((iterations, 2, outputs, hidden), hidden)
@@ -80,38 +82,6 @@ class ContactNetwork(Surrogate):
         self.mix_weight = nn.Parameter(mix_weight)
         self.mix_bias = nn.Parameter(torch.zeros(iterations, channels + 1))
 
-    @property
-    def _is_instantaneous(self) -> bool:
-        return self.config.velocity == "instantaneous"
-
-    @property
-    def weights(self) -> ContactWeights:
-        """What the solver takes of the model."""
-        config, reach = self.config, self.config.wall_reach / MILLIMETRE
-        of_pair = config.radius / MILLIMETRE - self.diameter, PAIR_FADE * self.diameter
-        return ContactWeights(
-            **dict(self.named_parameters()),
-            diameter=self.diameter,
-            fades=(of_pair, (reach, WALL_FADE * config.wall_reach / MILLIMETRE)),
-            memory=config.memory,
-            instantaneous=self._is_instantaneous,
-        )
-
-    def begin(
-        self,
-        scene: Scene,
-        position: Tensor,
-        velocity: Tensor,
-        angular_velocity: Tensor | None = None,
-        previous_position: Tensor | None = None,
-        memory: ContactMemory | None = None,
-    ) -> FrameState:
-        """The state to start from; ``memory`` is that of the start frame, none at the settled state."""
-        state = super().begin(scene, position, velocity, angular_velocity, previous_position)
-        if self.has_memory:
-            state.memory = ContactMemory.empty() if memory is None else memory
-        return state
-
     def memories(
         self, scene: Scene, times: FloatArray, positions: FloatArray, angular_velocities: FloatArray
     ) -> list[ContactMemory] | None:
@@ -119,33 +89,27 @@ class ContactNetwork(Surrogate):
         return list(follow_memory(scene, times, positions, angular_velocities)) if self.has_memory else None
 
     def advance(self, state: FrameState, scene: Scene, time: float) -> FrameState:
-        interval, period = scene.frame_interval, scene.period / MILLIMETRE
+        interval = scene.frame_interval
         to_frame, to_spin = interval / MILLIMETRE, 0.5 * self.diameter * interval
         gravity = state.velocity.new_tensor(scene.gravity) * interval
         position, fall = state.position / MILLIMETRE, gravity * to_frame
         # The ballistic frame in SI; all that follows is what contacts change of it, and nothing where there are none.
         fallen = state.velocity + gravity
-        carried = fallen - 0.5 * gravity if self._is_instantaneous else fallen
+        carried = fallen - 0.5 * gravity if self.is_instantaneous else fallen
         guess, spin = carried * to_frame, state.angular_velocity * to_spin
 
-        room = frame_walls(scene, time)
-        walls = room.in_unit(MILLIMETRE)
         with torch.no_grad():
             end = wrap((position + guess) * MILLIMETRE, scene.period).cpu().numpy()
-            contacts = find_contacts(scene, room, end, self.config.radius, self.config.wall_reach)
-        springs = springs_of(state.memory, contacts, len(position)).to(position) if self.has_memory else None
-        weights = self.weights
-        nearness = nearest_fade(weights, period, walls, contacts, position + guess)
-
-        if self.config.backend == "fused" and position.device.type == "cpu" and position.dtype == torch.float32:
-            solve = fused_solve
-        else:
-            solve = solve_contacts
+            contacts = find_contacts(scene, time, end, self.config.radius, self.config.wall_reach)
+        springs = springs_of(state.memory, contacts).to(position) if self.has_memory else None
+        nearness = nearest_fade(self, contacts, position + guess)
+        on_cpu = position.device.type == "cpu" and position.dtype == torch.float32
+        solve = fused_solve if self.config.backend == "fused" and on_cpu else solve_contacts
         displacement, new_spin, extra, extra_spin = solve(
-            weights, period, walls, contacts, position, guess, spin, fall, nearness, springs
+            self, contacts, position, guess, spin, fall, nearness, springs
         )
         moved, turned = displacement - guess, new_spin - spin
-        if self._is_instantaneous:
+        if self.is_instantaneous:
             velocity, turned = fallen + (moved + extra) / to_frame, turned + extra_spin
         else:
             velocity = fallen + moved / to_frame
@@ -155,7 +119,9 @@ class ContactNetwork(Surrogate):
             state.angular_velocity + turned / to_spin,
         )
         if self.has_memory:
-            after.memory = update_memory(scene, walls, state, after, contacts, springs)
+            ends = ((s.position, s.angular_velocity) for s in (state, after))
+            plain = ([tensor.detach().cpu().numpy() for tensor in pair] for pair in zip(*ends, strict=True))
+            after.memory = gather(scene, contacts, springs.cpu().numpy(), *plain)
         return after
 
 

@@ -1,4 +1,7 @@
-"""The iterations of a frame of the contact network in plain torch: the readable reference of the fused kernel."""
+"""The iterations of a frame of the contact network in plain torch: the readable reference of the fused kernel.
+
+A contact joins particle i to a partner j; the normal n points from i to j. In millimetres and mm per frame.
+"""
 
 from __future__ import annotations
 
@@ -18,34 +21,13 @@ from gran_bench.surrogate.contact.constants import (
     VISCOUS_SHARE,
     WALL,
 )
-from gran_bench.surrogate.contact.geometry import ContactList, Surfaces, pair_surfaces, wall_surfaces
-from gran_bench.surrogate.contact.weights import ContactWeights
-from gran_bench.surrogate.step import minimum_image
-from gran_bench.surrogate.walls import FrameWalls, closest_point
-
-
-@dataclass
-class Answer:
-    """What C contacts do to their particles in one iteration, mm a frame; equal and opposite on the two.
-
-    Attributes:
-        push: ``(C, 3)`` τ − a n, added by half to i and taken by half from its partner.
-        turn: ``(C, 3)`` n × τ, turns both.
-        extra_push, extra_turn: the same beyond that, for the velocity at the end of the frame alone.
-        messages: ``(C, channels)``, added to the channels of both.
-    """
-
-    push: Tensor
-    turn: Tensor
-    extra_push: Tensor
-    extra_turn: Tensor
-    messages: Tensor
+from gran_bench.surrogate.contact.geometry import ContactList
+from gran_bench.surrogate.step import Surrogate, minimum_image
+from gran_bench.surrogate.walls import closest_point
 
 
 def solve_contacts(
-    weights: ContactWeights,
-    period: float,
-    walls: FrameWalls,
+    model: Surrogate,
     contacts: ContactList,
     position: Tensor,
     displacement: Tensor,
@@ -57,8 +39,7 @@ def solve_contacts(
     """All iterations of a frame in plain torch: the readable reference of the fused kernel.
 
     Args:
-        period: mm, along y; 0 where nothing wraps.
-        walls: of the frame, mm.
+        model: a :class:`~gran_bench.surrogate.contact.network.ContactNetwork`.
         position: ``(N, 3)`` at the start of the frame, mm.
         displacement: ``(N, 3)`` ballistic guess D, mm a frame.
         spin: ``(N, 3)`` q, mm a frame.
@@ -69,53 +50,44 @@ def solve_contacts(
     Returns:
         D and q at the end, and what acts on the velocity alone (translation, spin); each ``(N, 3)`` mm a frame.
     """
-    channels_count = weights.channels
-    groups = _contact_groups(contacts, len(walls.after), position.device)
-    channels = position.new_zeros(len(position), channels_count)
+    groups, width = contact_groups(contacts, position.device), model.config.channels
+    channels = position.new_zeros(len(position), width)
     extra, extra_spin = torch.zeros_like(position), torch.zeros_like(position)
-    taken_back = 0.5 * fall if weights.instantaneous else fall
+    taken_back = 0.5 * fall if model.is_instantaneous else fall
     sums = [position.new_zeros(len(group.first), 2) for group in groups]
-    for k in range(len(weights.hidden_weight)):
-        end = position + displacement
-        moves = []
+    for k in range(model.config.iterations):
+        end, answers = position + displacement, []
         for index, group in enumerate(groups):
-            surfaces = group.surfaces(end, displacement, spin, weights.diameter, period, walls)
+            seen = group.surfaces(end, displacement, spin, model.diameter)
             together = channels[group.first] + channels[group.second]
             spring = None if springs is None else springs[group.span]
-            answer, sums[index] = _answer(weights, k, group.kind, surfaces, sums[index], together, spring)
-            moves.append(answer)
-        for group, answer in zip(groups, moves, strict=True):
-            displacement = group.scatter(displacement, 0.5 * answer.push, -1.0)
-            extra = group.scatter(extra, 0.5 * answer.extra_push, -1.0)
-            spin = group.scatter(spin, SPIN_RESPONSE * answer.turn, 1.0)
-            extra_spin = group.scatter(extra_spin, SPIN_RESPONSE * answer.extra_turn, 1.0)
-            channels = group.scatter(channels, answer.messages, 1.0)
+            answer, sums[index] = _answer(model, k, group.kind, seen, sums[index], together, spring)
+            answers.append(answer)
+        for group, (push, turn, extra_push, extra_turn, messages) in zip(groups, answers, strict=True):
+            displacement = group.scatter(displacement, 0.5 * push, -1.0)
+            extra = group.scatter(extra, 0.5 * extra_push, -1.0)
+            spin = group.scatter(spin, SPIN_RESPONSE * turn, 1.0)
+            extra_spin = group.scatter(extra_spin, SPIN_RESPONSE * extra_turn, 1.0)
+            channels = group.scatter(channels, messages, 1.0)
         limited = channels.clamp(-CHANNEL_CLAMP, CHANNEL_CLAMP)
-        share = nearness * (limited @ weights.mix_weight[k, channels_count])
+        share = nearness * (limited @ model.mix_weight[k, width])
         displacement = displacement + share[:, None] * taken_back
         extra = extra + share[:, None] * (fall - taken_back)
-        mixed = limited @ weights.mix_weight[k, :channels_count].T + weights.mix_bias[k, :channels_count]
+        mixed = limited @ model.mix_weight[k, :width].T + model.mix_bias[k, :width]
         channels = channels + 0.5 * torch.relu(mixed)
     return displacement, spin, extra, extra_spin
 
 
-def nearest_fade(
-    weights: ContactWeights, period: float, walls: FrameWalls, contacts: ContactList, end: Tensor
-) -> Tensor:
-    """The largest fade among each particle's contacts at the ballistic guess, ``(N,)``.
+def nearest_fade(model: Surrogate, contacts: ContactList, end: Tensor) -> Tensor:
+    """The largest fade among each particle's contacts at the ballistic guess ``end``, ``(N, 3)`` mm; ``(N,)``.
 
     1 where a contact is within full reach, 0 without a contact: the share of its answer that a particle may have
     where no contact acts on it directly.
-
-    Args:
-        period: mm, along y; 0 where nothing wraps.
-        walls: of the frame, mm.
-        end: ``(N, 3)`` ballistic guess of the frame's end, mm.
     """
     nearness = end.new_zeros(len(end))
-    for group in _contact_groups(contacts, len(walls.after), end.device):
-        reach, width = weights.fades[group.kind]
-        fade = ((reach - group.gap(end, weights.diameter, period, walls)) / width).clamp(0.0, 1.0)
+    for group in contact_groups(contacts, end.device):
+        reach, width = model.fades[group.kind]
+        fade = ((reach - group.gap(end, model.diameter)) / width).clamp(0.0, 1.0)
         nearness = nearness.scatter_reduce(0, group.first, fade, "amax")
         if group.kind == PAIR:
             nearness = nearness.scatter_reduce(0, group.second, fade, "amax")
@@ -123,95 +95,116 @@ def nearest_fade(
 
 
 @dataclass
-class _Group:
+class Surfaces:
+    """What two surfaces do at C contacts."""
+
+    normal: Tensor  # (C, 3) unit vectors from i to its partner
+    gap: Tensor  # (C,) mm, negative where they overlap
+    approach: Tensor  # (C,) u_n, mm a frame, positive where they part
+    slip: Tensor  # (C, 3) tangential displacement of the partner's surface against that of i, mm a frame
+
+
+@dataclass
+class Group:
     """Contacts of one kind: all pairs, or all particles near one wall (then ``second`` is ``first``)."""
 
+    contacts: ContactList
     kind: int
     first: Tensor
     second: Tensor
     span: slice  # among all contacts of the frame
     wall: int = -1
 
-    def gap(self, end: Tensor, diameter: float, period: float, walls: FrameWalls) -> Tensor:
+    def gap(self, end: Tensor, diameter: float) -> Tensor:
+        """Distance of the surfaces, ``(C,)`` mm, with the particles at ``end``, ``(N, 3)`` mm."""
         if self.kind == PAIR:
-            offset = minimum_image(end.index_select(0, self.second) - end.index_select(0, self.first), period)
-            return torch.linalg.vector_norm(offset, dim=1) - diameter
-        return closest_point(walls.after[self.wall], end[self.first])[0] - 0.5 * diameter
+            return torch.linalg.vector_norm(self._apart(end), dim=1) - diameter
+        return closest_point(self.contacts.walls.after[self.wall], end[self.first])[0] - 0.5 * diameter
 
-    def surfaces(
-        self, end: Tensor, displacement: Tensor, spin: Tensor, diameter: float, period: float, walls: FrameWalls
-    ) -> Surfaces:
+    def surfaces(self, end: Tensor, displacement: Tensor, spin: Tensor, diameter: float) -> Surfaces:
+        """u_n = u·n and slip = u − u_n n − q×n, with u the displacement of j against i and q = q_i + q_j.
+
+        A wall's point has its exact motion and no spin.
+
+        Args:
+            end, displacement, spin: ``(N, 3)`` x + D, D and q = r ω Δt, mm (a frame).
+            diameter: mm.
+        """
+        first, second = self.first, self.second
         if self.kind == PAIR:
-            pairs = torch.stack((self.first, self.second), 1)
-            return pair_surfaces(pairs, end, displacement, spin, diameter, period)
-        near = self.first
-        return wall_surfaces(walls, self.wall, end[near], displacement[near], spin[near], 0.5 * diameter)
+            offset = self._apart(end)
+            distance = torch.linalg.vector_norm(offset, dim=1)
+            normal, gap = offset / distance[:, None], distance - diameter
+            motion, turn = displacement[second] - displacement[first], spin[first] + spin[second]
+        else:
+            walls, end, turn = self.contacts.walls, end[first], spin[first]
+            distance, normal = closest_point(walls.after[self.wall], end)
+            gap, touched = distance - 0.5 * diameter, end + distance[:, None] * normal
+            moved = touched @ end.new_tensor(walls.turn[self.wall]).T + end.new_tensor(walls.shift[self.wall])
+            motion = moved - displacement[first]
+        approach = (motion * normal).sum(1)
+        slip = motion - approach[:, None] * normal - torch.linalg.cross(turn, normal)
+        return Surfaces(normal, gap, approach, slip)
 
     def scatter(self, target: Tensor, value: Tensor, sign: float) -> Tensor:
+        """``target`` with ``(C, …)`` values added to i, and with a sign to a partner that is a particle."""
         target = target.index_add(0, self.first, value)
         return target.index_add(0, self.second, sign * value) if self.kind == PAIR else target
 
+    def _apart(self, end: Tensor) -> Tensor:
+        apart = end.index_select(0, self.second) - end.index_select(0, self.first)
+        return minimum_image(apart, self.contacts.period)
 
-def _contact_groups(contacts: ContactList, walls: int, device: torch.device) -> list[_Group]:
+
+def contact_groups(contacts: ContactList, device: torch.device | str) -> list[Group]:
+    """The pairs, and the particles near each wall."""
     first, second = torch.from_numpy(contacts.pairs).to(device).unbind(1)
-    groups = [_Group(PAIR, first, second, slice(0, len(first)))]
+    groups = [Group(contacts, PAIR, first, second, slice(0, len(first)))]
     particle = torch.from_numpy(contacts.wall_particle).to(device)
-    for index in range(walls):
+    for index in range(len(contacts.walls.after)):
         low, high = contacts.wall.searchsorted([index, index + 1])
         near, span = particle[low:high], slice(len(first) + low, len(first) + high)
-        groups.append(_Group(WALL, near, near, span, index))
+        groups.append(Group(contacts, WALL, near, near, span, index))
     return groups
 
 
 def _answer(
-    weights: ContactWeights,
-    k: int,
-    kind: int,
-    surfaces: Surfaces,
-    sums: Tensor,
-    together: Tensor,
-    spring: Tensor | None,
-) -> tuple[Answer, Tensor]:
-    """What contacts of one kind answer in iteration ``k``, and the running sums of a and b, ``(C, 2)``."""
-    channels_count = weights.channels
-    normal, gap, slip = surfaces.normal, surfaces.gap, surfaces.slip
+    model: Surrogate, k: int, kind: int, seen: Surfaces, sums: Tensor, together: Tensor, spring: Tensor | None
+) -> tuple[tuple[Tensor, ...], Tensor]:
+    """What contacts of one kind answer in iteration ``k``, and the running sums of a and b, ``(C, 2)``.
+
+    The answers, mm a frame, are equal and opposite on the two: push τ − a n, turn n × τ, both once more for the
+    velocity at the end of the frame alone, and messages to the channels, ``(C, channels)``.
+    """
+    normal, gap, slip = seen.normal, seen.gap, seen.slip
     slip_size = torch.sqrt((slip * slip).sum(1) + SMALLEST_SLIP_SQUARED)
-    seen = torch.stack((surfaces.approach, slip_size, gap, sums[:, 0], sums[:, 1]), 1)
-    inputs = [_ramps(gap), INPUT_SCALE * seen.clamp(-INPUT_CLAMP, INPUT_CLAMP), together]
+    numbers = torch.stack((seen.approach, slip_size, gap, sums[:, 0], sums[:, 1]), 1)
+    nodes = gap.new_tensor(RAMP_NODES)  # the gap as numbers that rise from 0 to 1 between neighbouring nodes
+    ramps = ((gap[:, None] - nodes[:-1]) / (nodes[1:] - nodes[:-1])).clamp(0.0, 1.0)
+    inputs = [ramps, INPUT_SCALE * numbers.clamp(-INPUT_CLAMP, INPUT_CLAMP), together]
     if spring is not None:
         flat = spring - (spring * normal).sum(1, keepdim=True) * normal
         load = torch.sqrt((flat * flat).sum(1) + SMALLEST_SLIP_SQUARED)
         along = (flat * slip).sum(1) / slip_size
         inputs.append(torch.stack((load, along), 1).clamp(-INPUT_CLAMP, INPUT_CLAMP))
-    hidden = torch.relu(torch.cat(inputs, 1) @ weights.hidden_weight[k, kind].T + weights.hidden_bias[k, kind])
-    outputs = hidden @ weights.output_weight[k, kind].T + weights.output_bias[k, kind]
+    hidden = torch.relu(torch.cat(inputs, 1) @ model.hidden_weight[k, kind].T + model.hidden_bias[k, kind])
+    outputs = hidden @ model.output_weight[k, kind].T + model.output_bias[k, kind]
 
-    reach, width = weights.fades[kind]
+    reach, width = model.fades[kind]
     outputs = outputs * ((reach - gap) / width).clamp(0.0, 1.0)[:, None]
     a, b, c = outputs[:, 0], outputs[:, 1], outputs[:, 2]
-    strength = weights.stiffness[k, kind] * (2.0 if kind == WALL else 1.0)
-    a = a + strength * torch.relu(-gap)
+    a = a + model.stiffness[k, kind] * (2.0 if kind == WALL else 1.0) * torch.relu(-gap)
     tangential = slip * (b / slip_size + VISCOUS_SHARE * c)[:, None]
-    column = 3 + channels_count
+    column = 3 + model.config.channels
+    messages = outputs[:, 3:column]
     if spring is not None:
         tangential = tangential + outputs[:, column, None] * flat
         column += 1
-    share = weights.spin_share[k, kind]
-    answer = Answer(
-        push=tangential - a[:, None] * normal,
-        turn=share * torch.linalg.cross(normal, tangential),
-        extra_push=torch.zeros_like(normal),
-        extra_turn=torch.zeros_like(normal),
-        messages=outputs[:, 3 : 3 + channels_count],
-    )
-    if weights.instantaneous:
+    share = model.spin_share[k, kind]
+    push, turn = tangential - a[:, None] * normal, share * torch.linalg.cross(normal, tangential)
+    extra_push = extra_turn = torch.zeros_like(normal)
+    if model.is_instantaneous:
         extra = slip * (outputs[:, column + 1] / slip_size)[:, None]
-        answer.extra_push = extra - outputs[:, column, None] * normal
-        answer.extra_turn = share * torch.linalg.cross(normal, extra)
-    return answer, sums + torch.stack((a, b), 1)
-
-
-def _ramps(gap: Tensor) -> Tensor:
-    """The gap as eight numbers that rise from 0 to 1 between neighbouring nodes, ``(C, 8)``."""
-    nodes = gap.new_tensor(RAMP_NODES)
-    return ((gap[:, None] - nodes[:-1]) / (nodes[1:] - nodes[:-1])).clamp(0.0, 1.0)
+        extra_push = extra - outputs[:, column, None] * normal
+        extra_turn = share * torch.linalg.cross(normal, extra)
+    return (push, turn, extra_push, extra_turn, messages), sums + torch.stack((a, b), 1)

@@ -25,54 +25,31 @@ class WallPairs:
     """The wall as the particles near it see it in one frame.
 
     P particles are near: their centre is closer than R to a wall's surface. They see S sources through M pairs.
-
-    Attributes:
-        near: ``(P,)`` int64, indices of the near particles, increasing.
-        distance: ``(P,)`` of their centres from the nearest wall, m.
-        query: ``(M,)`` int64 into ``near``, sorted.
-        source: ``(M,)`` int64 into the sources.
-        relative: ``(M, 3)`` source − particle, m.
-        normal: ``(S, 3)`` unit normals into the container, or to the particle's side of a wall with two sides.
-        velocity: ``(S, 3)`` velocity of the wall's material, mean over the frame, m/s.
-        moves: whether any wall of the scene ever moves; where none does, the velocities are zero.
-        gap: ``(S,)`` distance from the wall to the particle's surface, in diameters; analytic sources only.
-        slip: ``(S, 3)`` velocity of the wall less that of the particle, m/s; analytic sources only.
     """
 
-    near: Tensor
-    distance: Tensor
-    query: Tensor
-    source: Tensor
-    relative: Tensor
-    normal: Tensor
-    velocity: Tensor
-    moves: bool
-    gap: Tensor | None = None
-    slip: Tensor | None = None
-
-    @property
-    def source_count(self) -> int:
-        """S."""
-        return len(self.normal)
+    near: Tensor  # (P,) int64, indices of the near particles, increasing
+    distance: Tensor  # (P,) m, of their centres from the nearest wall
+    query: Tensor  # (M,) int64 into near, sorted
+    source: Tensor  # (M,) int64 into the sources
+    relative: Tensor  # (M, 3) m, source − particle
+    normal: Tensor  # (S, 3) unit normals into the container, or to the particle's side of a wall with two sides
+    velocity: Tensor  # (S, 3) m/s, of the wall's material, mean over the frame
+    moves: bool  # whether any wall of the scene ever moves; where none does, the velocities are zero
+    gap: Tensor | None = None  # (S,) from the wall to the particle's surface, in diameters; analytic sources only
+    slip: Tensor | None = None  # (S, 3) m/s, of the wall less that of the particle; analytic sources only
 
 
 @dataclass(frozen=True)
 class WallSpheres:
-    """Points that cover the walls of a scene; a smooth drum is the same at every angle, so they rest on it.
+    """W points that cover the walls of a scene; a smooth drum is the same at every angle, so they rest on it.
 
     A wall with two sides has each point twice, once with either normal.
-
-    Attributes:
-        position: ``(W, 3)`` on the surface, m.
-        normal: ``(W, 3)`` into the container, or to one side.
-        wall: ``(W,)`` index of the wall each lies on.
-        two_sided: ``(W,)`` bool; such a point is seen from the side that its normal points to.
     """
 
-    position: FloatArray
-    normal: FloatArray
-    wall: np.ndarray
-    two_sided: np.ndarray
+    position: FloatArray  # (W, 3) m, on the surface
+    normal: FloatArray  # (W, 3) into the container, or to one side
+    wall: np.ndarray  # (W,) index of the wall each lies on
+    two_sided: np.ndarray  # (W,) bool; such a point is seen from the side that its normal points to
 
 
 def wall_spheres(
@@ -93,7 +70,7 @@ def wall_spheres(
     """
     if not spacing > 0:
         raise ValueError(f"boundary.spacing gives {spacing:g} m between wall spheres; choose a value > 0")
-    pieces = []
+    pieces = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, bool))]
     is_drum = scene.drum_radius is not None and scene.length is not None
     for index, shape in enumerate(shapes):
         kind = shape[KIND]
@@ -107,11 +84,10 @@ def wall_spheres(
             position, normal = _cover_cap(tuple(shape), scene.drum_radius, spacing)
         elif kind == PLANE:
             position, normal = _cover_plane(shape, spacing, low, high)
-        else:
-            position, normal = _cover_cylinder(shape, spacing, low, high)
+        else:  # a cylinder without an end, as far as the box goes along it
+            row = _multiples(shape[POINT], shape[DIRECTION], spacing, low, high)
+            position, normal = _on_cylinder(shape, row * spacing, spacing, row)
         pieces.append((position, normal, np.full(len(position), index), np.full(len(position), kind == REVOLUTION)))
-    if not pieces:
-        return WallSpheres(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, bool))
     return WallSpheres(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
 
 
@@ -182,20 +158,14 @@ def _rings(start: tuple[float, float], end: tuple[float, float], axis: FloatArra
 def _cover_plane(shape: FloatArray, spacing: float, low: FloatArray, high: FloatArray) -> tuple[FloatArray, ...]:
     """Rows of points on a plane, where a box lies before it, every other row moved by half a spacing."""
     normal, first, second = _frame(shape[DIRECTION])
-    column, row = (_lattice(shape[POINT], axis, spacing, low, high) for axis in (first, second))
+    column, row = (_multiples(shape[POINT], axis, spacing, low, high) for axis in (first, second))
     across = (column[None, :] + 0.5 * (row[:, None] % 2)) * spacing
     up = np.broadcast_to(row[:, None] * spacing, across.shape)
     position = shape[POINT] + across.reshape(-1, 1) * first + up.reshape(-1, 1) * second
     return position, np.broadcast_to(normal, position.shape).copy()
 
 
-def _cover_cylinder(shape: FloatArray, spacing: float, low: FloatArray, high: FloatArray) -> tuple[FloatArray, ...]:
-    """A cylinder without an end, as far as a box goes along it."""
-    row = _lattice(shape[POINT], shape[DIRECTION], spacing, low, high)
-    return _on_cylinder(shape, row * spacing, spacing, row)
-
-
-def _lattice(point: FloatArray, axis: FloatArray, spacing: float, low: FloatArray, high: FloatArray) -> FloatArray:
+def _multiples(point: FloatArray, axis: FloatArray, spacing: float, low: FloatArray, high: FloatArray) -> FloatArray:
     """Numbers of the multiples of a spacing along an axis from a point that span a box."""
     corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
     along = (corners - point) @ axis / spacing
@@ -203,7 +173,7 @@ def _lattice(point: FloatArray, axis: FloatArray, spacing: float, low: FloatArra
 
 
 def _near(position: Tensor, shapes: FloatArray, radius: float) -> tuple[Tensor, Tensor, list[tuple[Tensor, Tensor]]]:
-    """Particles closer than R to a wall, ``(P,)``, how far each is, and distance and direction of each wall for all."""
+    """Particles closer than R to a wall, how far each is, and distance and direction of each wall for all."""
     found = [closest_point(shape, position) for shape in shapes]
     distance = torch.stack([d for d, _ in found]).amin(dim=0)
     near = torch.nonzero(distance.detach() < radius)[:, 0]
@@ -211,14 +181,7 @@ def _near(position: Tensor, shapes: FloatArray, radius: float) -> tuple[Tensor, 
 
 
 def see_spheres(position: Tensor, scene: Scene, time: float, radius: float, spacing: float) -> WallPairs:
-    """The walls as boundary spheres; only those within R of a particle are kept.
-
-    Args:
-        position: ``(N, 3)`` m.
-        time: start of the frame, s.
-        radius: R, m.
-        spacing: of the spheres, m.
-    """
+    """The walls as spheres ``spacing`` m apart in the frame from ``time``, s; only those within R of a particle."""
     shapes = frame_walls(scene, time).after
     near, distance, _ = _near(position, shapes, radius)
     centres = position.detach()[near].double().cpu().numpy()
@@ -232,36 +195,23 @@ def see_spheres(position: Tensor, scene: Scene, time: float, radius: float, spac
     seen[sphere] = True
     kept, source_index = np.flatnonzero(seen), (np.cumsum(seen) - 1)[sphere]
 
-    device, like = position.device, position.detach()
-    query = torch.from_numpy(query_index).to(device)
-    source = torch.from_numpy(source_index).to(device)
-    point = torch.as_tensor(cover.position[kept], dtype=like.dtype, device=device)
+    def tensor(values: np.ndarray) -> Tensor:
+        return torch.from_numpy(values).to(position.device, None if values.dtype == np.int64 else position.dtype)
+
+    query, source, point = tensor(query_index), tensor(source_index), tensor(cover.position[kept])
     velocity = torch.zeros_like(point)
     for index, wall in enumerate(scene.walls):
-        mine = torch.from_numpy(np.flatnonzero(cover.wall[kept] == index)).to(device)
+        mine = tensor(np.flatnonzero(cover.wall[kept] == index))
         velocity[mine] = wall_velocity(wall, point[mine], scene, time)
-    return WallPairs(
-        near=near,
-        distance=distance,
-        query=query,
-        source=source,
-        relative=point.index_select(0, source) - position[near].index_select(0, query),
-        normal=torch.as_tensor(cover.normal[kept], dtype=like.dtype, device=device),
-        velocity=velocity,
-        moves=scene.needs.wall_motion,
-    )
+    relative = point.index_select(0, source) - position[near].index_select(0, query)
+    seen = query, source, relative, tensor(cover.normal[kept]), velocity
+    return WallPairs(near, distance, *seen, scene.needs.wall_motion)
 
 
 def see_contacts(position: Tensor, velocity: Tensor, scene: Scene, time: float, radius: float) -> WallPairs:
     """The walls as their closest points: one source for each particle and wall closer than R.
 
     Pieces of one surface answer a particle once, as in the DEM (:mod:`gran_bench.dem.seams`).
-
-    Args:
-        position: ``(N, 3)`` m.
-        velocity: ``(N, 3)`` m/s, for the slip.
-        time: start of the frame, s.
-        radius: R, m.
     """
     shapes = frame_walls(scene, time).after
     near, distances, found = _near(position, shapes, radius)
@@ -283,15 +233,6 @@ def see_contacts(position: Tensor, velocity: Tensor, scene: Scene, time: float, 
         columns.append((place[seen], relative, -toward[seen], moving, gap, moving - velocity[seen]))
     query, relative, normal, moving, gap, slip = (torch.cat(parts) for parts in zip(*columns, strict=True))
     order = torch.argsort(query, stable=True)
-    return WallPairs(
-        near=near,
-        distance=distances,
-        query=query[order],
-        source=torch.arange(len(query), device=position.device),
-        relative=relative[order],
-        normal=normal[order],
-        velocity=moving[order],
-        moves=scene.needs.wall_motion,
-        gap=gap[order],
-        slip=slip[order],
-    )
+    source = torch.arange(len(query), device=position.device)
+    seen = query[order], source, relative[order], normal[order], moving[order]
+    return WallPairs(near, distances, *seen, scene.needs.wall_motion, gap[order], slip[order])

@@ -31,16 +31,7 @@ _OUTPUT_START = 0.1  # first output weights, of their usual size: an untrained n
 
 
 class MixingLayer(nn.Module):
-    """convolution(h) + W h + b, and h itself where widths agree; h is the ReLU of what came before.
-
-    Args:
-        width_in: C_in.
-        width_out: C_out.
-        basis: of the convolution's kernel.
-        residual: add the input where C_in = C_out.
-        backend: of the convolution.
-        neighbors: expected of a particle.
-    """
+    """convolution(h) + W h + b of h = ReLU(features); with ``residual``, + features where C_in = C_out."""
 
     def __init__(
         self, width_in: int, width_out: int, basis: KernelBasis, residual: bool, backend: str, neighbors: float
@@ -93,8 +84,11 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
             raise ConfigError(f"boundary.kind={boundary.kind} is not for {config.name}; choose {' or '.join(KINDS)}")
         self.config, self.boundary = config, boundary
         self.diameter = diameter = scene.filling.diameter
-        self.pair_basis = _basis(config, diameter, contact=diameter)
-        self.wall_basis = _basis(config, diameter, contact=0.5 * diameter)
+        if config.kernel == "lattice":
+            self.pair_basis = self.wall_basis = LatticeBasis(config.radius, config.kernel_size)
+        else:
+            self.pair_basis = RadialBasis.around_contact(diameter, config.radius, diameter)
+            self.wall_basis = RadialBasis.around_contact(diameter, config.radius, 0.5 * diameter)
         half = config.width // 2
         neighbors = 8.0 * _SOLID_FRACTION * (config.radius / diameter) ** 3
 
@@ -141,7 +135,14 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         if self.config.backend == "fused":
             position = position.detach()
         pairs = particle_neighborhood(self.pair_basis, position, scene.period)
-        output = of_pairs = pairs.nearness(self.diameter)[:, None] * self._particle_branch(velocity, pairs)
+        inputs = velocity
+        if self.config.constant_input:
+            inputs = torch.cat((velocity, torch.ones_like(velocity[:, :1])), dim=1)
+        seen = self.pair_input(inputs, pairs) + self.pair_bias
+        features = torch.cat((seen, self.pair_linear(velocity)), dim=1)
+        for layer in self.pair_layers:
+            features = layer(features, pairs)
+        output = of_pairs = pairs.nearness(self.diameter)[:, None] * features
         if self.has_walls and scene.walls:
             wall = self._see_walls(position, velocity, scene, time)
             if len(wall.near):
@@ -151,21 +152,10 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         unit = self.config.output_scale / scene.frame_interval**2
         return output * unit, of_pairs * unit
 
-    def _particle_branch(self, velocity: Tensor, pairs: Neighborhood) -> Tensor:
-        inputs = velocity
-        if self.config.constant_input:
-            inputs = torch.cat((velocity, torch.ones_like(velocity[:, :1])), dim=1)
-        seen = self.pair_input(inputs, pairs) + self.pair_bias
-        features = torch.cat((seen, self.pair_linear(velocity)), dim=1)
-        for layer in self.pair_layers:
-            features = layer(features, pairs)
-        return features
-
     def _see_walls(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> WallPairs:
         if self.boundary.kind == "analytic":
             return see_contacts(position, velocity, scene, time, self.config.radius)
-        spacing = self.boundary.spacing * scene.filling.diameter
-        return see_spheres(position, scene, time, self.config.radius, spacing)
+        return see_spheres(position, scene, time, self.config.radius, self.boundary.spacing * scene.filling.diameter)
 
     def _wall_branch(self, velocity: Tensor, pairs: Neighborhood, wall: WallPairs) -> Tensor:
         """Output of the wall branch, ``(P, 3)``, from the near particles' velocities ``(P, 3)``."""
@@ -176,7 +166,7 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
 
     def _wall_input(self, velocity: Tensor, wall: WallPairs) -> Tensor:
         """Layer 1 of the wall branch, ``(P, 3/2 width)``: own velocity, normals seen, velocities seen."""
-        seen = weigh_pairs(self.wall_basis, wall.query, wall.source, wall.relative, len(wall.near), wall.source_count)
+        seen = weigh_pairs(self.wall_basis, wall.query, wall.source, wall.relative, len(wall.near), len(wall.normal))
         shape = wall.normal if self.boundary.normal else torch.ones_like(wall.normal[:, :1])
         if wall.gap is not None:
             shape = torch.cat((shape, wall.gap[:, None]), dim=1)
@@ -189,9 +179,3 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
             else:
                 convolved.append(torch.zeros_like(convolved[0]))
         return torch.cat((self.wall_linear(velocity), torch.cat(convolved, dim=1) + self.wall_bias), dim=1)
-
-
-def _basis(config: CconvModelConfig, diameter: float, contact: float) -> KernelBasis:
-    if config.kernel == "lattice":
-        return LatticeBasis(config.radius, config.kernel_size)
-    return RadialBasis.around_contact(diameter, config.radius, contact)

@@ -27,14 +27,7 @@ def convolve(features: Tensor, weight: Tensor, neighborhood: Neighborhood) -> Te
     """Σ_pairs Σ_b coefficient_b f_source W_b, in plain torch: the reference that every fast path must equal.
 
     Gathers A[q, b, :] = Σ_{i ∈ N(q)} φ_b a f_i, then multiplies by the kernel. Differentiable in everything, the
-    positions behind ``coefficient`` included.
-
-    Args:
-        features: ``(S, C_in)``.
-        weight: ``(B, C_in, C_out)``.
-
-    Returns:
-        ``(Q, C_out)``.
+    positions behind ``coefficient`` included: ``(S, C_in)`` features and ``(B, C_in, C_out)`` weights → ``(Q, C_out)``.
     """
     size, channels_in, channels_out = weight.shape
     pairs = neighborhood
@@ -52,10 +45,6 @@ def initial_bound(basis: KernelBasis, channels_in: int, neighbors: float) -> flo
 
     With n neighbours spread evenly over the ball and features that move as one, Σ_i a φ_b has the mean n⟨a φ_b⟩ and
     the variance n⟨(a φ_b)²⟩; weights of variance 1 / (C_in Σ_b (mean² + variance)) make the output's variance 1.
-
-    Args:
-        channels_in: C_in.
-        neighbors: n.
     """
     points = 2.0 * torch.quasirandom.SobolEngine(3).draw(8192, dtype=torch.float64) - 1.0
     points = points[(points * points).sum(-1) < 1.0]
@@ -72,16 +61,12 @@ def initial_bound(basis: KernelBasis, channels_in: int, neighbors: float) -> flo
 class ContinuousConvolution(nn.Module):
     """A continuous convolution layer without bias; no neighbour is capped and nothing is normalised.
 
+    Its ``weight`` is ``(B, C_in, C_out)``; for a lattice, ``view(k, k, k, C_in, C_out)`` is ordered z, y, x.
+
     Args:
-        channels_in: C_in.
-        channels_out: C_out.
-        basis: of the kernel.
         backend: ``fused`` (Numba, on CPU; the geometry counts as constant in the backward pass, because gradients
             through it matter little) or ``torch`` (the reference).
         neighbors: expected of a query, for the scale of the first weights only.
-
-    Attributes:
-        weight: ``(B, C_in, C_out)``; for a lattice, ``view(k, k, k, C_in, C_out)`` is ordered z, y, x.
 
     Raises:
         ConfigError: another backend.

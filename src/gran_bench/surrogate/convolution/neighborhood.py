@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -13,52 +12,30 @@ from numba import njit
 from torch import Tensor
 
 from gran_bench.neighbors import cell_neighbors, list_pairs
+from gran_bench.surrogate.convolution.kernels.lattice import LatticeBasis
+from gran_bench.surrogate.convolution.kernels.radial import RadialBasis
 
 # Rows are taken with index_select throughout: on a CPU, indexing with brackets takes twenty times as long.
 
 
-class KernelBasis(Protocol):
-    """What a layer needs of a basis; see LatticeBasis."""
-
-    radius: float
-    size: int
-    offsets: tuple[int, ...]
-    mirror: Tensor
-    mirror_sign: Tensor
-
-    def evaluate(self, relative: Tensor) -> tuple[Tensor, Tensor]:
-        """First function ``(M,)`` and values ``(M, 8)`` for vectors ``(M, 3)``, m."""
-        ...
-
-    def turned(self, first: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
-        """The same for the vectors turned round, from what ``evaluate`` gave."""
-        ...
+KernelBasis = LatticeBasis | RadialBasis  # all that a layer may have
 
 
 @dataclass(frozen=True)
 class Neighborhood:
     """Who sees whom in a frame, and with which weight: shared by every layer of a basis.
 
-    Attributes:
-        basis: of the kernel.
-        row_start: ``(Q + 1,)`` int64; the pairs of query q are row_start[q] … row_start[q + 1].
-        source: ``(M,)`` int64, the source of each pair.
-        first: ``(M,)`` int64, first basis function of each pair.
-        coefficient: ``(M, 8)`` window × basis function; differentiable in the positions unless they were detached.
-        window: ``(M,)`` (1 − r²/R²)³.
-        source_count: S.
-        symmetric: queries are the sources, and with (q, i) the list holds (i, q) with the opposite vector. The
-            transposed layer is then the same layer with a mirrored kernel, and its backward pass needs no other list.
+    The transposed layer of a symmetric list is the same layer with a mirrored kernel: it needs no list of its own.
     """
 
-    basis: KernelBasis
-    row_start: Tensor
-    source: Tensor
-    first: Tensor
-    coefficient: Tensor
-    window: Tensor
-    source_count: int
-    symmetric: bool = False
+    basis: KernelBasis  # of the kernel
+    row_start: Tensor  # (Q + 1,) int64; the pairs of query q are row_start[q] … row_start[q + 1]
+    source: Tensor  # (M,) int64, the source of each pair
+    first: Tensor  # (M,) int64, first basis function of each pair
+    coefficient: Tensor  # (M, 8) window × basis function; differentiable in positions that were not detached
+    window: Tensor  # (M,) (1 − r²/R²)³
+    source_count: int  # S
+    symmetric: bool = False  # queries are the sources, and with (q, i) the list holds (i, q) with the opposite vector
 
     @property
     def query_count(self) -> int:
@@ -80,36 +57,27 @@ class Neighborhood:
     def transposed(self) -> Neighborhood:
         """The same pairs listed by source, with queries in the sources' place (same vectors, kernel not mirrored)."""
         order = torch.argsort(self.source, stable=True)
-        counts = torch.bincount(self.source, minlength=self.source_count)
-        return replace(
-            self,
-            row_start=_starts(counts),
-            source=self.query[order],
-            first=self.first[order],
-            coefficient=self.coefficient.index_select(0, order),
-            window=self.window.index_select(0, order),
-            source_count=self.query_count,
-            symmetric=False,
-        )
+        turned = replace(self._chosen(order, self.source, self.query, self.source_count), symmetric=False)
+        return replace(turned, source_count=self.query_count)
 
     def restricted(self, kept: Tensor) -> Neighborhood:
-        """The pairs among some of the particles, renumbered; for queries that are the sources.
-
-        Args:
-            kept: ``(P,)`` int64, increasing.
-        """
+        """The pairs among the particles ``kept``, ``(P,)`` int64, renumbered; for queries that are the sources."""
         place = torch.full((self.source_count,), -1, dtype=torch.int64, device=self.source.device)
         place[kept] = torch.arange(len(kept), device=kept.device)
         query, source = place.index_select(0, self.query), place.index_select(0, self.source)
         inside = torch.nonzero((query >= 0) & (source >= 0))[:, 0]
+        return self._chosen(inside, query, source, len(kept))
+
+    def _chosen(self, pairs: Tensor, query: Tensor, source: Tensor, count: int) -> Neighborhood:
+        """Some of the pairs in their order, under other numbers of their ``count`` queries and as many sources."""
         return replace(
             self,
-            row_start=_starts(torch.bincount(query.index_select(0, inside), minlength=len(kept))),
-            source=source.index_select(0, inside),
-            first=self.first.index_select(0, inside),
-            coefficient=self.coefficient.index_select(0, inside),
-            window=self.window.index_select(0, inside),
-            source_count=len(kept),
+            row_start=_starts(torch.bincount(query.index_select(0, pairs), minlength=count)),
+            source=source.index_select(0, pairs),
+            first=self.first.index_select(0, pairs),
+            coefficient=self.coefficient.index_select(0, pairs),
+            window=self.window.index_select(0, pairs),
+            source_count=count,
         )
 
 
@@ -122,25 +90,9 @@ def weigh_pairs(
     source_count: int,
     symmetric: bool = False,
 ) -> Neighborhood:
-    """Window and basis functions of a list of pairs.
-
-    Args:
-        query: ``(M,)`` int64, sorted.
-        source: ``(M,)`` int64.
-        relative: ``(M, 3)`` source − query, m; at most R long.
-        symmetric: see :class:`Neighborhood`; the caller's promise.
-    """
-    first, coefficient, window = _weigh(basis, relative)
-    return Neighborhood(
-        basis=basis,
-        row_start=_starts(torch.bincount(query, minlength=query_count)),
-        source=source,
-        first=first,
-        coefficient=coefficient,
-        window=window,
-        source_count=source_count,
-        symmetric=symmetric,
-    )
+    """The neighbourhood of M pairs: sorted queries, sources, and ``(M, 3)`` source − query, m, at most R long."""
+    starts = _starts(torch.bincount(query, minlength=query_count))
+    return Neighborhood(basis, starts, source, *_weigh(basis, relative), source_count, symmetric)
 
 
 def particle_neighborhood(basis: KernelBasis, position: Tensor, period: float = 0.0) -> Neighborhood:
@@ -149,14 +101,19 @@ def particle_neighborhood(basis: KernelBasis, position: Tensor, period: float = 
     Each pair is listed from both sides; the basis is evaluated on one side and mirrored to the other.
 
     Args:
-        basis: of the kernel; gives R.
         position: ``(N, 3)`` m; detach it to hold the geometry constant.
-        period: length of the periodic y axis, m; 0 for none. Where it is shorter than 2 R, a particle may be seen
-            through both sides.
+        period: of the y axis, m; 0 for none. Where it is shorter than 2 R, a particle may be seen through both sides.
     """
     count = len(position)
     if period > 0.0:
-        points, particle = periodic_images(position, basis.radius, period)
+        points, particle = [position], [torch.arange(count, device=position.device)]
+        for image in range(1, math.ceil(basis.radius / period) + 1):  # those that are seen beyond the period's ends
+            for shift in (-image * period, image * period):
+                moved = position + position.new_tensor((0.0, shift, 0.0))
+                near = torch.nonzero(moved.detach()[:, 1].abs() <= 0.5 * period + basis.radius)[:, 0]
+                points.append(moved[near])
+                particle.append(near)
+        points, particle = torch.cat(points), torch.cat(particle)
         queries, sources = (p.detach().double().cpu().numpy() for p in (position, points))
         query, image = (torch.from_numpy(i).to(position.device) for i in cell_neighbors(queries, sources, basis.radius))
         others = image != query
@@ -170,38 +127,11 @@ def particle_neighborhood(basis: KernelBasis, position: Tensor, period: float = 
     one, other, row_start, source, entry = lists
     first, coefficient, window = _weigh(basis, position.index_select(0, other) - position.index_select(0, one))
     mirrored_first, mirrored = basis.turned(first, coefficient)
-    return Neighborhood(
-        basis=basis,
-        row_start=row_start,
-        source=source,
-        first=torch.cat((first, mirrored_first)).index_select(0, entry),
-        coefficient=torch.cat((coefficient, mirrored)).index_select(0, entry),
-        window=torch.cat((window, window)).index_select(0, entry),
-        source_count=count,
-        symmetric=True,
+    first, coefficient, window = (
+        torch.cat(sides).index_select(0, entry)
+        for sides in ((first, mirrored_first), (coefficient, mirrored), (window, window))
     )
-
-
-def periodic_images(position: Tensor, reach: float, period: float) -> tuple[Tensor, Tensor]:
-    """The points of one period and their images up to ``reach`` beyond its ends.
-
-    Args:
-        position: ``(N, 3)`` m, y in [−L/2, L/2).
-        reach: m.
-        period: L, m.
-
-    Returns:
-        points ``(N + G, 3)`` m, the originals first; the original of each, ``(N + G,)`` int64.
-    """
-    everyone = torch.arange(len(position), device=position.device)
-    points, original = [position], [everyone]
-    for image in range(1, math.ceil(reach / period) + 1):
-        for shift in (-image * period, image * period):
-            moved = position + position.new_tensor((0.0, shift, 0.0))
-            near = torch.nonzero(moved.detach()[:, 1].abs() <= 0.5 * period + reach)[:, 0]
-            points.append(moved[near])
-            original.append(near)
-    return torch.cat(points), torch.cat(original)
+    return Neighborhood(basis, row_start, source, first, coefficient, window, count, symmetric=True)
 
 
 @njit(cache=True, nogil=True)
@@ -229,13 +159,7 @@ def _both_sides(one, other, count):
 
 
 def nearness(distance: Tensor, touching: float, radius: float) -> Tensor:
-    """What a body at a distance counts: 1 as far as half-way from ``touching`` to R, from there falling to 0 at R.
-
-    Args:
-        distance: m.
-        touching: distance of touching bodies, m.
-        radius: R, m.
-    """
+    """What a body at a distance counts: 1 as far as half-way from ``touching`` to R, from there falling to 0 at R."""
     return _share_of_full(_window(distance.clamp_min(0.0) ** 2, radius), touching, radius)
 
 

@@ -62,66 +62,73 @@ RAMP_SLOPE = tuple(np.float32(1.0 / (high - low)) for low, high in pairwise(RAMP
 
 # Sums may be reordered and multiply-adds contracted; infinities and NaN keep their meaning.
 block_jit = njit(nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "arcp"})
+# Vectors of one lane as tuples that stay in registers; written into whoever calls them.
+_lane = njit(inline="always")
+three = _lane(lambda b, row, c: (b[row * LANES + c], b[(row + 1) * LANES + c], b[(row + 2) * LANES + c]))
+dot = _lane(lambda x, y: x[0] * y[0] + x[1] * y[1] + x[2] * y[2])
+cross = _lane(lambda x, y: (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]))
+times = _lane(lambda a, x: (a * x[0], a * x[1], a * x[2]))  # a x
+plus = _lane(lambda x, a, y: (x[0] + a * y[0], x[1] + a * y[1], x[2] + a * y[2]))  # x + a y
+less = _lane(lambda x, a, y: (x[0] - a * y[0], x[1] - a * y[1], x[2] - a * y[2]))  # x − a y
+both = _lane(lambda x, y: (x[0] + y[0], x[1] + y[1], x[2] + y[2]))  # x + y
+
+
+@njit(inline="always")
+def store(b, row, c, x):  # pragma: no cover - jitted
+    """A vector into rows ``row`` to ``row + 2``."""
+    b[row * LANES + c], b[(row + 1) * LANES + c], b[(row + 2) * LANES + c] = x[0], x[1], x[2]
 
 
 @block_jit
-def clamp(value, low, high):  # pragma: no cover - jitted
+def _clamp(value, low, high):  # pragma: no cover - jitted
     """``value`` held in [low, high]."""
     return min(max(value, low), high)
 
 
 @block_jit
-def inside(value):  # pragma: no cover - jitted
+def _inside(value):  # pragma: no cover - jitted
     """The scale of an input, where it is not clamped: its derivative."""
     return SCALE if abs(value) <= CLAMP else ZERO
 
 
 @block_jit
-def surfaces(b):  # pragma: no cover - jitted
+def _surfaces(b):  # pragma: no cover - jitted
     """u_n and slip from NORMAL, MOTION and SPIN."""
     for c in range(LANES):
-        n0, n1, n2 = b[NORMAL * LANES + c], b[(NORMAL + 1) * LANES + c], b[(NORMAL + 2) * LANES + c]
-        u0, u1, u2 = b[MOTION * LANES + c], b[(MOTION + 1) * LANES + c], b[(MOTION + 2) * LANES + c]
-        w0, w1, w2 = b[SPIN * LANES + c], b[(SPIN + 1) * LANES + c], b[(SPIN + 2) * LANES + c]
-        approach = u0 * n0 + u1 * n1 + u2 * n2
-        s0 = u0 - approach * n0 - (w1 * n2 - w2 * n1)
-        s1 = u1 - approach * n1 - (w2 * n0 - w0 * n2)
-        s2 = u2 - approach * n2 - (w0 * n1 - w1 * n0)
+        n, u = three(b, NORMAL, c), three(b, MOTION, c)
+        approach, rolled = dot(u, n), cross(three(b, SPIN, c), n)
+        s = less(less(u, approach, n), ONE, rolled)
         b[APPROACH * LANES + c] = approach
-        b[SLIP * LANES + c], b[(SLIP + 1) * LANES + c], b[(SLIP + 2) * LANES + c] = s0, s1, s2
-        b[SLIP_SIZE * LANES + c] = math.sqrt(s0 * s0 + s1 * s1 + s2 * s2 + SMALLEST)
+        store(b, SLIP, c, s)
+        b[SLIP_SIZE * LANES + c] = math.sqrt(dot(s, s) + SMALLEST)
 
 
 @block_jit
-def look(b, reach, slope):  # pragma: no cover - jitted
+def _look(b, reach, slope):  # pragma: no cover - jitted
     """The inputs of the perceptron and the fade, from the surfaces, sums and springs."""
     for c in range(LANES):
         gap, size = b[GAP * LANES + c], b[SLIP_SIZE * LANES + c]
-        b[FADE * LANES + c] = clamp((reach - gap) * slope, ZERO, ONE)
-        b[(SEEN + RAMPS) * LANES + c] = SCALE * clamp(b[APPROACH * LANES + c], -CLAMP, CLAMP)
-        b[(SEEN + RAMPS + 1) * LANES + c] = SCALE * clamp(size, -CLAMP, CLAMP)
-        b[(SEEN + RAMPS + 2) * LANES + c] = SCALE * clamp(gap, -CLAMP, CLAMP)
-        b[(SEEN + RAMPS + 3) * LANES + c] = SCALE * clamp(b[SUM_A * LANES + c], -CLAMP, CLAMP)
-        b[(SEEN + RAMPS + 4) * LANES + c] = SCALE * clamp(b[SUM_B * LANES + c], -CLAMP, CLAMP)
-        n0, n1, n2 = b[NORMAL * LANES + c], b[(NORMAL + 1) * LANES + c], b[(NORMAL + 2) * LANES + c]
-        x0, x1, x2 = b[SPRING * LANES + c], b[(SPRING + 1) * LANES + c], b[(SPRING + 2) * LANES + c]
-        lift = x0 * n0 + x1 * n1 + x2 * n2
-        x0, x1, x2 = x0 - lift * n0, x1 - lift * n1, x2 - lift * n2
-        b[FLAT * LANES + c], b[(FLAT + 1) * LANES + c], b[(FLAT + 2) * LANES + c] = x0, x1, x2
-        load = math.sqrt(x0 * x0 + x1 * x1 + x2 * x2 + SMALLEST)
-        s0, s1, s2 = b[SLIP * LANES + c], b[(SLIP + 1) * LANES + c], b[(SLIP + 2) * LANES + c]
-        along = (x0 * s0 + x1 * s1 + x2 * s2) / size
+        b[FADE * LANES + c] = _clamp((reach - gap) * slope, ZERO, ONE)
+        b[(SEEN + RAMPS) * LANES + c] = SCALE * _clamp(b[APPROACH * LANES + c], -CLAMP, CLAMP)
+        b[(SEEN + RAMPS + 1) * LANES + c] = SCALE * _clamp(size, -CLAMP, CLAMP)
+        b[(SEEN + RAMPS + 2) * LANES + c] = SCALE * _clamp(gap, -CLAMP, CLAMP)
+        b[(SEEN + RAMPS + 3) * LANES + c] = SCALE * _clamp(b[SUM_A * LANES + c], -CLAMP, CLAMP)
+        b[(SEEN + RAMPS + 4) * LANES + c] = SCALE * _clamp(b[SUM_B * LANES + c], -CLAMP, CLAMP)
+        n, spring = three(b, NORMAL, c), three(b, SPRING, c)
+        flat = less(spring, dot(spring, n), n)
+        store(b, FLAT, c, flat)
+        load, along = math.sqrt(dot(flat, flat) + SMALLEST), dot(flat, three(b, SLIP, c)) / size
         b[LOAD * LANES + c], b[ALONG * LANES + c] = load, along
-        b[(SEEN + INPUTS - 2) * LANES + c] = clamp(load, -CLAMP, CLAMP)
-        b[(SEEN + INPUTS - 1) * LANES + c] = clamp(along, -CLAMP, CLAMP)
+        b[(SEEN + INPUTS - 2) * LANES + c] = _clamp(load, -CLAMP, CLAMP)
+        b[(SEEN + INPUTS - 1) * LANES + c] = _clamp(along, -CLAMP, CLAMP)
     for ramp in range(RAMPS):
         for c in range(LANES):
             rise = (b[GAP * LANES + c] - RAMP_START[ramp]) * RAMP_SLOPE[ramp]
-            b[(SEEN + ramp) * LANES + c] = clamp(rise, ZERO, ONE)
+            b[(SEEN + ramp) * LANES + c] = _clamp(rise, ZERO, ONE)
 
 
 @block_jit
-def perceive(b, hidden_weight, hidden_bias, output_weight, output_bias):  # pragma: no cover - jitted
+def _perceive(b, hidden_weight, hidden_bias, output_weight, output_bias):  # pragma: no cover - jitted
     """ACTIVE and RAW, the hidden units and the outputs of the perceptron."""
     for unit in range(HIDDEN):
         for c in range(LANES):
@@ -138,7 +145,7 @@ def perceive(b, hidden_weight, hidden_bias, output_weight, output_bias):  # prag
 
 
 @block_jit
-def answer(b, strength, share):  # pragma: no cover - jitted
+def _answer(b, strength, share):  # pragma: no cover - jitted
     """ANSWER, PUSH, TURN and their extra parts from RAW; ``strength`` is κ (wall: 2κ), ``share`` is σ."""
     for out in range(OUTPUTS):
         for c in range(LANES):
@@ -151,84 +158,51 @@ def answer(b, strength, share):  # pragma: no cover - jitted
         pull = b[(ANSWER + 3 + CHANNELS) * LANES + c]
         away = b[(ANSWER + 4 + CHANNELS) * LANES + c]
         extra = b[(ANSWER + 5 + CHANNELS) * LANES + c] / size
-        n0, n1, n2 = b[NORMAL * LANES + c], b[(NORMAL + 1) * LANES + c], b[(NORMAL + 2) * LANES + c]
-        s0, s1, s2 = b[SLIP * LANES + c], b[(SLIP + 1) * LANES + c], b[(SLIP + 2) * LANES + c]
-        t0 = drag * s0 + pull * b[FLAT * LANES + c]
-        t1 = drag * s1 + pull * b[(FLAT + 1) * LANES + c]
-        t2 = drag * s2 + pull * b[(FLAT + 2) * LANES + c]
-        b[PUSH * LANES + c] = t0 - a * n0
-        b[(PUSH + 1) * LANES + c] = t1 - a * n1
-        b[(PUSH + 2) * LANES + c] = t2 - a * n2
-        b[TURN * LANES + c] = share * (n1 * t2 - n2 * t1)
-        b[(TURN + 1) * LANES + c] = share * (n2 * t0 - n0 * t2)
-        b[(TURN + 2) * LANES + c] = share * (n0 * t1 - n1 * t0)
-        b[EXTRA_PUSH * LANES + c] = extra * s0 - away * n0
-        b[(EXTRA_PUSH + 1) * LANES + c] = extra * s1 - away * n1
-        b[(EXTRA_PUSH + 2) * LANES + c] = extra * s2 - away * n2
-        b[EXTRA_TURN * LANES + c] = share * extra * (n1 * s2 - n2 * s1)
-        b[(EXTRA_TURN + 1) * LANES + c] = share * extra * (n2 * s0 - n0 * s2)
-        b[(EXTRA_TURN + 2) * LANES + c] = share * extra * (n0 * s1 - n1 * s0)
+        n, s = three(b, NORMAL, c), three(b, SLIP, c)
+        t = plus(times(drag, s), pull, three(b, FLAT, c))
+        store(b, PUSH, c, less(t, a, n))
+        store(b, TURN, c, times(share, cross(n, t)))
+        store(b, EXTRA_PUSH, c, less(times(extra, s), away, n))
+        store(b, EXTRA_TURN, c, times(share * extra, cross(n, s)))
 
 
 @block_jit
-def answer_adjoint(b, strength, share, slope):  # pragma: no cover - jitted
-    """Adjoint of :func:`answer`: from D_PUSH … D_SUM_B and the messages in D_ANSWER to D_ANSWER (of RAW) and surfaces.
+def _answer_adjoint(b, strength, share, slope):  # pragma: no cover - jitted
+    """Adjoint of :func:`_answer`: from D_PUSH … D_SUM_B and the messages in D_ANSWER to D_ANSWER (of RAW) and surfaces.
 
-    With gτ = gp + σ gt × n the adjoint of the tangential displacement, gp and gt those of push and turn.
+    With g = gp + σ gt × n the adjoint of the tangential displacement v, gp and gt those of push and turn.
     """
     for c in range(LANES):
-        n0, n1, n2 = b[NORMAL * LANES + c], b[(NORMAL + 1) * LANES + c], b[(NORMAL + 2) * LANES + c]
-        s0, s1, s2 = b[SLIP * LANES + c], b[(SLIP + 1) * LANES + c], b[(SLIP + 2) * LANES + c]
-        x0, x1, x2 = b[FLAT * LANES + c], b[(FLAT + 1) * LANES + c], b[(FLAT + 2) * LANES + c]
-        p0, p1, p2 = b[D_PUSH * LANES + c], b[(D_PUSH + 1) * LANES + c], b[(D_PUSH + 2) * LANES + c]
-        t0, t1, t2 = b[D_TURN * LANES + c], b[(D_TURN + 1) * LANES + c], b[(D_TURN + 2) * LANES + c]
+        n, s, x = three(b, NORMAL, c), three(b, SLIP, c), three(b, FLAT, c)
+        p, t = three(b, D_PUSH, c), three(b, D_TURN, c)
         inverse = ONE / b[SLIP_SIZE * LANES + c]
         a, friction = b[ANSWER * LANES + c], b[(ANSWER + 1) * LANES + c]
         drag = friction * inverse + VISCOUS * b[(ANSWER + 2) * LANES + c]
         pull = b[(ANSWER + 3 + CHANNELS) * LANES + c]
-        g0 = p0 + share * (t1 * n2 - t2 * n1)
-        g1 = p1 + share * (t2 * n0 - t0 * n2)
-        g2 = p2 + share * (t0 * n1 - t1 * n0)
-        v0, v1, v2 = drag * s0 + pull * x0, drag * s1 + pull * x1, drag * s2 + pull * x2
-        along_slip = g0 * s0 + g1 * s1 + g2 * s2
-        d_a = b[D_SUM_A * LANES + c] - (p0 * n0 + p1 * n1 + p2 * n2)
+        g, v = plus(p, share, cross(t, n)), plus(times(drag, s), pull, x)
+        along_slip = dot(g, s)
+        d_a = b[D_SUM_A * LANES + c] - dot(p, n)
         d_b = b[D_SUM_B * LANES + c] + along_slip * inverse
-        d_share = t0 * (n1 * v2 - n2 * v1) + t1 * (n2 * v0 - n0 * v2) + t2 * (n0 * v1 - n1 * v0)
-        d_n0 = share * (v1 * t2 - v2 * t1) - a * p0
-        d_n1 = share * (v2 * t0 - v0 * t2) - a * p1
-        d_n2 = share * (v0 * t1 - v1 * t0) - a * p2
+        d_share = dot(t, cross(n, v))
+        d_n = less(times(share, cross(v, t)), a, p)
         d_size = -along_slip * friction * inverse * inverse
 
         # The parts that act on the velocity alone, in the same way.
-        q0, q1, q2 = b[D_EXTRA_PUSH * LANES + c], b[(D_EXTRA_PUSH + 1) * LANES + c], b[(D_EXTRA_PUSH + 2) * LANES + c]
-        r0, r1, r2 = b[D_EXTRA_TURN * LANES + c], b[(D_EXTRA_TURN + 1) * LANES + c], b[(D_EXTRA_TURN + 2) * LANES + c]
+        q, r = three(b, D_EXTRA_PUSH, c), three(b, D_EXTRA_TURN, c)
         away, extra = b[(ANSWER + 4 + CHANNELS) * LANES + c], b[(ANSWER + 5 + CHANNELS) * LANES + c] * inverse
-        e0 = q0 + share * (r1 * n2 - r2 * n1)
-        e1 = q1 + share * (r2 * n0 - r0 * n2)
-        e2 = q2 + share * (r0 * n1 - r1 * n0)
-        extra_along = e0 * s0 + e1 * s1 + e2 * s2
-        crossed = r0 * (n1 * s2 - n2 * s1) + r1 * (n2 * s0 - n0 * s2) + r2 * (n0 * s1 - n1 * s0)
-        b[D_SHARE * LANES + c] = d_share + extra * crossed
-        b[D_NORMAL * LANES + c] = d_n0 - away * q0 + share * extra * (s1 * r2 - s2 * r1)
-        b[(D_NORMAL + 1) * LANES + c] = d_n1 - away * q1 + share * extra * (s2 * r0 - s0 * r2)
-        b[(D_NORMAL + 2) * LANES + c] = d_n2 - away * q2 + share * extra * (s0 * r1 - s1 * r0)
-        b[D_SLIP * LANES + c] = drag * g0 + extra * e0
-        b[(D_SLIP + 1) * LANES + c] = drag * g1 + extra * e1
-        b[(D_SLIP + 2) * LANES + c] = drag * g2 + extra * e2
+        e = plus(q, share, cross(r, n))
+        extra_along = dot(e, s)
+        b[D_SHARE * LANES + c] = d_share + extra * dot(r, cross(n, s))
+        store(b, D_NORMAL, c, plus(less(d_n, away, q), share * extra, cross(s, r)))
+        store(b, D_SLIP, c, plus(times(drag, g), extra, e))
         b[D_SLIP_SIZE * LANES + c] = d_size - extra_along * extra * inverse
-        b[D_FLAT * LANES + c] = pull * g0
-        b[(D_FLAT + 1) * LANES + c] = pull * g1
-        b[(D_FLAT + 2) * LANES + c] = pull * g2
+        store(b, D_FLAT, c, times(pull, g))
 
         overlap = max(-b[GAP * LANES + c], ZERO)
         b[D_STIFFNESS * LANES + c] = d_a * overlap
         b[D_GAP * LANES + c] = -strength * d_a if overlap > ZERO else ZERO
-        b[D_ANSWER * LANES + c] = d_a
-        b[(D_ANSWER + 1) * LANES + c] = d_b
-        b[(D_ANSWER + 2) * LANES + c] = VISCOUS * along_slip
-        b[(D_ANSWER + 3 + CHANNELS) * LANES + c] = g0 * x0 + g1 * x1 + g2 * x2
-        b[(D_ANSWER + 4 + CHANNELS) * LANES + c] = -(q0 * n0 + q1 * n1 + q2 * n2)
-        b[(D_ANSWER + 5 + CHANNELS) * LANES + c] = extra_along * inverse
+        store(b, D_ANSWER, c, (d_a, d_b, VISCOUS * along_slip))
+        store(b, D_ANSWER + 3 + CHANNELS, c, (dot(g, x), -dot(q, n), extra_along * inverse))
     for c in range(LANES):
         fade, total = b[FADE * LANES + c], ZERO
         for out in range(OUTPUTS):
@@ -238,10 +212,10 @@ def answer_adjoint(b, strength, share, slope):  # pragma: no cover - jitted
 
 
 @block_jit
-def perceive_adjoint(
+def _perceive_adjoint(
     b, hidden_weight, output_weight, d_hidden_weight, d_hidden_bias, d_output_weight, d_output_bias
 ):  # pragma: no cover - jitted
-    """Adjoint of :func:`perceive`: D_SEEN from D_ANSWER, and the sums over lanes for the weights."""
+    """Adjoint of :func:`_perceive`: D_SEEN from D_ANSWER, and the sums over lanes for the weights."""
     for unit in range(HIDDEN):
         for c in range(LANES):
             total = ZERO
@@ -285,7 +259,7 @@ def _add_products(b, row, units, result, start, stride):  # pragma: no cover - j
 
 
 @block_jit
-def look_adjoint(b):  # pragma: no cover - jitted
+def _look_adjoint(b):  # pragma: no cover - jitted
     """Adjoint of :func:`look` and :func:`surfaces`: D_GAP, D_NORMAL, D_MOTION, D_SPIN and the sums' adjoints."""
     for ramp in range(RAMPS):
         for c in range(LANES):
@@ -294,11 +268,11 @@ def look_adjoint(b):  # pragma: no cover - jitted
             b[D_GAP * LANES + c] += slope * b[(D_SEEN + ramp) * LANES + c]
     for c in range(LANES):
         approach, size = b[APPROACH * LANES + c], b[SLIP_SIZE * LANES + c]
-        b[D_GAP * LANES + c] += inside(b[GAP * LANES + c]) * b[(D_SEEN + RAMPS + 2) * LANES + c]
-        b[D_SUM_A * LANES + c] += inside(b[SUM_A * LANES + c]) * b[(D_SEEN + RAMPS + 3) * LANES + c]
-        b[D_SUM_B * LANES + c] += inside(b[SUM_B * LANES + c]) * b[(D_SEEN + RAMPS + 4) * LANES + c]
-        d_approach = inside(approach) * b[(D_SEEN + RAMPS) * LANES + c]
-        d_size = b[D_SLIP_SIZE * LANES + c] + inside(size) * b[(D_SEEN + RAMPS + 1) * LANES + c]
+        b[D_GAP * LANES + c] += _inside(b[GAP * LANES + c]) * b[(D_SEEN + RAMPS + 2) * LANES + c]
+        b[D_SUM_A * LANES + c] += _inside(b[SUM_A * LANES + c]) * b[(D_SEEN + RAMPS + 3) * LANES + c]
+        b[D_SUM_B * LANES + c] += _inside(b[SUM_B * LANES + c]) * b[(D_SEEN + RAMPS + 4) * LANES + c]
+        d_approach = _inside(approach) * b[(D_SEEN + RAMPS) * LANES + c]
+        d_size = b[D_SLIP_SIZE * LANES + c] + _inside(size) * b[(D_SEEN + RAMPS + 1) * LANES + c]
 
         n0, n1, n2 = b[NORMAL * LANES + c], b[(NORMAL + 1) * LANES + c], b[(NORMAL + 2) * LANES + c]
         s0, s1, s2 = b[SLIP * LANES + c], b[(SLIP + 1) * LANES + c], b[(SLIP + 2) * LANES + c]
@@ -330,6 +304,33 @@ def look_adjoint(b):  # pragma: no cover - jitted
         b[D_SPIN * LANES + c] = g1 * n2 - g2 * n1
         b[(D_SPIN + 1) * LANES + c] = g2 * n0 - g0 * n2
         b[(D_SPIN + 2) * LANES + c] = g0 * n1 - g1 * n0
+
+
+@block_jit
+def pair_adjoint(b):  # pragma: no cover - jitted
+    """D_NORMAL becomes the adjoint of y_j − y_i, from D_GAP and D_NORMAL."""
+    for c in range(LANES):
+        n, g = three(b, NORMAL, c), three(b, D_NORMAL, c)
+        inverse = ONE / b[DISTANCE * LANES + c]
+        radial = b[D_GAP * LANES + c] - dot(g, n) * inverse
+        store(b, D_NORMAL, c, plus(times(radial, n), inverse, g))
+
+
+@block_jit
+def respond(b, limits, kind, strength, share, w1, b1, w2, b2):  # pragma: no cover - jitted
+    """All of a block's answers from its gathered rows; ``limits`` are the reach and the fade of each kind."""
+    _surfaces(b)
+    _look(b, limits[2 * kind], ONE / limits[2 * kind + 1])
+    _perceive(b, w1, b1, w2, b2)
+    _answer(b, strength, share)
+
+
+@block_jit
+def respond_adjoint(b, limits, kind, strength, share, w1, w2, d_w1, d_b1, d_w2, d_b2):  # pragma: no cover - jitted
+    """Adjoint of :func:`respond`, the weights' gradients included."""
+    _answer_adjoint(b, strength, share, ONE / limits[2 * kind + 1])
+    _perceive_adjoint(b, w1, w2, d_w1, d_b1, d_w2, d_b2)
+    _look_adjoint(b)
 
 
 @block_jit

@@ -1,7 +1,4 @@
-"""The tangential springs of contacts over one frame, jitted; the rule is that of the module contact_memory.
-
-Lengths are in mm. Each result is zero, and ``touches`` False, where a contact does not touch at the end of the frame.
-"""
+"""The tangential springs of contacts over one frame, jitted; the rule is that of the module `contact.memory`."""
 
 from __future__ import annotations
 
@@ -40,57 +37,51 @@ def _stretch(spring, normal, motion, spin, overlap, overlap_before, result):  # 
 
 
 @jitted
-def stretch_pairs(pairs, start, end, spin, diameter, period, springs, result, touches):  # pragma: no cover - jitted
-    """ξ' of the pairs: ``start`` and ``end`` are positions, ``spin`` is q, all ``(N, 3)``."""
-    normal, before, motion, turn = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    for c in range(len(pairs)):
-        i, j = pairs[c]
-        for m in range(3):
-            normal[m] = end[j, m] - end[i, m]
-            before[m] = start[j, m] - start[i, m]
-            turn[m] = spin[i, m] + spin[j, m]
-        if period > 0.0:
-            normal[1] -= period * np.floor(normal[1] / period + 0.5)
-            before[1] -= period * np.floor(before[1] / period + 0.5)
-        distance = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
-        if distance >= diameter or distance == 0.0:
-            continue
-        apart = np.sqrt(before[0] ** 2 + before[1] ** 2 + before[2] ** 2)
-        for m in range(3):
-            motion[m] = normal[m] - before[m]
-            normal[m] /= distance
-        _stretch(springs[c], normal, motion, turn, diameter - distance, diameter - apart, result[c])
-        touches[c] = True
-
-
-@jitted
-def stretch_walls(
-    near, wall, other_piece, start, end, spin, radius, period, before, after, turn, shift, springs, result, touches
+def stretch(
+    pairs, near, wall, other_piece, start, end, spin, diameter, period, before, after, turn, shift, springs, result,
+    touches,
 ):  # fmt: skip  # pragma: no cover - jitted
-    """ξ' of the particles ``near`` walls, whose touched point c moves by ``turn`` c + ``shift``.
+    """ξ' of all contacts, pairs first; zero, and ``touches`` False, of those that do not touch at the frame's end.
 
-    Args:
-        wall, other_piece: ``(C,)`` index of the wall of each, and of the piece that it may come from over a seam.
-        before, after: ``(W, 11)`` shapes at the frame's two ends.
-        turn, shift: ``(W, 3, 3)`` and ``(W, 3)``.
+    The first four and ``before`` to ``shift`` are of a :class:`~gran_bench.surrogate.contact.geometry.ContactList`;
+    start, end and spin ``(N, 3)`` positions at the frame's two ends, mm, and q, mm a frame; springs and result ξ and ξ'.
     """
-    normal, motion, moved = np.empty(3), np.empty(3), np.empty(3)
-    for c in range(len(near)):
-        i, w = near[c], wall[c]
-        distance, normal[0], normal[1], normal[2] = toward_wall(shape_of(after, w), end[i, 0], end[i, 1], end[i, 2])
-        if distance >= radius:
-            continue
-        for m in range(3):
-            moved[m] = end[i, m] - start[i, m]
-        if period > 0.0:
-            moved[1] -= period * np.floor(moved[1] / period + 0.5)
-        for m in range(3):
-            motion[m] = shift[w, m] - moved[m]
-            for p in range(3):
-                motion[m] += turn[w, m, p] * (end[i, p] + distance * normal[p])
-        apart = toward_wall(shape_of(before, w), start[i, 0], start[i, 1], start[i, 2])[0]
-        if other_piece[c] != w:
-            from_there = toward_wall(shape_of(before, other_piece[c]), start[i, 0], start[i, 1], start[i, 2])[0]
-            apart = min(apart, from_there)
-        _stretch(springs[c], normal, motion, spin[i], radius - distance, radius - apart, result[c])
+    normal, back, motion, turned = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for c in range(len(pairs) + len(near)):
+        if c < len(pairs):
+            i, j = pairs[c]
+            for m in range(3):
+                normal[m] = end[j, m] - end[i, m]
+                back[m] = start[j, m] - start[i, m]
+                turned[m] = spin[i, m] + spin[j, m]
+            if period > 0.0:
+                normal[1] -= period * np.floor(normal[1] / period + 0.5)
+                back[1] -= period * np.floor(back[1] / period + 0.5)
+            distance = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+            if distance >= diameter or distance == 0.0:
+                continue
+            apart = np.sqrt(back[0] ** 2 + back[1] ** 2 + back[2] ** 2)
+            overlap, overlap_before = diameter - distance, diameter - apart
+            for m in range(3):
+                motion[m] = normal[m] - back[m]
+                normal[m] /= distance
+        else:
+            i, w, other = near[c - len(pairs)], wall[c - len(pairs)], other_piece[c - len(pairs)]
+            distance, normal[0], normal[1], normal[2] = toward_wall(shape_of(after, w), end[i, 0], end[i, 1], end[i, 2])
+            if distance >= 0.5 * diameter:
+                continue
+            for m in range(3):
+                back[m] = end[i, m] - start[i, m]
+                turned[m] = spin[i, m]
+            if period > 0.0:
+                back[1] -= period * np.floor(back[1] / period + 0.5)
+            for m in range(3):
+                motion[m] = shift[w, m] - back[m]
+                for p in range(3):
+                    motion[m] += turn[w, m, p] * (end[i, p] + distance * normal[p])
+            apart = toward_wall(shape_of(before, w), start[i, 0], start[i, 1], start[i, 2])[0]
+            if other != w:  # over a seam
+                apart = min(apart, toward_wall(shape_of(before, other), start[i, 0], start[i, 1], start[i, 2])[0])
+            overlap, overlap_before = 0.5 * diameter - distance, 0.5 * diameter - apart
+        _stretch(springs[c], normal, motion, turned, overlap, overlap_before, result[c])
         touches[c] = True

@@ -18,7 +18,6 @@ import itertools
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -26,8 +25,7 @@ from numba import njit, uint64
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-if TYPE_CHECKING:
-    from gran_bench.surrogate.convolution.neighborhood import Neighborhood
+from gran_bench.surrogate.convolution.neighborhood import Neighborhood
 
 # A block's buffer: about what the second-level cache of a core holds. Rows beyond the bound gain nothing.
 _BUFFER_BYTES = 1 << 21
@@ -58,11 +56,6 @@ def _gather(begin, end, row_start, source, first, coefficient, offsets, features
                     far_row[k] += far * feature[k]
 
 
-def _blas_product(left: Tensor, right: Tensor) -> Tensor:
-    """``left @ right`` by torch's BLAS."""
-    return torch.mm(left, right)
-
-
 def _onednn_product(left: Tensor, right: Tensor) -> Tensor:
     """``left @ right`` by oneDNN, whose generated code is twice as fast where the BLAS avoids the widest vectors."""
     if left.dtype != torch.float32:
@@ -77,7 +70,7 @@ def _choose_product() -> Callable[[Tensor, Tensor], Tensor]:
         agrees = torch.allclose(_onednn_product(left, right), left @ right, rtol=1e-5, atol=1e-6)
     except (AttributeError, RuntimeError):  # the operator is no part of torch's public interface
         agrees = False
-    return _onednn_product if agrees else _blas_product
+    return _onednn_product if agrees else torch.mm
 
 
 _product = _choose_product()
@@ -135,47 +128,25 @@ class _FusedConvolution(torch.autograd.Function):
     @once_differentiable
     def backward(ctx, output_gradient: Tensor) -> tuple[Tensor | None, Tensor | None, None]:
         features, weight = ctx.saved_tensors
-        output_gradient = output_gradient.contiguous()
-        if not ctx.needs_input_grad[0]:
-            return None, _weight_gradient(ctx.pairs, features, weight, output_gradient), None
-        return *_both_gradients(ctx.pairs, features, weight, output_gradient), None
-
-
-def _weight_gradient(pairs: Neighborhood, features: Tensor, weight: Tensor, output_gradient: Tensor) -> Tensor:
-    """∂L/∂W ``(B, C_in, C_out)`` from the features gathered once more: all that is left where they are constant."""
-    size, channels_in, channels_out = weight.shape
-    total = features.new_zeros(channels_out, size * channels_in)
-    for begin, end, gathered in _gathered_blocks(pairs, features.contiguous()):
-        total += _product(output_gradient[begin:end].t(), gathered)
-    return total.view(channels_out, size, channels_in).permute(1, 2, 0)
-
-
-def _both_gradients(
-    pairs: Neighborhood, features: Tensor, weight: Tensor, output_gradient: Tensor
-) -> tuple[Tensor, Tensor]:
-    """∂L/∂f ``(S, C_in)`` and ∂L/∂W ``(B, C_in, C_out)``, from ∂L/∂out gathered over the transposed list."""
-    size, channels_in, channels_out = weight.shape
-    mirror, sign = pairs.basis.mirror, pairs.basis.mirror_sign.to(weight.dtype)[:, None, None]
-    kernel = weight[mirror] * sign if pairs.symmetric else weight
-    kernel = kernel.transpose(1, 2).reshape(size * channels_out, channels_in)
-    feature_gradient = torch.empty_like(features)
-    total = features.new_zeros(channels_in, size * channels_out)
-    for begin, end, gathered in _gathered_blocks(pairs if pairs.symmetric else pairs.transposed, output_gradient):
-        feature_gradient[begin:end] = _product(gathered, kernel)
-        total += _product(features[begin:end].t(), gathered)
-    kernel_gradient = total.view(channels_in, size, channels_out).transpose(0, 1)
-    return feature_gradient, kernel_gradient[mirror] * sign if pairs.symmetric else kernel_gradient
+        pairs, output_gradient = ctx.pairs, output_gradient.contiguous()
+        size, channels_in, channels_out = weight.shape
+        if not ctx.needs_input_grad[0]:  # ∂L/∂W is all that is left where the features are constant
+            total = features.new_zeros(channels_out, size * channels_in)
+            for begin, end, gathered in _gathered_blocks(pairs, features.contiguous()):
+                total += _product(output_gradient[begin:end].t(), gathered)
+            return None, total.view(channels_out, size, channels_in).permute(1, 2, 0), None
+        mirror, sign = pairs.basis.mirror, pairs.basis.mirror_sign.to(weight.dtype)[:, None, None]
+        kernel = weight[mirror] * sign if pairs.symmetric else weight
+        kernel = kernel.transpose(1, 2).reshape(size * channels_out, channels_in)
+        feature_gradient = torch.empty_like(features)
+        total = features.new_zeros(channels_in, size * channels_out)
+        for begin, end, gathered in _gathered_blocks(pairs if pairs.symmetric else pairs.transposed, output_gradient):
+            feature_gradient[begin:end] = _product(gathered, kernel)
+            total += _product(features[begin:end].t(), gathered)
+        kernel_gradient = total.view(channels_in, size, channels_out).transpose(0, 1)
+        return feature_gradient, kernel_gradient[mirror] * sign if pairs.symmetric else kernel_gradient, None
 
 
 def convolve_fused(features: Tensor, weight: Tensor, pairs: Neighborhood) -> Tensor:
-    """The same as :func:`~gran_bench.surrogate.convolution.cconv.convolve` on a CPU, with the geometry held constant.
-
-    Args:
-        features: ``(S, C_in)`` float32 or float64.
-        weight: ``(B, C_in, C_out)`` of the same type.
-        pairs: the frame's geometry.
-
-    Returns:
-        ``(Q, C_out)``.
-    """
+    """:func:`~gran_bench.surrogate.convolution.cconv.convolve` on a CPU in float32 or 64, the geometry constant."""
     return _FusedConvolution.apply(features, weight, pairs)

@@ -18,13 +18,7 @@ def ball_to_cube(vector: Tensor) -> Tensor:
 
     First ball → cylinder: near the poles (5/4 z² > x² + y²), (x, y) √(3r/(r + |z|)) and ±r; else (x, y) r/ρ and
     3/2 z, with ρ = √(x² + y²). Then disc → square in every cross-section: the larger of x and y becomes ±ρ, the
-    other ±ρ (4/π) atan(smaller/larger). The map is odd: Λ(−x) = −Λ(x).
-
-    Args:
-        vector: ``(M, 3)`` points of the unit ball.
-
-    Returns:
-        ``(M, 3)`` points of the cube.
+    other ±ρ (4/π) atan(smaller/larger). The map is odd: Λ(−x) = −Λ(x). Points are ``(M, 3)``.
 
     Source: Griepentrog, Höppner, Kaiser & Rehberg (2008), A bi-Lipschitz continuous, volume preserving map from the
     unit ball onto a cube, Note di Matematica 28.
@@ -83,14 +77,7 @@ class LatticeBasis:
         self.mirror_sign = torch.ones(self.size)
 
     def evaluate(self, relative: Tensor) -> tuple[Tensor, Tensor]:
-        """The eight functions that each vector uses, and their values.
-
-        Args:
-            relative: ``(M, 3)`` source − query, m; at most R long.
-
-        Returns:
-            first function ``(M,)`` int64, values ``(M, 8)``.
-        """
+        """The eight functions that vectors ``(M, 3)`` m of at most R use: the first ``(M,)``, and values ``(M, 8)``."""
         coordinate = (ball_to_cube(relative / self.radius) + 1.0) * (0.5 * (self.edge - 1))
         cell = coordinate.detach().floor().clamp_(0, self.edge - 2)
         upper = coordinate - cell

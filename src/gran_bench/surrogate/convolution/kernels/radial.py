@@ -43,27 +43,14 @@ class RadialBasis:
 
     @classmethod
     def around_contact(cls, diameter: float, radius: float, contact: float | None = None) -> RadialBasis:
-        """Nodes around the distance at which two bodies touch.
-
-        Args:
-            diameter: d, m.
-            radius: R, m.
-            contact: distance of touching bodies, m; d by default, d/2 for points of a wall's surface.
-        """
+        """Nodes around the distance at which two bodies touch: d by default, d/2 for points of a wall's surface."""
         shift = diameter - (diameter if contact is None else contact)
         inner = [n * diameter - shift for n in NODES]
         # Nodes that crowd the support radius would make hats that no particle ever sees.
         return cls((*(n for n in inner if n < 0.95 * radius), radius))
 
     def evaluate(self, relative: Tensor) -> tuple[Tensor, Tensor]:
-        """The eight functions that each vector uses, and their values.
-
-        Args:
-            relative: ``(M, 3)`` source − query, m; at most R long.
-
-        Returns:
-            first function ``(M,)`` int64, values ``(M, 8)``.
-        """
+        """The eight functions that vectors ``(M, 3)`` m of at most R use: the first ``(M,)``, and values ``(M, 8)``."""
         x, y, z = relative.unbind(-1)
         squared = x * x + y * y + z * z
         apart = squared > 0

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import sys
+import itertools
 import time
-import types
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -21,20 +20,12 @@ from gran_bench.surrogate.step import FrameState, Surrogate
 
 @dataclass(frozen=True)
 class Rollout:
-    """What a rollout gave.
+    """What a rollout gave."""
 
-    Attributes:
-        trajectory: F frames; after the first non-finite frame all values are NaN, so that every figure made
-            from it shows the failure.
-        failed_frame: index of the first non-finite frame, or None.
-        seconds_per_frame: ``(F − 1,)`` wall time of each computed frame, s.
-        warnings: where the scene or the start is unlike what the model was trained for, a line each.
-    """
-
-    trajectory: Trajectory
-    failed_frame: int | None
-    seconds_per_frame: np.ndarray
-    warnings: tuple[str, ...] = ()
+    trajectory: Trajectory  # F frames; from the first non-finite one on NaN, so that every figure shows the failure
+    failed_frame: int | None  # the first non-finite one
+    seconds_per_frame: np.ndarray  # (F − 1,) wall time of each computed frame, s
+    warnings: tuple[str, ...] = ()  # where scene or start are unlike what the model was trained for, a line each
 
 
 def initial_frame(model: Surrogate, scene: Scene, state: ParticleState) -> FrameState:
@@ -54,19 +45,12 @@ def initial_frame(model: Surrogate, scene: Scene, state: ParticleState) -> Frame
 
 
 def step_frames(model: Surrogate, scene: Scene, state: ParticleState) -> Iterator[FrameState]:
-    """The state itself, then one frame after another without end, without gradients.
-
-    Args:
-        model: any surrogate.
-        scene: gives walls, motion, Δt.
-        state: start; its ``time`` is the clock of the walls' motion.
-    """
-    frame, clock, index = initial_frame(model, scene, state), state.time, 0
-    while True:
+    """The state itself, then one frame after another without end, without gradients; ``state.time`` is the clock."""
+    frame = initial_frame(model, scene, state)
+    for index in itertools.count():
         yield frame
         with torch.no_grad():
-            frame = model(frame, scene, clock + index * scene.frame_interval)
-        index += 1
+            frame = model(frame, scene, state.time + index * scene.frame_interval)
 
 
 def extrapolations(model: Surrogate, scene: Scene, state: ParticleState) -> tuple[str, ...]:
@@ -99,38 +83,22 @@ def rollout(
     check_arguments(model=(model, Surrogate), scene=(scene, Scene), state=(state, ParticleState))
     frames = checked_value(int, at_least(1), scene.frame_count if frames is None else frames, "frames")
     check_walls(scene)
-    warnings = extrapolations(model, scene, state)
-    shape = (frames, state.count, 3)
-    position, velocity = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
-    spin = np.full(shape, np.nan, np.float32) if model.uses_spin else None
-    seconds = np.full(max(frames - 1, 0), np.nan)
-    failed_frame = None
-    steps = step_frames(model, scene, state)
+    warnings, steps = extrapolations(model, scene, state), step_frames(model, scene, state)
+    names = ("position", "velocity", *(["angular_velocity"] if model.uses_spin else []))
+    motion = {name: np.full((frames, state.count, 3), np.nan, np.float32) for name in names}
+    seconds, failed_frame = np.full(max(frames - 1, 0), np.nan), None
     model.eval()
     for k in tqdm(range(frames), desc="rollout", unit="frame", disable=None if progress else True, leave=False):
         began = time.perf_counter()
         frame = next(steps)
         if k:
             seconds[k - 1] = time.perf_counter() - began
-        stored = [frame.position, frame.velocity]
-        if spin is not None:
-            stored.append(frame.angular_velocity)
-        if not all(bool(torch.isfinite(values).all()) for values in stored):
+        if not all(bool(torch.isfinite(getattr(frame, name)).all()) for name in names):
             failed_frame = k
             break
-        for array, values in zip((position, velocity, spin), stored, strict=False):
-            array[k] = values.cpu().numpy()
-    clock = state.time + scene.frame_interval * np.arange(frames)
-    trajectory = Trajectory(
-        clock, position, velocity, spin, np.asarray(state.radius), velocity_kind=model.velocity_kind
-    )
+        for name, array in motion.items():
+            array[k] = getattr(frame, name).cpu().numpy()
+    clock, radius = state.time + scene.frame_interval * np.arange(frames), np.asarray(state.radius)
+    motion = {"angular_velocity": None} | motion
+    trajectory = Trajectory(clock, **motion, radius=radius, velocity_kind=model.velocity_kind)
     return Rollout(trajectory, failed_frame, seconds, warnings)
-
-
-class _Callable(types.ModuleType):
-    """This module. Where it was imported before, ``from gran_bench import rollout`` gives it and not the function."""
-
-    __call__ = staticmethod(rollout)
-
-
-sys.modules[__name__].__class__ = _Callable
