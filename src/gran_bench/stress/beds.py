@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,43 +19,34 @@ from gran_bench.shipped import shipped_scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
 from gran_bench.stress.expectation import Observation
 from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.stress.impacts import deepest_overlap
 
 STATE_ARRAYS = ("position", "velocity", "angular_velocity")
 
 
-def settled_bed(scene: Scene, shared: Path, dem: DemConfig | None = None) -> ParticleState:
-    """The bed that a scene starts with, made once for all cases of a run.
-
-    Args:
-        scene: at any motion.
-        shared: folder of the beds.
-        dem: that it settles with.
-    """
-    job = Job(CaseSpec(scene, dem or DemConfig()), shared, settles=True)
-    with locked(shared / "beds.lock"):
+def settled_bed(bench: Bench, scene: Scene) -> ParticleState:
+    """The bed that a scene starts with, at any motion; made once for all cases of a run."""
+    job = Job(CaseSpec(scene, DemConfig()), bench.shared, settles=True)
+    with locked(bench.shared / "beds.lock"):
         job.run(lambda seconds: None)
     return read_settled(job.path)[0]
 
 
 def bed_in_place(
-    bench: Bench, scene: str, changes: dict[str, Any] | None, then: dict[str, Any] | None, speed_rpm: float | None
+    bench: Bench, scene: str, speed_rpm: float | None, changes: dict | None = None, then: dict | None = None
 ) -> tuple[Scene, ParticleState]:
     """A scene and its settled bed, at the time when the scene starts.
 
     Args:
         scene: shipped one.
+        speed_rpm: constant speed; None for the scene's own motion.
         changes: of its keys before the bed settles.
         then: further changes of its keys after that.
-        speed_rpm: constant speed; None for the scene's own motion.
     """
-    bed = settled_bed(shipped_scene(scene, changes), bench.shared)
-    place = turned(shipped_scene(scene, (changes or {}) | (then or {})), speed_rpm)
+    bed = settled_bed(bench, shipped_scene(scene, changes))
+    place = shipped_scene(scene, (changes or {}) | (then or {}))
+    place = place if speed_rpm is None else place.at_speed(speed_rpm)
     return place, replace(bed, time=place.start_time)
-
-
-def turned(scene: Scene, speed_rpm: float | None) -> Scene:
-    """The scene at a constant speed; as it is where None."""
-    return scene if speed_rpm is None else scene.at_speed(speed_rpm)
 
 
 def energy_scale(scene: Scene, state: ParticleState) -> float:
@@ -69,11 +59,8 @@ def energy_scale(scene: Scene, state: ParticleState) -> float:
 def kinetic_energy(trajectory: Trajectory, scene: Scene) -> FloatArray:
     """Translational and, where there is spin, rotational energy of each frame, ``(F,)`` J; NaN where not finite."""
     mass = sphere_masses(trajectory.radius, scene.material.density)
-    energy = translational_energy(trajectory.time, trajectory.velocity, mass).value
-    if trajectory.angular_velocity is not None:
-        spin = trajectory.angular_velocity
-        energy = energy + rotational_energy(trajectory.time, spin, mass, trajectory.radius).value
-    return energy
+    energy, spin = translational_energy(trajectory.time, trajectory.velocity, mass).value, trajectory.angular_velocity
+    return energy if spin is None else energy + rotational_energy(trajectory.time, spin, mass, trajectory.radius).value
 
 
 def escapes(count: FailureCount) -> tuple[str, ...]:
@@ -93,8 +80,8 @@ def escapes(count: FailureCount) -> tuple[str, ...]:
 def turning_bed(
     bench: Bench,
     scene: str = "drum_small",
-    changes: dict[str, Any] | None = None,
-    then: dict[str, Any] | None = None,
+    changes: dict | None = None,
+    then: dict | None = None,
     speed_rpm: float | None = 30.0,
     seconds: float = 0.5,
     time_step: float | None = None,
@@ -104,35 +91,28 @@ def turning_bed(
     """A settled bed that is turned.
 
     Args:
-        scene: shipped one.
-        changes: of its keys before the bed settles.
-        then: further changes of its keys after that.
-        speed_rpm: constant speed; null for the scene's own motion.
+        scene, changes, then, speed_rpm: as in `bed_in_place`.
         seconds: simulated.
         time_step: s; the solver's choice where null.
         unsafe: whether a step beyond a fifth of the contact time is let through.
         engine: of the DEM.
     """
-    place, bed = bed_in_place(bench, scene, changes, then, speed_rpm)
-    dem = DemConfig(engine=engine, time_step=time_step, allow_unsafe_step=unsafe)
-    result = simulate(place, bed, place.start_time + seconds, dem=dem)
-    ended = replace(place, end_time=place.start_time + seconds)
-    count = count_failures(result.trajectory, ended)
-    energy, scale = kinetic_energy(result.trajectory, place), energy_scale(place, bed)
-    overlap = result.trajectory.diagnostics
-    deepest = max(overlap["overlap_peak"].max(), overlap["wall_overlap_peak"].max())
-    return Observation(
-        {
-            "energy": float(energy.max() / scale) if scale else float(energy.max()),
-            "outside": count.share(count.outside_radius),
-            "outside_5mm": count.share(count.outside_tolerated),
-            "overlap": float(deepest / (2.0 * bed.radius.min())) if bed.count else 0.0,
-            "frames": float(result.trajectory.frame_count),
-            "spheres": float(bed.count),
-            "non_finite": float(count.non_finite_states),
-        },
-        (*result.warnings, *escapes(count)),
-    )
+    place, bed = bed_in_place(bench, scene, speed_rpm, changes, then)
+    dem, end = DemConfig(engine=engine, time_step=time_step, allow_unsafe_step=unsafe), place.start_time + seconds
+    result = simulate(place, bed, end, dem=dem)
+    count = count_failures(result.trajectory, replace(place, end_time=end))
+    energy, scale = float(kinetic_energy(result.trajectory, place).max()), energy_scale(place, bed)
+    deepest = deepest_overlap(result.trajectory.diagnostics)
+    quantities = {
+        "energy": energy / scale if scale else energy,
+        "outside": count.share(count.outside_radius),
+        "outside_5mm": count.share(count.outside_tolerated),
+        "overlap": deepest / float(2.0 * bed.radius.min()) if bed.count else 0.0,
+        "frames": float(result.trajectory.frame_count),
+        "spheres": float(bed.count),
+        "non_finite": float(count.non_finite_states),
+    }
+    return Observation(quantities, (*result.warnings, *escapes(count)))
 
 
 def differing(one: ParticleState, other: ParticleState) -> int:
@@ -141,6 +121,11 @@ def differing(one: ParticleState, other: ParticleState) -> int:
     if len(one.history) != len(other.history):
         return count + abs(len(one.history) - len(other.history))
     return count + int((one.history.force != other.history.force).sum())
+
+
+def farthest(one: FloatArray, other: FloatArray) -> float:
+    """The largest distance of a particle's two positions, ``(N, 3)`` m each."""
+    return float(np.linalg.norm(other - one, axis=1).max())
 
 
 def bit_identical(bench: Bench, what: str, scene: str = "drum_small", frames: int = 10) -> Observation:
@@ -152,74 +137,85 @@ def bit_identical(bench: Bench, what: str, scene: str = "drum_small", frames: in
         scene: shipped one.
         frames: to run.
     """
-    place = shipped_scene(scene)
+    still = shipped_scene(scene)
     if what == "weightless":
-        place = replace(place, gravity=(0.0, 0.0, 0.0))
-        put = replace(place.fresh_filling(0), time=place.start_time)
-        return Observation({"differing": float(differing(settled_bed(place, bench.shared), put)), "moved": 0.0})
-    place, bed = place.at_speed(30.0), settled_bed(place, bench.shared)
-    end = place.start_time + frames * place.frame_interval
-    half = place.start_time + frames // 2 * place.frame_interval
-    if what == "rest":
-        runs = [simulate(one, bed, end).final for one in (place.at_rest(), place.at_speed(0.0))]
-    elif what == "threads":
-        runs = [simulate(place, bed, end, dem=DemConfig(threads=n)).final for n in (1, 2, 4)]
-    elif what == "skin":
-        runs = [simulate(place, bed, end, dem=DemConfig(skin=skin)).final for skin in (0.002, 0.02)]
-    elif what == "restart":
-        runs = [simulate(place, bed, end).final, simulate(place, simulate(place, bed, half).final, end).final]
-    else:
-        raise ValueError(f"with.what={what} is unknown; choose threads, rest, weightless, restart or skin")
-    moved = float(np.linalg.norm(runs[0].position - bed.position, axis=1).max())
-    return Observation({"differing": float(sum(differing(runs[0], run) for run in runs[1:])), "moved": moved})
+        still = replace(still, gravity=(0.0, 0.0, 0.0))
+        put = replace(still.fresh_filling(0), time=still.start_time)
+        return Observation({"differing": float(differing(settled_bed(bench, still), put)), "moved": 0.0})
+    place, bed = still.at_speed(30.0), settled_bed(bench, still)
+    half, end = (place.start_time + number * place.frame_interval for number in (frames // 2, frames))
+
+    def final(scene: Scene = place, start: ParticleState = bed, until: float = end, **dem: object) -> ParticleState:
+        return simulate(scene, start, until, dem=DemConfig(**dem)).final
+
+    ways: dict[str, Callable[[], list[ParticleState]]] = {
+        "rest": lambda: [final(place.at_rest()), final(place.at_speed(0.0))],
+        "threads": lambda: [final(threads=number) for number in (1, 2, 4)],
+        "skin": lambda: [final(skin=skin) for skin in (0.002, 0.02)],
+        "restart": lambda: [final(), final(start=final(until=half))],
+    }
+    if what not in ways:
+        raise ValueError(f"with.what={what} is unknown; choose weightless, {', '.join(ways)}")
+    runs = ways[what]()
+    off = float(sum(differing(runs[0], run) for run in runs[1:]))
+    return Observation({"differing": off, "moved": farthest(bed.position, runs[0].position)})
+
+
+TURN = np.radians(40.0)  # no multiple of an angle that a lattice could know
+# What a drum looks like in other axes: matrices of a vector.
+IMAGES = {
+    "backwards": np.diag([-1.0, 1.0, 1.0]),
+    "mirrored": np.diag([1.0, -1.0, 1.0]),
+    "turned": np.array([[np.cos(TURN), 0, np.sin(TURN)], [0, 1, 0], [-np.sin(TURN), 0, np.cos(TURN)]]),
+}
+
+
+def image(
+    what: str, scene: Scene, state: ParticleState
+) -> tuple[Scene, ParticleState, Callable[[FloatArray], FloatArray]]:
+    """A moving drum and its bed, turned (with gravity), mirrored along the axis or across it, or renumbered.
+
+    Args:
+        what: ``turned``, ``mirrored``, ``backwards`` (the mirror image across the axis, which turns the other way) or
+            ``renumbered``.
+        scene, state: as they are.
+
+    Returns:
+        Scene and state, and what brings positions back, ``(N, 3)`` m.
+    """
+    if what == "renumbered":
+        order = np.random.default_rng(3).permutation(state.count)
+        names = (*STATE_ARRAYS, "radius", "material")
+        changed = replace(state, **{name: getattr(state, name)[order] for name in names})
+        return scene, changed, lambda position: position[np.argsort(order)]
+    linear = IMAGES[what]
+    vectors = {name: getattr(state, name) @ linear.T for name in STATE_ARRAYS}
+    vectors["angular_velocity"] *= np.sign(np.linalg.det(linear))  # spins are axial vectors
+    if what == "backwards":
+        scene = scene.at_speed(-scene.rotation.speeds_rpm[-1])
+    scene = replace(scene, gravity=tuple(linear @ np.array(scene.gravity)))
+    return scene, replace(state, **vectors), lambda position: position @ linear
 
 
 def alike(bench: Bench, what: str, scene: str = "drum_small", frames: int = 5) -> Observation:
     """Two ways that must agree to a stated rounding: positions at the end.
 
     Args:
-        what: ``backwards`` (the mirror image at −30 rpm), ``float32`` (of the contact forces), ``engines`` (numpy
-            beside numba), ``turned`` (bed and gravity turned by 40° about the axis), ``renumbered``.
+        what: ``backwards``, ``turned`` or ``renumbered`` as in `image`, ``float32`` (of the contact forces),
+            ``engines`` (numpy beside numba).
         scene: shipped one.
         frames: to run.
     """
-    place, bed = shipped_scene(scene).at_speed(30.0), settled_bed(shipped_scene(scene), bench.shared)
+    place, bed = bed_in_place(bench, scene, 30.0)
     bed = replace(bed, history=ContactHistory.empty())  # both runs begin with contacts that remember nothing
+    dems = {"float32": DemConfig(precision="float32"), "engines": DemConfig(engine="numpy")}
+    if what not in {*dems, *IMAGES, "renumbered"}:
+        raise ValueError(f"with.what={what} is unknown; choose renumbered, {', '.join([*dems, *IMAGES])}")
     end = place.start_time + frames * place.frame_interval
-    one = simulate(place, bed, end).final
-    if what == "backwards":
-        image = _mapped(bed, np.diag([-1.0, 1.0, 1.0]), proper=False)
-        other = _mapped(simulate(place.at_speed(-30.0), image, end).final, np.diag([-1.0, 1.0, 1.0]), proper=False)
-    elif what == "turned":
-        angle = np.radians(40.0)
-        turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-        tilted = replace(place, gravity=tuple(turn @ np.array(place.gravity)))
-        other = _mapped(simulate(tilted, _mapped(bed, turn), end).final, turn.T)
-    elif what == "renumbered":
-        order = np.random.default_rng(3).permutation(bed.count)
-        there = simulate(place, _reordered(bed, order), end).final
-        other = _reordered(replace(there, history=ContactHistory.empty()), np.argsort(order))
-    elif what in ("float32", "engines"):
-        dem = DemConfig(precision="float32") if what == "float32" else DemConfig(engine="numpy")
-        other = simulate(place, bed, end, dem=dem).final
-    else:
-        raise ValueError(f"with.what={what} is unknown; choose backwards, turned, renumbered, float32 or engines")
-    moved = float(np.linalg.norm(one.position - bed.position, axis=1).max())
-    off = float(np.linalg.norm(other.position - one.position, axis=1).max())
-    return Observation({"position_off": off, "moved": moved})
-
-
-def _mapped(state: ParticleState, linear: FloatArray, proper: bool = True) -> ParticleState:
-    """A state turned, or mirrored: spins are axial vectors."""
-    vectors = {name: getattr(state, name) @ linear.T for name in STATE_ARRAYS}
-    if not proper:
-        vectors["angular_velocity"] = -vectors["angular_velocity"]
-    return replace(state, **vectors)
-
-
-def _reordered(state: ParticleState, order: FloatArray) -> ParticleState:
-    names = (*STATE_ARRAYS, "radius", "material")
-    return replace(state, **{name: getattr(state, name)[order] for name in names})
+    one = simulate(place, bed, end).final.position
+    there, start, back = (place, bed, np.asarray) if what in dems else image(what, place, bed)
+    other = back(simulate(there, start, end, dem=dems.get(what)).final.position)
+    return Observation({"position_off": farthest(one, other), "moved": farthest(bed.position, one)})
 
 
 BEDS = {

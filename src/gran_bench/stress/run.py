@@ -9,23 +9,23 @@ import queue
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
 from gran_bench.files import write_text
 from gran_bench.provenance.source_digest import source_digest
 from gran_bench.stress.case_list import StressCase
-from gran_bench.stress.crew import Worker, outcome_of
-from gran_bench.stress.expectation import Failure, Observation, Outcome, Verdict, verdict
-from gran_bench.stress.perform import Task, model_words, perform
-from gran_bench.stress.registry import EXPERIMENTS
+from gran_bench.stress.expectation import Failure, Outcome, verdict
+from gran_bench.stress.perform import EXPERIMENTS, model_words, outcome_of, perform, to_document
 from gran_bench.surrogate.checkpoint import file_digest
+from gran_bench.workers import Worker
 
 KEPT, SHARED = "kept", "beds"
 
@@ -54,8 +54,8 @@ class Result:
         return f"{self.case.name}, {self.model}" if self.model else self.case.name
 
     @property
-    def verdict(self) -> Verdict:
-        """How it ended."""
+    def verdict(self) -> tuple[str, str]:
+        """How it ended, in a word, and what was found."""
         return verdict(self.case.expectation, self.outcome)
 
 
@@ -83,9 +83,8 @@ def errands(cases: Sequence[StressCase], checkpoints: Sequence[Path], folder: Pa
     code, found = package_digest(), []
     models = [(path, *model_words(path), file_digest(path)) for path in checkpoints]
     for case in cases:
-        of_model = EXPERIMENTS[case.kind].of_model
         fitting = [m for m in models if not case.models or m[1] in case.models]
-        for path, _, label, digest in fitting if of_model else [("", "", "", "")]:
+        for path, _, label, digest in fitting if EXPERIMENTS[case.kind].of_model else [("", "", "", "")]:
             words = json.dumps([case.kind, case.parameters, digest, code], sort_keys=True)
             name = hashlib.sha256(words.encode()).hexdigest()[:16]
             found.append(Errand(case, str(path), label, folder / KEPT / f"{name}.json"))
@@ -94,10 +93,7 @@ def errands(cases: Sequence[StressCase], checkpoints: Sequence[Path], folder: Pa
 
 @functools.cache
 def package_digest() -> str:
-    """SHA-256 (64 hex digits) of what a case may depend on: all code, configs and lists of the package.
-
-    Any case may go through any of it, so nothing is left out.
-    """
+    """SHA-256 (64 hex digits) of all code, configs and lists of the package: a case may go through any of it."""
     digest = hashlib.sha256(source_digest(["."]).encode())
     for place in (files("gran_bench.conf"), files("gran_bench.stress") / "lists"):
         for name, content in sorted(_yaml_files(place, "")):
@@ -114,9 +110,7 @@ def _yaml_files(folder: Traversable, path: str) -> Iterator[tuple[str, bytes]]:
             yield name, entry.read_bytes()
 
 
-def carry_out(
-    todo: Sequence[Errand], folder: Path, workers: int, patience: float, tell: Callable[[Result], None]
-) -> list[Result]:
+def carry_out(todo: Sequence[Errand], folder: Path, workers: int, patience: float) -> list[Result]:
     """Carry all out; what an interrupted run has finished is taken from there.
 
     Args:
@@ -124,32 +118,45 @@ def carry_out(
         folder: of the run.
         workers: cases at a time; 1 does all in this process, where nothing ends a case that hangs.
         patience: s that a case may take in a process of its own.
-        tell: gets each result as it comes.
 
     Returns:
         The results, in the order of ``todo``.
     """
     results: dict[int, Result] = {}
-    lock = threading.Lock()
+    lock, shared = threading.Lock(), str((folder / SHARED).resolve())
+    alone = [number for number, errand in enumerate(todo) if EXPERIMENTS[errand.case.kind].alone]
+    beside = [number for number in range(len(todo)) if number not in alone]
+    # Threads of the DEM are a case's own choice: some compare them.
+    crew = (
+        [Worker("gran_bench.stress.perform", {"OMP_NUM_THREADS": "1"}) for _ in range(workers)] if workers > 1 else []
+    )
+    idle: queue.SimpleQueue[Worker | None] = queue.SimpleQueue()
+    for worker in crew or [None]:
+        idle.put(worker)
     # None: silent where stderr is no terminal.
     with tqdm(total=len(todo), unit=" cases", leave=False, disable=None) as bar:
 
-        def one(number: int, act: Callable[[Task], Outcome]) -> None:
-            result = _kept(todo[number]) or _carried_out(todo[number], folder, act)
+        def one(number: int) -> None:
+            worker, errand = idle.get(), todo[number]
+            result = _kept(errand) or _carried_out(errand, shared, worker, patience)
+            idle.put(worker)
             with lock:
                 results[number] = result
                 bar.update()
-                bar.set_postfix_str(todo[number].case.name[:40], refresh=False)
-                tell(result)
+                bar.set_postfix_str(errand.case.name[:40], refresh=False)
 
-        alone = [n for n, errand in enumerate(todo) if EXPERIMENTS[errand.case.kind].alone]
-        beside = [n for n in range(len(todo)) if n not in alone]
-        if workers == 1:
+        if not crew:
             for number in (*beside, *alone):
-                one(number, perform)
-        else:
-            _in_processes(beside, workers, patience, one)
-            _in_processes(alone, 1, patience, one)
+                one(number)
+        lanes = ThreadPoolExecutor(workers)
+        try:
+            for numbers in [beside, *([number] for number in alone)] if crew else []:
+                list(lanes.map(one, numbers))
+        finally:
+            lanes.shutdown(wait=False, cancel_futures=True)  # nobody waits for what an interruption ends
+            for worker in crew:
+                worker.end()
+            lanes.shutdown()
     return [results[number] for number in range(len(todo))]
 
 
@@ -159,52 +166,20 @@ def forget(folder: Path) -> None:
         shutil.rmtree(folder / name, ignore_errors=True)
 
 
-def _in_processes(
-    numbers: Sequence[int], workers: int, patience: float, one: Callable[[int, Callable[[Task], Outcome]], None]
-) -> None:
-    waiting: queue.SimpleQueue[int] = queue.SimpleQueue()
-    for number in numbers:
-        waiting.put(number)
-    crew = [Worker(patience) for _ in range(min(workers, len(numbers)))]
-
-    def lane(worker: Worker) -> None:
-        while True:
-            try:
-                number = waiting.get_nowait()
-            except queue.Empty:
-                return
-            one(number, worker.perform)
-
-    try:
-        with ThreadPoolExecutor(max(len(crew), 1)) as lanes:
-            try:
-                for future in [lanes.submit(lane, worker) for worker in crew]:
-                    future.result()
-            except BaseException:
-                while not waiting.empty():
-                    waiting.get()
-                for worker in crew:
-                    worker.dismiss()
-                raise
-    finally:
-        for worker in crew:
-            worker.dismiss()
-
-
-def _carried_out(errand: Errand, folder: Path, act: Callable[[Task], Outcome]) -> Result:
+def _carried_out(errand: Errand, shared: str, worker: Worker | None, patience: float) -> Result:
     case, began = errand.case, time.perf_counter()
-    task = Task(case.kind, dict(case.parameters), errand.checkpoint, str((folder / SHARED).resolve()))
-    outcome = act(task)
-    result = Result(case, errand.model, outcome, time.perf_counter() - began)
-    if not isinstance(outcome, Failure) or outcome.error not in ("Crash", "Hang"):
-        form = "observation" if isinstance(outcome, Observation) else "failure"
-        write_text(errand.file, json.dumps({form: asdict(outcome), "seconds": result.seconds}) + "\n")
-    return result
+    task = {"kind": case.kind, "parameters": case.parameters, "checkpoint": errand.checkpoint, "shared": shared}
+    answer = to_document(perform(**task)) if worker is None else worker.ask(task, patience)
+    seconds = time.perf_counter() - began
+    if "died" in answer:  # it gets another chance in the next run
+        return Result(case, errand.model, Failure("Hang" if answer["late"] else "Crash", answer["died"]), seconds)
+    write_text(errand.file, json.dumps(answer | {"seconds": seconds}) + "\n")
+    return Result(case, errand.model, outcome_of(answer), seconds)
 
 
 def _kept(errand: Errand) -> Result | None:
     try:
-        document = json.loads(errand.file.read_text("utf-8"))
+        document: dict[str, Any] = json.loads(errand.file.read_text("utf-8"))
     except OSError:
         return None
     return Result(errand.case, errand.model, outcome_of(document), float(document["seconds"]), kept=True)

@@ -1,8 +1,4 @@
-"""Whether two samples of independent runs have the same mean: intervals, and what few runs can tell.
-
-A run of a chaotic flow is one draw. With n draws of standard deviation s the mean is known to t s/√n, t Student's
-quantile of n − 1 degrees of freedom; the difference of two means to Welch's interval.
-"""
+"""What few independent runs of a chaotic flow tell of its mean, and of the difference of two means."""
 
 from __future__ import annotations
 
@@ -17,13 +13,7 @@ from gran_bench.state import FloatArray
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean and how well it is known.
-
-    Attributes:
-        middle: the estimate.
-        standard_error: of it.
-        half_width: of the 95 % interval.
-    """
+    """An estimate, its standard error, and half its 95 % interval."""
 
     middle: float
     standard_error: float
@@ -38,25 +28,20 @@ class Interval:
 
 
 def mean_of(values: FloatArray) -> Interval:
-    """Mean of n independent values with Student's 95 % interval.
-
-    Args:
-        values: ``(n,)``, n ≥ 2.
+    """Mean of ``(n,)`` independent values of standard deviation s: known to t s/√n, t Student's with n − 1 freedoms.
 
     Raises:
         ValueError: fewer than two values.
     """
-    values = _sample(values)
+    values = np.asarray(values, float)
+    if values.ndim != 1 or len(values) < 2:
+        raise ValueError(f"values of shape {values.shape} have no scatter; give at least two of them")
     error = float(values.std(ddof=1)) / math.sqrt(len(values))
-    return Interval(float(values.mean()), error, _quantile(len(values) - 1) * error)
+    return Interval(float(values.mean()), error, float(student.ppf(0.975, len(values) - 1)) * error)
 
 
 def difference_of(first: FloatArray, second: FloatArray) -> Interval:
-    """Mean of the first sample minus that of the second, unpaired, with Welch's 95 % interval.
-
-    Args:
-        first: ``(n,)``, n ≥ 2.
-        second: ``(m,)``, m ≥ 2.
+    """Mean of the first ``(n,)`` minus that of the second ``(m,)``, unpaired, with Welch's 95 % interval.
 
     Raises:
         ValueError: fewer than two values.
@@ -68,15 +53,4 @@ def difference_of(first: FloatArray, second: FloatArray) -> Interval:
     error, freedom = math.sqrt(sum(squares)), math.inf
     if error:
         freedom = sum(squares) ** 2 / (squares[0] ** 2 / (len(first) - 1) + squares[1] ** 2 / (len(second) - 1))
-    return Interval(one.middle - other.middle, error, _quantile(freedom) * error)
-
-
-def _sample(values: FloatArray) -> FloatArray:
-    values = np.asarray(values, float)
-    if values.ndim != 1 or len(values) < 2:
-        raise ValueError(f"values of shape {values.shape} have no scatter; give at least two of them")
-    return values
-
-
-def _quantile(freedom: float) -> float:
-    return float(student.ppf(0.975, freedom))
+    return Interval(one.middle - other.middle, error, float(student.ppf(0.975, freedom)) * error)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gran_bench.config import DemConfig, FillingConfig, HopperConfig, MaterialConfig, SceneConfig
+from gran_bench.config import FillingConfig, HopperConfig, MaterialConfig, SceneConfig
 from gran_bench.dem.contact import sphere_mass
 from gran_bench.dem.simulate import settle, simulate
 from gran_bench.scene import Scene, build_scene
@@ -63,74 +63,48 @@ class HopperDischarge:
 
 
 def hopper(orifice: float, diameter: float = 0.02, count: int = 9000, tube: float = TUBE) -> Scene:
-    """A hopper of 45° with spheres of E = 1e7 Pa, e = 0.5, μ = 0.5.
-
-    Args:
-        orifice: D/d.
-        diameter: d, m.
-        count: N.
-        tube: diameter of the tube, d.
-    """
+    """A hopper of 45° with N = ``count`` spheres of E = 1e7 Pa, e = 0.5, μ = 0.5; orifice and tube in d, d in m."""
+    container = HopperConfig(
+        diameter=tube * diameter, height=40.0 * diameter, half_angle_deg=45.0,
+        orifice=orifice * diameter, outlet_depth=2.0 * diameter,
+    )  # fmt: skip
+    filling = FillingConfig(count=count, diameter=diameter, settled_speed=5e-3)
     return build_scene(
-        SceneConfig(
-            name="hopper",
-            container=HopperConfig(
-                diameter=tube * diameter,
-                height=40.0 * diameter,
-                half_angle_deg=45.0,
-                orifice=orifice * diameter,
-                outlet_depth=2.0 * diameter,
-            ),
-            filling=FillingConfig(count=count, diameter=diameter, settled_speed=5e-3),
-            material=MaterialConfig(friction=0.5),
-            start_time=1.0,
-            end_time=5.0,
-        )
+        SceneConfig("hopper", container, filling, MaterialConfig(friction=0.5), start_time=1.0, end_time=5.0)
     )
 
 
-def discharge(
-    orifices: Sequence[float] = ORIFICES, seed: int = 0, dem: DemConfig | None = None, **hopper_options: float
-) -> HopperDischarge:
+def discharge(orifices: Sequence[float] = ORIFICES, seed: int = 0, **hopper_options: float) -> HopperDischarge:
     """Empty a hopper through orifices of several sizes and fit the exponent of Beverloo's law.
 
     Args:
         orifices: D/d, two or more.
         seed: of the fillings.
-        dem: the solver.
         hopper_options: of :func:`hopper`.
     """
-    flows, errors, densities = [], [], []
-    for size in orifices:
-        scene = hopper(size, **hopper_options)
-        flow, error, density = steady_flow(scene, seed, dem)
-        flows.append(flow)
-        errors.append(error)
-        densities.append(density)
-    diameter = scene.filling.diameter
-    flow, error, orifice = np.array(flows), np.array(errors), diameter * np.array(orifices)
-    opening, bulk = orifice - RIM * diameter, float(np.mean(densities))
-    exponent, exponent_error = power_law(opening, flow, error)
-    law = bulk * math.sqrt(scene.gravity_strength) * opening**2.5
-    return HopperDischarge(
-        orifice, flow, error, exponent, exponent_error, float(np.exp(np.mean(np.log(flow / law)))), diameter, bulk
-    )
+    scenes = [hopper(size, **hopper_options) for size in orifices]
+    flow, error, density = np.transpose([steady_flow(scene, seed) for scene in scenes])
+    diameter, gravity = scenes[0].filling.diameter, scenes[0].gravity_strength
+    orifice, bulk = diameter * np.array(orifices), float(np.mean(density))
+    opening = orifice - RIM * diameter
+    factor = float(np.exp(np.mean(np.log(flow / (bulk * math.sqrt(gravity) * opening**2.5)))))
+    return HopperDischarge(orifice, flow, error, *power_law(opening, flow, error), factor, diameter, bulk)
 
 
-def steady_flow(scene: Scene, seed: int = 0, dem: DemConfig | None = None) -> tuple[float, float, float]:
+def steady_flow(scene: Scene, seed: int = 0) -> tuple[float, float, float]:
     """Mass flow out of a hopper while two fifths of its spheres leave, 2 s at most, and the density of its bed.
 
     Returns:
         W in kg/s, its standard error, and ρ_b in kg/m³ of the settled bed.
     """
-    bed = settle(scene, seed, dem=dem)
+    bed = settle(scene, seed)
     mass = sphere_mass(scene.material.density, scene.filling.radius)
     bulk = bulk_density(scene, bed.position)
     wide = scene.outlet.radius  # of the orifice, its diameter
     expected = 0.7 * bulk * math.sqrt(scene.gravity_strength) * (wide - RIM * scene.filling.diameter) ** 2.5
     duration = STARTUP + min(2.0, 0.4 * len(bed.position) * mass / expected)
     end = scene.start_time + round(duration / scene.frame_interval) * scene.frame_interval
-    trajectory = simulate(scene, bed, end, dem=dem).trajectory
+    trajectory = simulate(scene, bed, end).trajectory
     steady = trajectory.time >= scene.start_time + STARTUP - 1e-9
     time, left = trajectory.time[steady], mass * trajectory.diagnostics["discharged"][steady]
     edges = np.linspace(0, len(time) - 1, BLOCKS + 1).round().astype(int)

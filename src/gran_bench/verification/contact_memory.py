@@ -7,6 +7,7 @@ from it or gives to it is read off that change.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from gran_bench.scene import Material
 from gran_bench.state import ContactHistory, FloatArray
-from gran_bench.verification.case import Case, Check, Findings
+from gran_bench.verification.case import Case, Check
 from gran_bench.verification.laboratory import (
     FLOOR,
     RADIUS,
@@ -23,6 +24,7 @@ from gran_bench.verification.laboratory import (
     Impacts,
     collide,
     laboratory,
+    mass_of,
     on_sphere,
     on_wall,
     run,
@@ -33,7 +35,7 @@ from gran_bench.verification.laboratory import (
 MINDLIN = "k_t = 8 G* √(R* δ), force scaled by √(δ/δ_before) on unloading, closed form"
 LEG_STEPS = 400
 HEAVY = 1e12  # kg/m³
-
+ENGINES = ("numba", "numpy")
 # Corners of (share of the largest overlap, share of the largest shear).
 CYCLES = {
     "shear at high load, back at low load": ((0.25, 0), (1, 0), (1, 1), (0.25, 1), (0.25, 0)),
@@ -42,14 +44,13 @@ CYCLES = {
 }
 
 
-def _work_of_cycles(modulus: float, overlap: float, shear: float, engine: str) -> FloatArray:
+def _work_of_cycles(material: Material, overlap: float, shear: float, engine: str) -> FloatArray:
     """Work that each cycle takes from a sphere on a wall, J; negative would be energy from nowhere."""
-    material = Material(modulus, 0.3, HEAVY, 1.0, 1e6)
     cycles = np.array(list(CYCLES.values()), float) * (overlap, shear)  # (cycle, corner, overlap and shear)
-    line, mass = 1.0 * np.arange(len(cycles)), 4.0 / 3.0 * math.pi * HEAVY * RADIUS**3
+    line, mass = 1.0 * np.arange(len(cycles)), mass_of(RADIUS, HEAVY)
     scene, work, history = laboratory(material, (FLOOR,)), np.zeros(len(cycles)), ContactHistory.empty()
     # Slow enough to see the contact's pull on a velocity, fast enough not to be led astray by it.
-    duration = 1e-3 * shear * math.sqrt(mass / (modulus * RADIUS * overlap**2))
+    duration = 1e-3 * shear * math.sqrt(mass / (material.youngs_modulus * RADIUS * overlap**2))
     for (depth, slid), (deeper, further) in pairwise(cycles.transpose(1, 2, 0)):
         velocity = np.stack((further - slid, np.zeros(len(line)), depth - deeper), axis=1) / duration
         state = spheres(np.stack((slid, line, RADIUS - depth), axis=1), velocity)
@@ -60,37 +61,23 @@ def _work_of_cycles(modulus: float, overlap: float, shear: float, engine: str) -
     return work
 
 
-def cycles() -> Findings:
+def cycles() -> Iterator[Check]:
     """Work of closed cycles of shear and load against the closed form ½ (k_deep − k_shallow) s²."""
-    checks = []
     for modulus, overlap in ((SOFT, 2e-3), (STIFF, 2e-5)):
-        contact = on_wall(Material(modulus, 0.3, HEAVY, 1.0, 1e6))
-        shear = 0.05 * overlap
-        deep, shallow = contact.shear_stiffness * np.sqrt([overlap, 0.25 * overlap])
+        material, shear = Material(modulus, 0.3, HEAVY, 1.0, 1e6), 0.05 * overlap
+        deep, shallow = on_wall(material).shear_stiffness * np.sqrt([overlap, 0.25 * overlap])
         expected = 0.5 * (deep - shallow) * shear**2 * np.array([1.0, 1.0, 0.0])
-        stored = 0.5 * deep * shear**2
-        for engine in ("numba", "numpy"):
-            found = _work_of_cycles(modulus, overlap, shear, engine)
-            label, at = f"E {modulus:g} Pa, {engine}", tuple(CYCLES)
-            checks.append(
-                Check(
-                    f"energy that a cycle takes, J, {label}",
-                    expected, found, 1e-3, MINDLIN, stored, "of the shear energy", at,
-                )
-            )  # fmt: skip
-            created = np.maximum(0.0, -found)
+        scale = (0.5 * deep * shear**2, "of the shear energy", tuple(CYCLES))
+        for engine in ENGINES:
+            found, label = _work_of_cycles(material, overlap, shear, engine), f"E {modulus:g} Pa, {engine}"
+            yield Check(f"energy that a cycle takes, J, {label}", expected, found, 1e-3, MINDLIN, *scale)
             # The closed path of elastic loads comes back to zero to the rounding of velocities.
-            checks.append(
-                Check(
-                    f"energy that a cycle creates, J, {label}",
-                    np.zeros(3), created, 1e-4, "no source of energy", stored, "of the shear energy", at,
-                )
-            )  # fmt: skip
-    return Findings(tuple(checks))
+            created, name = np.maximum(0.0, -found), f"energy that a cycle creates, J, {label}"
+            yield Check(name, np.zeros(3), created, 1e-4, "no source of energy", *scale)
 
 
 def _turned(force: FloatArray, turns: float, steps: int, engine: str) -> tuple[FloatArray, FloatArray]:
-    """Forces that M equal contacts remember after the pair was turned about y, and the normals, ``(M, 3)`` each.
+    """Forces ``(M, 3)`` that M equal contacts remember after the pair was turned about y, and its normal.
 
     Args:
         force: ``(M, 3)`` before, with the normals along x.
@@ -99,70 +86,49 @@ def _turned(force: FloatArray, turns: float, steps: int, engine: str) -> tuple[F
         engine: which.
     """
     count, scene = len(force), laboratory(Material(SOFT, 0.3, 1e18, 1.0, 1e6))
-    distance, line = 2.0 * RADIUS - 1e-3, 1.0 * np.arange(count)
-    first = np.arange(count)
+    distance, first = 2.0 * RADIUS - 1e-3, np.arange(count)
     history = ContactHistory(first, first + count, force, np.full(count, 1e-3))
+    middle = first[:, None] * np.array([0.0, 1.0, 0.0])
     for step in range(1, steps + 1):
         angle = 2.0 * math.pi * turns * step / steps
         normal = np.array([math.cos(angle), 0.0, math.sin(angle)])
-        middle = np.stack((0.0 * line, line, 0.0 * line), axis=1)
         position = np.concatenate((middle - 0.5 * distance * normal, middle + 0.5 * distance * normal))
-        state = replace(spheres(position), history=history)
-        history = run(scene, state, 1e-9, 1, engine=engine).final.history
-    return history.force, np.tile(normal, (count, 1))
+        history = run(scene, replace(spheres(position), history=history), 1e-9, 1, engine=engine).final.history
+    return history.force, normal
 
 
-def turning() -> Findings:
+def turning() -> Iterator[Check]:
     """The remembered force of a pair that turns by 7/8 of a circle: its length, and its place in the contact plane."""
-    checks, turns = [], 0.875
-    force = np.array([[0.0, 0.0, 2.0], [0.0, 3.0, 0.0], [0.0, 1.0, 1.0]])
-    at = ("in the plane of turning", "along the axis", "between them")
-    angle = 2.0 * math.pi * turns
+    force, turns = np.array([[0.0, 0.0, 2.0], [0.0, 3.0, 0.0], [0.0, 1.0, 1.0]]), 0.875
+    at, source = ("in the plane of turning", "along the axis", "between them"), "turns with the contact"
+    angle, length = 2.0 * math.pi * turns, np.linalg.norm(force, axis=1)
     tangent = np.array([-math.sin(angle), 0.0, math.cos(angle)])
-    for engine in ("numba", "numpy"):
+    for engine in ENGINES:
         found, normal = _turned(force, turns, 140, engine)
-        length = np.linalg.norm(force, axis=1)
-        checks += [
-            Check(
-                f"length of the remembered force, N, {engine}", length, np.linalg.norm(found, axis=1),
-                1e-12, "turns with the contact", at=at,
-            ),
-            Check(
-                f"part out of the contact plane, N, {engine}", np.zeros(3), np.abs((found * normal).sum(axis=1)),
-                1e-12, "turns with the contact", length, "of its length", at,
-            ),
-            Check(
-                f"part along the turned tangent, N, {engine}", force[:2, 2], (found @ tangent)[:2],
-                1e-12, "turns with the contact", length[:2], "of its length", at[:2],
-            ),
-        ]  # fmt: skip
-    return Findings(tuple(checks))
+        lengths, out, along = np.linalg.norm(found, axis=1), np.abs((found * normal).sum(axis=1)), (found @ tangent)[:2]
+        yield Check(f"length of the remembered force, N, {engine}", length, lengths, 1e-12, source, at=at)
+        name = f"part out of the contact plane, N, {engine}"
+        yield Check(name, np.zeros(3), out, 1e-12, source, length, "of its length", at)
+        name = f"part along the turned tangent, N, {engine}"
+        yield Check(name, force[:2, 2], along, 1e-12, source, length[:2], "of its length", at[:2])
 
 
-def lever_arm() -> Findings:
+def lever_arm() -> Iterator[Check]:
     """Angular momentum about the common centre through impacts so soft that a sphere yields by a tenth of its size."""
-    checks, angles = [], np.radians(np.arange(10.0, 90.0, 10.0))
-    for name, contact in (
-        ("equal", on_sphere(sphere_material(1e5, 0.8, 0.5))),
-        ("unequal", on_sphere(sphere_material(1e5, 0.8, 0.5), 0.02, 0.03)),
-    ):
-        impacts = Impacts.of(contact, 0.8 * np.cos(angles), 0.8 * np.sin(angles), 5.0, -3.0)
+    angles, material = np.radians(np.arange(10.0, 90.0, 10.0)), sphere_material(1e5, 0.8, 0.5)
+    for name, contact in (("equal", on_sphere(material)), ("unequal", on_sphere(material, 0.02, 0.03))):
+        impacts = Impacts(contact, 0.8 * np.cos(angles), 0.8 * np.sin(angles), 5.0, -3.0)
         rebounds = collide(impacts, stride=50)
         trajectory, count = rebounds.result.trajectory, len(angles)
-        mass = 4.0 / 3.0 * math.pi * 2500.0 * trajectory.radius**3
+        mass = mass_of(trajectory.radius)
         own = (0.4 * mass * trajectory.radius**2)[:, None] * trajectory.angular_velocity
         orbital = mass[:, None] * np.cross(trajectory.position, trajectory.velocity)
         momentum = (own + orbital).reshape(len(own), 2, count, 3).sum(axis=1)
         scale = (np.abs(own) + np.linalg.norm(orbital, axis=-1, keepdims=True)).reshape(len(own), 2, count, 3)
         leak = np.abs(momentum - momentum[0]).max(axis=(0, 2)) / scale[0].sum(axis=0).max(axis=1)
-        at = [f"{angle:g}°" for angle in np.degrees(angles)]
-        checks.append(
-            Check(
-                f"angular momentum lost, {name} spheres, overlap up to {rebounds.overlap / contact.first.radius:.2f} R",
-                np.zeros(count), leak, 1e-12, "conserved", 1.0, "of Σ m|x×v| + I|ω|", at,
-            )
-        )  # fmt: skip
-    return Findings(tuple(checks))
+        at, deepest = [f"{angle:g}°" for angle in np.degrees(angles)], rebounds.overlap / contact.first.radius
+        quantity = f"angular momentum lost, {name} spheres, overlap up to {deepest:.2f} R"
+        yield Check(quantity, np.zeros(count), leak, 1e-12, "conserved", 1.0, "of Σ m|x×v| + I|ω|", at)
 
 
 CASES = (
