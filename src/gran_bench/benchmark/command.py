@@ -8,23 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from gran_bench.benchmark import results as kept
 from gran_bench.benchmark.contest import Contest, Method
 from gran_bench.benchmark.errors import Reference, Scored, errors_file, judged_rounds, score_run
 from gran_bench.benchmark.page import TABLE, busy_sentences, softened, verdicts, winner, write_page, write_table
-from gran_bench.benchmark.results import (
-    FORMAT,
-    RESULTS,
-    entries,
-    judged_anew,
-    method_row,
-    read_results,
-    reference_facts,
-    share_waited,
-    study_rows,
-    succeeded,
-    untimed,
-    write_results,
-)
 from gran_bench.benchmark.turns import Record, take_turns
 from gran_bench.config import BenchmarkConfig
 from gran_bench.config.reading import validate
@@ -65,8 +52,8 @@ def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
         if config.measure:
             found = _compare(contest, folder, reference)
         else:
-            found = judged_anew(read_results(folder / RESULTS), reference, data.replicas)
-        write_results(folder, found)
+            found = kept.judged_anew(kept.read_results(folder / kept.RESULTS), reference, data.replicas)
+        kept.write_results(folder, found)
         draw(found, folder)
         write_table(folder / TABLE, found)
         page = write_page(Path(config.root))
@@ -109,8 +96,8 @@ def summary(found: dict[str, Any]) -> str:
 def draw(found: dict[str, Any], folder: Path) -> None:
     """The figures of one benchmark, from its results."""
     # The colour of a mark says already that it is a DEM.
-    contenders = [replace(entry, name=entry.name.removeprefix("DEM ")) for entry in entries(found)]
-    lost = [name.removeprefix("DEM ") for name in untimed(found)]
+    contenders = [replace(entry, name=entry.name.removeprefix("DEM ")) for entry in kept.entries(found)]
+    lost = [name.removeprefix("DEM ") for name in kept.untimed(found)]
     labels = " and ".join(row["label"] for row in found["reference"]["ranked"])
     time_against_error(contenders, labels, folder / "time_error.png", found["reference"]["accepted"], lost)
     level, soft = softened(found), None
@@ -124,9 +111,9 @@ def draw(found: dict[str, Any], folder: Path) -> None:
 
 def _cost_lines(study: dict[str, list[dict[str, Any]]], names: dict[str, str]) -> Iterator[CostLine]:
     for label, points in study.items():
-        kind, done = "dem" if label in names else "surrogate", [point for point in points if succeeded(point)]
+        kind, done = "dem" if label in names else "surrogate", [point for point in points if kept.succeeded(point)]
         places, costs = [point["at"] for point in done], [point["wall"]["median"] for point in done]
-        failed = [point["at"] for point in points if not succeeded(point)]
+        failed = [point["at"] for point in points if not kept.succeeded(point)]
         yield CostLine(names.get(label, label), kind, places, costs, failed)
 
 
@@ -136,7 +123,7 @@ def measured_under(seed: int) -> list[str]:
     Args:
         seed: of the nudges that rounds start from, and of their order.
     """
-    return [comparing_code(), library_versions(), hardware(), f"format {FORMAT}", f"seed {seed}"]
+    return [comparing_code(), library_versions(), hardware(), f"format {kept.FORMAT}", f"seed {seed}"]
 
 
 def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, Any]:
@@ -150,8 +137,8 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
         return take_turns(what, rounds, config.seed, place, conditions, scene.frame_interval, label=label, **judging)
 
     def wants_frames(method: Method, place: Path, index: int) -> bool:
-        kept = errors_file(place, reference.digest, index).exists()
-        return index < judged_rounds(method, profile.judged_rounds) and not kept
+        known = errors_file(place, reference.digest, index).exists()
+        return index < judged_rounds(method, profile.judged_rounds) and not known
 
     def judge_round(index: int, folders: dict[str, Path]) -> None:
         for method in methods:
@@ -165,13 +152,13 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
     studies = {}
     for label, points in (("stiffness", contest.stiffness_methods), ("counts", contest.count_methods)):
         flat = [method for line in points.values() for _, method in line]
-        studies[label] = study_rows(points, turns(flat, profile.study_rounds, label)) if flat else {}
+        studies[label] = kept.study_rows(points, turns(flat, profile.study_rounds, label)) if flat else {}
     automatic = next(method for method in methods if method.name == contest.automatic)
     own = scores[automatic.name].floors if automatic.name in scores else None
-    beside = {turn.round: turn.wall_seconds / automatic.seconds for turn in records[automatic.name].turns}
-    rows = [method_row(m, records.get(m.name), scores.get(m.name), beside) for m in methods]
+    beside = {one["round"]: one["wall_seconds"] / automatic.seconds for one in records[automatic.name].turns}
+    rows = [kept.method_row(m, records.get(m.name), scores.get(m.name), beside) for m in methods]
     return {
-        "format": FORMAT,
+        "format": kept.FORMAT,
         "scene": scene.name,
         "profile": profile.name,
         "spheres": scene.filling.count,
@@ -180,9 +167,9 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
         "modulus": scene.material.youngs_modulus,
         "rounds": profile.rounds,
         "automatic": contest.automatic,
-        "reference": reference_facts(reference, config.dataset.replicas, profile.judged_rounds, own),
+        "reference": kept.reference_facts(reference, config.dataset.replicas, profile.judged_rounds, own),
         "methods": rows,
-        "waited": share_waited(rows),
+        "waited": kept.share_waited(rows),
         **studies,
         "provenance": provenance(),
     }

@@ -132,6 +132,7 @@ def _cut(scene: Scene, bed: ParticleState, frames: int) -> Scene:
 
 
 def _timed(run: Run, frames: int, seed: int, keep: str | None) -> dict[str, Any]:
+    """Wall and processor time of a run, s, the largest memory of this process, and what came on top of it, bytes."""
     with suppress(OSError):  # the peak starts anew, where the system can: what compiling took is not the method's
         Path("/proc/self/clear_refs").write_text("5")
     before, wall, cpu = _resident_memory("VmRSS"), time.perf_counter(), time.process_time()

@@ -58,7 +58,8 @@ def method_row(
             in which what slows a whole machine cancels.
     """
     turns, seconds = record.turns if record else [], method.seconds
-    ratios = [t.wall_seconds / seconds / beside[t.round] for t in turns if t.round in beside]
+    wall = [turn["wall_seconds"] / seconds for turn in turns]
+    ratios = [t / beside[turn["round"]] for t, turn in zip(wall, turns, strict=True) if turn["round"] in beside]
     row: dict[str, Any] = {
         "name": method.name,
         "kind": method.kind,
@@ -68,11 +69,11 @@ def method_row(
         "simulated_seconds": seconds,
         "failure": record.failure if record else "",
         "failed_seconds": record.failed_seconds if record else None,  # its place in the figure
-        "wall": spread([turn.wall_seconds / seconds for turn in turns]),
+        "wall": spread(wall),
         "relative": spread(ratios),
-        "cpu_seconds": float(np.median([t.cpu_seconds for t in turns])) / seconds if turns else None,
-        "peak_bytes": max((turn.peak_bytes for turn in turns), default=None),
-        "own_bytes": max((turn.own_bytes for turn in turns), default=None),
+        "cpu_seconds": float(np.median([turn["cpu_seconds"] for turn in turns])) / seconds if turns else None,
+        "peak_bytes": max((turn["peak_bytes"] for turn in turns), default=None),
+        "own_bytes": max((turn["own_bytes"] for turn in turns), default=None),
         "floors": scored and scored.floors,
         "floors_low": scored and scored.low,
         "floors_high": scored and scored.high,
@@ -90,7 +91,7 @@ def study_rows(points: Study, records: dict[str, Record]) -> dict[str, list[dict
     found: dict[str, list[dict]] = {label: [] for label in points}
     for label, abscissa, method in ((label, *point) for label, line in points.items() for point in line):
         record = records[method.name]
-        wall = spread([turn.wall_seconds / method.seconds for turn in record.turns])
+        wall = spread([turn["wall_seconds"] / method.seconds for turn in record.turns])
         step = {"time_step": method.job["dem"]["time_step"]} if method.kind == "dem" else {}
         found[label].append({"at": abscissa, "wall": wall, "failure": record.failure} | step)
     return found

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,36 +28,16 @@ ROUNDS_OF_A_SEED = 1000
 
 
 @dataclass(frozen=True)
-class Turn:
-    """One timed run.
-
-    Attributes:
-        round: index.
-        wall_seconds, cpu_seconds: of the run; where they differ, the process waited for the processor.
-        peak_bytes: largest resident memory of the method's process during the run, Python and libraries included.
-        own_bytes: of these, what came on top of what was resident before the run.
-    """
-
-    round: int
-    wall_seconds: float
-    cpu_seconds: float
-    peak_bytes: int
-    own_bytes: int
-
-
-@dataclass(frozen=True)
 class Record:
     """All turns of one method.
 
     Attributes:
-        folder: of its files.
-        turns: by round; empty for a method that failed in its first run.
+        turns: by round, as the method's process told them (`jobs.prepare`); none of a method that failed at once.
         failure: why it failed; empty where it did not.
         failed_seconds: wall time of a simulated second before it failed, s; None where it never got to a frame.
     """
 
-    folder: Path
-    turns: list[Turn]
+    turns: list[dict[str, Any]]
     failure: str = ""
     failed_seconds: float | None = None
 
@@ -160,7 +140,7 @@ def _note(method: Method, answer: dict[str, Any], folder: Path, index: int, fram
         reached = answer["reached"] * frame_interval
         _fail(folder, answer["failure"], died=False, seconds=answer["wall_seconds"] / reached if reached else None)
     else:
-        turn = asdict(Turn(index, **answer)) | {"method": method.name}
+        turn = {"round": index, **answer, "method": method.name}
         write_text(_path(folder, index), json.dumps(turn, indent=1) + "\n")
 
 
@@ -173,9 +153,8 @@ def _fail(folder: Path, message: str, died: bool, seconds: float | None = None) 
 
 
 def _read(folder: Path, rounds: int) -> Record:
-    found = [json.loads(_path(folder, k).read_text("utf-8")) for k in range(rounds) if _path(folder, k).exists()]
-    turns = [Turn(**{name: value for name, value in turn.items() if name != "method"}) for turn in found]
+    turns = [json.loads(_path(folder, k).read_text("utf-8")) for k in range(rounds) if _path(folder, k).exists()]
     if not (folder / FAILURE).exists():
-        return Record(folder, turns)
+        return Record(turns)
     failed = json.loads((folder / FAILURE).read_text("utf-8"))
-    return Record(folder, turns, failed["failure"], failed["seconds"])
+    return Record(turns, failed["failure"], failed["seconds"])

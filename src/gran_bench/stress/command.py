@@ -19,7 +19,7 @@ from gran_bench.shipped import SHIPPED, shipped_model
 from gran_bench.stress.case_list import StressCase, cases_of_file, near_match, shipped_cases
 from gran_bench.stress.expectation import FAILED, Observation
 from gran_bench.stress.page import PAGE, closing_line, table, write_results
-from gran_bench.stress.run import Result, carry_out, errands, forget
+from gran_bench.stress.run import Errand, carry_out, errands, forget
 
 LOCK = ".lock"  # in the folder of the page
 PART = "part"  # folder of the page of less than the whole list
@@ -29,7 +29,7 @@ class StressFailed(RuntimeError):
     """At least one expectation was not met; the message names the cases."""
 
 
-def run_stress(config: StressConfig) -> list[Result]:
+def run_stress(config: StressConfig) -> list[Errand]:
     """Carry out the list that a config describes; print its table and write its page.
 
     Raises:
@@ -40,11 +40,11 @@ def run_stress(config: StressConfig) -> list[Result]:
     cases, whole = chosen(config)
     folder = Path(config.output) if whole else Path(config.output) / PART
     files = [shipped_model() if file == SHIPPED else Path(file) for file in (config.checkpoint, *config.also)]
-    todo = errands(cases, files, folder)
+    results = errands(cases, files, folder)
     # Two at once would empty each other's work folders.
     with stop_on_signals(), locked(folder / LOCK, lambda: _tell_of_another(folder)):
         began = time.perf_counter()
-        results = carry_out(todo, folder, config.workers, config.patience)
+        carry_out(results, folder, config.workers, config.patience)
         print(table(results))
         seconds = time.perf_counter() - began
         # Times are of a machine that may have had other work.
@@ -84,7 +84,7 @@ def chosen(config: StressConfig) -> tuple[list[StressCase], bool]:
     return cases, ships and len(cases) == len(everything)
 
 
-def draw_figures(results: Sequence[Result], folder: Path) -> None:
+def draw_figures(results: Sequence[Errand], folder: Path) -> None:
     """The figures that the results have curves for."""
     folder.mkdir(parents=True, exist_ok=True)
     runs = defaultdict(list)
@@ -102,7 +102,7 @@ def draw_figures(results: Sequence[Result], folder: Path) -> None:
         draw_time_to_failure(runs, folder / "time_to_failure.png")
 
 
-def _label_in_drum(result: Result) -> str:
+def _label_in_drum(result: Errand) -> str:
     """The model whose rollout in the paper's drum, unchanged but for its speed, a result is; empty for any other."""
     values, kind = result.case.parameters, result.case.kind
     plain = values.get("scene", "drum") == "drum" and not {"changes", "then"} & set(values)

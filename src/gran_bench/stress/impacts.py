@@ -13,20 +13,8 @@ from gran_bench.state import ContactHistory, FloatArray, ParticleState
 from gran_bench.stress.expectation import Observation
 from gran_bench.stress.experiment import Bench, Experiment
 from gran_bench.verification import CASES, run_case
+from gran_bench.verification import laboratory as lab
 from gran_bench.verification.impacts import at_angles
-from gran_bench.verification.laboratory import (
-    FLOOR,
-    RADIUS,
-    Impacts,
-    collide,
-    laboratory,
-    mass_of,
-    on_sphere,
-    on_wall,
-    run,
-    sphere_material,
-    spheres,
-)
 
 ANGLES = (0.0, 20.0, 40.0, 60.0, 80.0, 85.0)  # degrees between approach and normal
 DEEP = 0.1  # of a radius; a contact circle is then a third of the sphere's, and no small one any more
@@ -40,8 +28,8 @@ def impacts(
     restitutions: list[float],
     frictions: list[float],
     against: str = "sphere",
-    radius: float = RADIUS,
-    second_radius: float = RADIUS,
+    radius: float = lab.RADIUS,
+    second_radius: float = lab.RADIUS,
     steps_per_contact: float = 200.0,
 ) -> Observation:
     """Impacts at six angles and four phases of the step, over all of speeds (m/s), stiffnesses (Pa), e and μ.
@@ -57,11 +45,11 @@ def impacts(
     # Two spheres that meet obliquely turn while they touch; a wall does not.
     straight = np.full(len(angle), True) if on_a_wall else angle == 0.0
     for modulus, e, mu, speed in product(youngs_moduli, restitutions, frictions, speeds):
-        material = sphere_material(modulus, e, mu)
+        material = lab.sphere_material(modulus, e, mu)
         hits = at_angles(
-            on_wall(material, radius) if on_a_wall else on_sphere(material, radius, second_radius), angle, speed
+            lab.on_wall(material, radius) if on_a_wall else lab.on_sphere(material, radius, second_radius), angle, speed
         )
-        found = collide(hits, phase=phase, steps_per_contact=steps_per_contact, stride=10)
+        found = lab.collide(hits, phase=phase, steps_per_contact=steps_per_contact, stride=10)
         now = {
             "restitution_error": np.abs(found.normal / hits.normal - e)[straight],
             "energy_gain": found.energy - 1.0,
@@ -72,9 +60,9 @@ def impacts(
     return Observation(worst)
 
 
-def _momentum_change(hits: Impacts, final: ParticleState) -> FloatArray:
+def _momentum_change(hits: lab.Impacts, final: ParticleState) -> FloatArray:
     """Of each pair, over the momentum of the first before, ``(P,)``."""
-    mass, count = mass_of(final.radius), len(hits.normal)
+    mass, count = lab.mass_of(final.radius), len(hits.normal)
     after = (mass[:, None] * final.velocity).reshape(2, count, 3).sum(axis=0)
     before = mass[:count, None] * np.stack((hits.tangential, np.zeros(count), -hits.normal), axis=1)
     return np.linalg.norm(after - before, axis=1) / np.linalg.norm(before, axis=1)
@@ -82,17 +70,17 @@ def _momentum_change(hits: Impacts, final: ParticleState) -> FloatArray:
 
 def start_overlap(bench: Bench, overlap: float, restitution: float = 0.5, engine: str = "numba") -> Observation:
     """Two spheres that start with an overlap, of the sum of their radii, and push each other apart."""
-    contact, depth = on_sphere(sphere_material(restitution=restitution)), overlap * 2.0 * RADIUS
-    state = spheres([[0, 0, 0], [2.0 * RADIUS - depth, 0, 0]])
+    contact, depth = lab.on_sphere(lab.sphere_material(restitution=restitution)), overlap * 2.0 * lab.RADIUS
+    state = lab.spheres([[0, 0, 0], [2.0 * lab.RADIUS - depth, 0, 0]])
     dem = DemConfig(engine=engine, time_step=5e-5, allow_unsafe_step=True)
-    result = simulate(laboratory(contact.first.material), state, 0.1, dem=dem)
+    result = simulate(lab.laboratory(contact.first.material), state, 0.1, dem=dem)
     stored, kinetic = 0.4 * contact.stiffness * depth**2.5, _moving(result.final)
     return Observation({"energy_released": kinetic / stored if stored else kinetic}, result.warnings)
 
 
 def _moving(state: ParticleState) -> float:
     """Translational energy, J."""
-    return 0.5 * float(mass_of(state.radius) @ np.square(state.velocity).sum(axis=1))
+    return 0.5 * float(lab.mass_of(state.radius) @ np.square(state.velocity).sum(axis=1))
 
 
 def fast_sphere(
@@ -113,11 +101,11 @@ def fast_sphere(
         engine: of the DEM.
     """
     count = 1 if against == "wall" else 2
-    scene = laboratory(sphere_material(youngs_modulus, 0.5, 0.3), (FLOOR,) if count == 1 else ())
-    state = spheres([[0.0, 0.0, 0.2], [0.0, 0.0, 0.1]][:count], [[0.0, 0.0, -speed], [0.0, 0.0, 0.0]][:count])
+    scene = lab.laboratory(lab.sphere_material(youngs_modulus, 0.5, 0.3), (lab.FLOOR,) if count == 1 else ())
+    state = lab.spheres([[0.0, 0.0, 0.2], [0.0, 0.0, 0.1]][:count], [[0.0, 0.0, -speed], [0.0, 0.0, 0.0]][:count])
     dem = DemConfig(engine=engine, time_step=time_step, allow_unsafe_step=True)
     result = simulate(replace(scene, frame_interval=2e-5), state, 1e-3, dem=dem)
-    deepest, flags = deepest_overlap(result.trajectory.diagnostics) / RADIUS, result.warnings
+    deepest, flags = deepest_overlap(result.trajectory.diagnostics) / lab.RADIUS, result.warnings
     if deepest > DEEP:
         flags = (*flags, f"recorded overlap of {deepest:.3g} r, beyond what Hertz's law is for")
     return Observation({"energy_gain": _moving(result.final) / _moving(state) - 1.0, "overlap": deepest}, flags)
@@ -137,10 +125,13 @@ def with_nan(state: ParticleState, field: str, particle: int) -> ParticleState:
 
 def not_a_number(bench: Bench, field: str, engine: str = "numba") -> Observation:
     """A state with a NaN in one of its fields, in the middle of a run."""
-    scene, state = laboratory(sphere_material()), spheres([[0, 0, 0], [0.06, 0, 0]], [[0.1, 0, 0], [0, 0, 0]])
-    middle = run(scene, state, 1e-4, 100, engine=engine).final
+    scene, state = (
+        lab.laboratory(lab.sphere_material()),
+        lab.spheres([[0, 0, 0], [0.06, 0, 0]], [[0.1, 0, 0], [0, 0, 0]]),
+    )
+    middle = lab.run(scene, state, 1e-4, 100, engine=engine).final
     broken = with_nan(replace(middle, history=ContactHistory.empty()), field, 1)
-    return Observation({"overlap": float(run(scene, broken, 1e-4, 100, engine=engine).time_step)})
+    return Observation({"overlap": float(lab.run(scene, broken, 1e-4, 100, engine=engine).time_step)})
 
 
 def verified(bench: Bench, case: str) -> Observation:

@@ -12,7 +12,7 @@ from pathlib import Path
 from gran_bench.files import write_part
 from gran_bench.provenance import read_table, stamp, write_table
 from gran_bench.stress.expectation import FAILED, FLAGGED, MET, Observation
-from gran_bench.stress.run import Result
+from gran_bench.stress.run import Errand
 
 PAGE, TABLE = "README.md", "stress.csv"
 HEADS = ("case", "model", "expectation", "found", "verdict", "s")
@@ -28,14 +28,14 @@ FIGURES = {
 }
 
 
-def row(result: Result) -> tuple[str, ...]:
+def row(result: Errand) -> tuple[str, ...]:
     """A result in words, under `HEADS`."""
     case, (word, found) = result.case, result.verdict
     word += f" (known: {case.known})" if case.known and word == FAILED else ""
     return (case.name, result.model, str(case.expectation), found, word, f"{result.seconds:.1f}")
 
 
-def table(results: Sequence[Result], widest: int = 64) -> str:
+def table(results: Sequence[Errand], widest: int = 64) -> str:
     """All rows in columns, long cells cut; the page and the CSV have them whole."""
     rows = [HEADS, *map(row, results)]
     lines = [[cell if len(cell) <= widest else cell[: widest - 1] + "…" for cell in line] for line in rows]
@@ -43,7 +43,7 @@ def table(results: Sequence[Result], widest: int = 64) -> str:
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
 
 
-def closing_line(results: Sequence[Result], seconds: float) -> str:
+def closing_line(results: Sequence[Errand], seconds: float) -> str:
     """How many cases ended how, and which failed, in a line."""
     words = Counter(result.verdict[0] for result in results)
     failed = [result.name for result in results if result.verdict[0] == FAILED]
@@ -51,7 +51,7 @@ def closing_line(results: Sequence[Result], seconds: float) -> str:
     return f"{len(results)} cases in {seconds:.0f} s: {counted}" + (f" ({', '.join(failed)})" if failed else "")
 
 
-def write_results(results: Sequence[Result], folder: Path, origin: Mapping[str, str]) -> None:
+def write_results(results: Sequence[Errand], folder: Path, origin: Mapping[str, str]) -> None:
     """The CSV, and what the page says of it; each whole or not there.
 
     Args:

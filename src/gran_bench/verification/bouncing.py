@@ -16,19 +16,8 @@ from scipy.optimize import brentq
 
 from gran_bench.scene import Material, Plane
 from gran_bench.state import FloatArray
+from gran_bench.verification import laboratory as lab
 from gran_bench.verification.case import Case, Check
-from gran_bench.verification.laboratory import (
-    DOWN,
-    FLOOR,
-    GRAVITY,
-    SOFT,
-    STIFF,
-    laboratory,
-    on_wall,
-    run,
-    spheres,
-    watch,
-)
 from gran_bench.verification.theory import Contact, damping
 
 MANUAL = "MFiX-DEM verification manual"
@@ -41,7 +30,7 @@ def _apexes(contact: Contact, height: float) -> list[float]:
     alpha = damping(contact.second.material.restitution)
     apexes, top = [], height
     for _ in range(BOUNCES):
-        speed = math.sqrt(2.0 * GRAVITY * (top - contact.first.radius))
+        speed = math.sqrt(2.0 * lab.GRAVITY * (top - contact.first.radius))
         deepest, contact_time = contact.largest_overlap(speed), contact.duration(speed)
         # The force over δ^{1/4}; without damping it only touches zero, so it is lifted off by a trifle.
         tiny = 1e-9 * deepest**1.25 * math.sqrt(stiffness / mass)
@@ -49,7 +38,7 @@ def _apexes(contact: Contact, height: float) -> list[float]:
         def motion(_: float, y: FloatArray) -> tuple[float, float]:
             overlap = max(y[0], 0.0)
             drag = alpha * math.sqrt(mass * stiffness) * overlap**0.25
-            return y[1], GRAVITY - (stiffness * overlap**1.5 + drag * y[1]) / mass
+            return y[1], lab.GRAVITY - (stiffness * overlap**1.5 + drag * y[1]) / mass
 
         def unloaded(_: float, y: FloatArray, tiny: float = tiny) -> float:
             return max(y[0], 0.0) ** 1.25 * math.sqrt(stiffness / mass) + alpha * y[1] - tiny
@@ -60,7 +49,7 @@ def _apexes(contact: Contact, height: float) -> list[float]:
             rtol=1e-10, atol=(deepest * 1e-12, 1e-12 * speed), max_step=0.05 * contact_time,
         )  # fmt: skip
         overlap, velocity = part.y_events[0][0]
-        top = contact.first.radius - overlap + velocity**2 / (2.0 * GRAVITY)
+        top = contact.first.radius - overlap + velocity**2 / (2.0 * lab.GRAVITY)
         apexes.append(top)
     return apexes
 
@@ -69,26 +58,26 @@ def bounce() -> Iterator[Check]:
     """A ball (0.1 m radius, dropped from 0.5 m) between bounces, and how high each one takes it."""
     radius, height, number = 0.1, 0.5, np.arange(1, BOUNCES + 1)
     at, drop = [f"bounce {k}" for k in number], height - radius
-    for modulus, e in ((modulus, e) for modulus in (SOFT, STIFF) for e in (0.6, 0.8, 1.0)):
-        contact = on_wall(Material(modulus, 0.3, 2600.0, e, 0.0), radius)
-        step = contact.duration(math.sqrt(2.0 * GRAVITY * drop)) / 200
-        fall = math.sqrt(2.0 * drop / GRAVITY)
+    for modulus, e in ((modulus, e) for modulus in (lab.SOFT, lab.STIFF) for e in (0.6, 0.8, 1.0)):
+        contact = lab.on_wall(Material(modulus, 0.3, 2600.0, e, 0.0), radius)
+        step = contact.duration(math.sqrt(2.0 * lab.GRAVITY * drop)) / 200
+        fall = math.sqrt(2.0 * drop / lab.GRAVITY)
         stop = fall * (1.0 + 2.0 * sum(e**k for k in range(1, BOUNCES))) + e**BOUNCES * fall + 0.02
-        scene = laboratory(contact.first.material, (FLOOR,), gravity=DOWN, radius=radius)
-        trajectory = watch(scene, spheres([0, 0, height], [0.3, 0, 0], None, radius), step, stop, 1e-3)
+        scene = lab.laboratory(contact.first.material, (lab.FLOOR,), gravity=lab.DOWN, radius=radius)
+        trajectory = lab.watch(scene, lab.spheres([0, 0, height], [0.3, 0, 0], None, radius), step, stop, 1e-3)
         # Each free flight after a bounce has or would reach z + v²/2g.
         z, speed = trajectory.position[:, 0, 2], trajectory.velocity[:, 0, 2]
         rising = (trajectory.diagnostics["wall_contact_count"] == 0) & (speed > 0.0)
-        found = (z + speed**2 / (2.0 * GRAVITY))[1:][rising[1:] & ~rising[:-1]][:BOUNCES]
+        found = (z + speed**2 / (2.0 * lab.GRAVITY))[1:][rising[1:] & ~rising[:-1]][:BOUNCES]
         found = np.pad(found, (0, BOUNCES - len(found)), constant_values=np.nan)
         label, ode = f"E {modulus:g} Pa, e {e:g}", "Hertz with gravity, ODE, DOP853 at 1e-10"
         quantity, words = f"height of each bounce, m, {label}", (drop, "of the fall", at)
         yield Check(quantity, _apexes(contact, height), found, 2e-3, ode, *words)
-        if modulus == STIFF:
+        if modulus == lab.STIFF:
             hard, source = radius + drop * e ** (2.0 * number), f"hard sphere, (h₀ − r) e²ᵏ + r, {MANUAL} DEM02"
             yield Check(quantity, hard, found, 5e-3, source, *words)
         falling = trajectory.time < 0.9 * fall
-        off = np.abs(z[falling] - height + 0.5 * GRAVITY * trajectory.time[falling] ** 2).max()
+        off = np.abs(z[falling] - height + 0.5 * lab.GRAVITY * trajectory.time[falling] ** 2).max()
         source = f"z = h₀ − ½ g t², {MANUAL} DEM01"
         yield Check(f"height in free fall, m, {label}", 0.0, off, 1e-11, source, 1.0, "m")
 
@@ -101,14 +90,14 @@ def _stack_forces(contact: Contact, pair: Contact, gap: float, y: FloatArray) ->
         drag = damping(c.second.material.restitution) * math.sqrt(c.effective_mass * c.stiffness) * overlap**0.25
         return max(0.0, c.stiffness * overlap**1.5 + drag * closing)
 
-    r, weight = contact.first.radius, contact.first.mass * GRAVITY
+    r, weight = contact.first.radius, contact.first.mass * lab.GRAVITY
     floor, middle = push(contact, r - y[0], -y[2]), push(pair, 2.0 * r - (y[1] - y[0]), y[2] - y[3])
     return floor - middle - weight, middle - push(contact, r - (gap - y[1]), y[3]) - weight
 
 
 def _rest_of_stack(contact: Contact, pair: Contact, gap: float) -> tuple[float, float]:
     """Heights at which both spheres are in balance, m."""
-    r, weight = contact.first.radius, contact.first.mass * GRAVITY
+    r, weight = contact.first.radius, contact.first.mass * lab.GRAVITY
 
     def upper_excess(lower: float) -> float:
         middle = contact.stiffness * (r - lower) ** 1.5 - weight
@@ -123,14 +112,19 @@ def stack() -> Iterator[Check]:
     """Two spheres (0.5 mm radius) squeezed between walls 3.6 r apart: their motion, and where they come to rest."""
     r, names = 5e-4, ("lower", "upper")
     gap = 3.6 * r
-    walls, start = (FLOOR, Plane((0.0, 0.0, gap), (0.0, 0.0, -1.0), turns=False)), np.array([0.25 * gap, 0.75 * gap])
-    for modulus, e, periods in ((modulus, *choice) for modulus in (SOFT, STIFF) for choice in ((1.0, 10), (0.5, 60))):
-        contact = on_wall(Material(modulus, 0.3, 2500.0, e, 0.0), r)
+    walls, start = (
+        (lab.FLOOR, Plane((0.0, 0.0, gap), (0.0, 0.0, -1.0), turns=False)),
+        np.array([0.25 * gap, 0.75 * gap]),
+    )
+    for modulus, e, periods in (
+        (modulus, *choice) for modulus in (lab.SOFT, lab.STIFF) for choice in ((1.0, 10), (0.5, 60))
+    ):
+        contact = lab.on_wall(Material(modulus, 0.3, 2500.0, e, 0.0), r)
         pair, mass = Contact(contact.first, contact.first), contact.first.mass
         step = 2.0 * math.pi * math.sqrt(mass / (1.5 * contact.stiffness * math.sqrt(0.1 * r))) / 400
-        scene = laboratory(contact.first.material, walls, gravity=DOWN, radius=r)
-        state = spheres(np.stack((np.zeros(2), np.zeros(2), start), axis=1), radius=r)
-        trajectory, label = run(scene, state, step, 400 * periods, 20).trajectory, f"E {modulus:g} Pa, e {e:g}"
+        scene = lab.laboratory(contact.first.material, walls, gravity=lab.DOWN, radius=r)
+        state = lab.spheres(np.stack((np.zeros(2), np.zeros(2), start), axis=1), radius=r)
+        trajectory, label = lab.run(scene, state, step, 400 * periods, 20).trajectory, f"E {modulus:g} Pa, e {e:g}"
         if e == 1.0:
 
             def motion(_: float, y: FloatArray, contact: Contact = contact, pair: Contact = pair) -> list[float]:

@@ -17,9 +17,9 @@ from dataclasses import replace
 import numpy as np
 
 from gran_bench.scene import Material
+from gran_bench.verification import laboratory as lab
 from gran_bench.verification.case import Case, Check, Curves
 from gran_bench.verification.impacts import at_angles, curves, expected_rebounds, rebound_checks
-from gran_bench.verification.laboratory import Impacts, collide, on_rigid_wall, on_sphere
 from gran_bench.verification.theory import HERTZ, RESTITUTION, SLIDING, Contact, sliding_rebound
 
 FINE = 1000  # steps per contact where peaks are read off the frames
@@ -34,7 +34,7 @@ NYLON = Material(2.5e9, 0.40, 1000.0, 0.5, 0.4)
 def _elastic(contacts: dict[str, Contact], approach: float) -> Iterator[Check]:
     """Largest overlap, largest force and duration of elastic head-on impacts."""
     for name, contact in contacts.items():
-        rebounds = collide(Impacts(contact, approach), steps_per_contact=FINE, stride=1)
+        rebounds = lab.collide(lab.Impacts(contact, approach), steps_per_contact=FINE, stride=1)
         trajectory, step = rebounds.result.trajectory, rebounds.result.time_step
         kind = "wall_" if contact.second.is_wall else ""
         deepest = trajectory.diagnostics[f"{kind}overlap_max"].max()
@@ -49,29 +49,29 @@ def _elastic(contacts: dict[str, Contact], approach: float) -> Iterator[Check]:
 def impact_1() -> Iterator[Check]:
     """Elastic normal impact of two identical spheres (10 mm radius, 10 m/s each)."""
     glass, limestone = Material(4.8e10, 0.20, 2800.0, 1.0, 0.35), Material(2.0e10, 0.25, 2500.0, 1.0, 0.35)
-    return _elastic({"glass": on_sphere(glass, 0.01), "limestone": on_sphere(limestone, 0.01)}, 20.0)
+    return _elastic({"glass": lab.on_sphere(glass, 0.01), "limestone": lab.on_sphere(limestone, 0.01)}, 20.0)
 
 
 def impact_2() -> Iterator[Check]:
     """Elastic normal impact of a sphere with a rigid plane (0.1 m radius, 0.2 m/s)."""
     aluminium, magnesium = Material(7.0e10, 0.30, 2699.0, 1.0, 0.0), Material(4.0e10, 0.35, 1800.0, 1.0, 0.0)
     metals = {"aluminium alloy": aluminium, "magnesium alloy": magnesium}
-    return _elastic({name: on_rigid_wall(metal, 0.1) for name, metal in metals.items()}, 0.2)
+    return _elastic({name: lab.on_rigid_wall(metal, 0.1) for name, metal in metals.items()}, 0.2)
 
 
 def impact_3() -> Iterator[Check]:
     """Normal contact with different coefficients of restitution (2.5 mm radius, 3.9 m/s, rigid plane)."""
     steps = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
     for name, elastic in (("aluminium oxide", ALUMINA), ("cast iron", (1.0e11, 0.25, 7000.0))):
-        contacts = [on_rigid_wall(Material(*elastic, float(e), 0.0), 0.0025) for e in steps]
-        found = [collide(Impacts(contact, 3.9)).normal[0] / 3.9 for contact in contacts]
+        contacts = [lab.on_rigid_wall(Material(*elastic, float(e), 0.0), 0.0025) for e in steps]
+        found = [lab.collide(lab.Impacts(contact, 3.9)).normal[0] / 3.9 for contact in contacts]
         at = [f"e {e:g}" for e in steps]
         yield Check(f"restitution, {name}", steps, found, 1e-3, RESTITUTION, 1.0, "of approach speed", at)
 
 
-def _rebounds(impacts: Impacts, name: str, at: list[str], rigid: bool = False) -> Iterator[Check]:
+def _rebounds(impacts: lab.Impacts, name: str, at: list[str], rigid: bool = False) -> Iterator[Check]:
     """Against the equations; where the body is rigid and slides throughout, against its closed form too."""
-    rebounds, expected = collide(impacts), expected_rebounds(impacts)
+    rebounds, expected = lab.collide(impacts), expected_rebounds(impacts)
     yield from rebound_checks(impacts, rebounds, expected, name, at)
     rows = np.flatnonzero(expected["slid"])
     if rigid and len(rows):
@@ -86,10 +86,10 @@ def impact_4() -> Iterator[Check | Curves]:
     """Oblique impact with a rigid plane at a constant resultant speed (2.5 mm radius, 3.9 m/s, 5–85°)."""
     angles = np.arange(5.0, 90.0, 5.0)
     for name, elastic in (("aluminium oxide", ALUMINA), ("aluminium alloy", (7.0e10, 0.33, 2700.0))):
-        contact = on_rigid_wall(Material(*elastic, 0.98, 0.092), 0.0025)
+        contact = lab.on_rigid_wall(Material(*elastic, 0.98, 0.092), 0.0025)
         impacts = at_angles(contact, angles, 3.9)
         yield from _rebounds(impacts, name, [f"{angle:g}°" for angle in angles], rigid=True)
-        yield curves(name, impacts, at_angles(contact, np.linspace(0.5, 88.0, 60), 3.9), collide(impacts))
+        yield curves(name, impacts, at_angles(contact, np.linspace(0.5, 88.0, 60), 3.9), lab.collide(impacts))
 
 
 def impact_5() -> Iterator[Check]:
@@ -98,29 +98,31 @@ def impact_5() -> Iterator[Check]:
     at = [f"v_t {speed:g} m/s" for speed in speeds]
     # Polyethylene yields by 3 % of its radius, which a rigid body does not.
     for name, elastic in (("steel", (2.08e11, 0.30, 7850.0)), ("polyethylene", (1.0e9, 0.40, 1400.0))):
-        impacts = Impacts(on_rigid_wall(Material(*elastic, 1.0, 0.3), 1e-5), 5.0, speeds)
+        impacts = lab.Impacts(lab.on_rigid_wall(Material(*elastic, 1.0, 0.3), 1e-5), 5.0, speeds)
         yield from _rebounds(impacts, name, at, rigid=name == "steel")
 
 
 def _spinning(contacts: dict[str, Contact], approach: float, both: bool = False) -> Iterator[Check]:
     """Head-on impacts of a sphere that spins, or of two that spin alike."""
     for name, contact in contacts.items():
-        impacts = Impacts(contact, approach, 0.0, SPINS, SPINS if both else 0.0)
+        impacts = lab.Impacts(contact, approach, 0.0, SPINS, SPINS if both else 0.0)
         yield from _rebounds(impacts, name, [f"ω {spin:g} rad/s" for spin in SPINS])
 
 
 def impact_6() -> Iterator[Check]:
     """Impact with a rigid plane at a constant normal speed and different spins (0.1 m radius, 0.2 m/s)."""
-    return _spinning({"aluminium alloy": on_rigid_wall(ALUMINIUM, 0.1), "copper": on_rigid_wall(COPPER, 0.1)}, 0.2)
+    return _spinning(
+        {"aluminium alloy": lab.on_rigid_wall(ALUMINIUM, 0.1), "copper": lab.on_rigid_wall(COPPER, 0.1)}, 0.2
+    )
 
 
 def impact_7() -> Iterator[Check]:
     """Impact of two identical spheres that spin alike, or oppositely like two gears (0.1 m radius, 0.2 m/s each)."""
-    contacts = {"aluminium alloy": on_sphere(ALUMINIUM, 0.1), "copper": on_sphere(COPPER, 0.1)}
+    contacts = {"aluminium alloy": lab.on_sphere(ALUMINIUM, 0.1), "copper": lab.on_sphere(COPPER, 0.1)}
     yield from _spinning(contacts, 0.4, both=True)
     at, source = [f"ω ±{spin:g} rad/s" for spin in SPINS], "no slip, so that nothing changes them"
     for name, contact in contacts.items():
-        found = collide(Impacts(contact, 0.4, 0.0, SPINS, -SPINS)).first_spin
+        found = lab.collide(lab.Impacts(contact, 0.4, 0.0, SPINS, -SPINS)).first_spin
         yield Check(f"spin after, like gears, rad/s, {name}", SPINS, found, 1e-12, source, at=at)
 
 
@@ -128,7 +130,7 @@ def impact_8() -> Iterator[Check]:
     """Impact of a spinning sphere on one five times larger and 1000 times as dense (0.1 and 0.5 m radius, 0.2 m/s)."""
     metals = {"aluminium alloy": ALUMINIUM, "nylon": NYLON}
     dense = {name: replace(metal, density=1000.0 * metal.density) for name, metal in metals.items()}
-    return _spinning({name: on_sphere(metal, 0.1, 0.5, dense[name]) for name, metal in metals.items()}, 0.2)
+    return _spinning({name: lab.on_sphere(metal, 0.1, 0.5, dense[name]) for name, metal in metals.items()}, 0.2)
 
 
 CASES = tuple(

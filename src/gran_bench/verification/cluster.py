@@ -11,23 +11,12 @@ from scipy.spatial.transform import Rotation as Turn
 
 from gran_bench.scene import Cylinder, Material, Plane, Scene
 from gran_bench.state import FloatArray, ParticleState
+from gran_bench.verification import laboratory as lab
 from gran_bench.verification.case import Case, Check
-from gran_bench.verification.laboratory import (
-    DOWN,
-    RADIUS,
-    SOFT,
-    STIFF,
-    laboratory,
-    mass_of,
-    on_sphere,
-    run,
-    sphere_material,
-    spheres,
-)
 
 INWARD = 1.0  # m/s, of the rim of a cluster
 STEPS = 400
-STEP = {SOFT: 1e-4, STIFF: 4e-6}  # s, for the two engines
+STEP = {lab.SOFT: 1e-4, lab.STIFF: 4e-6}  # s, for the two engines
 PLAIN = "engine numpy, the readable reference"
 ARRAYS = ("position", "velocity", "angular_velocity")
 
@@ -42,29 +31,29 @@ def cluster(count: int, seed: int, gap: float, smallest: float) -> ParticleState
         smallest: radius over that of the largest, ``RADIUS``.
     """
     rng, side = np.random.default_rng(seed), math.ceil(1.6 * count ** (1 / 3)) + 1
-    line = (np.arange(side) - 0.5 * (side - 1)) * (2.0 * RADIUS + gap)
+    line = (np.arange(side) - 0.5 * (side - 1)) * (2.0 * lab.RADIUS + gap)
     grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
-    grid += np.array([0.31, 0.17, 0.23]) * RADIUS
+    grid += np.array([0.31, 0.17, 0.23]) * lab.RADIUS
     position = grid[np.argsort(np.linalg.norm(grid, axis=1), kind="stable")[:count]]
     reach = np.linalg.norm(position, axis=1).max()
     velocity = -INWARD * position / reach + rng.normal(0.0, INWARD / 3.0, position.shape)
     spin = rng.normal(0.0, 20.0, position.shape)
-    return spheres(position, velocity, spin, RADIUS * rng.uniform(smallest, 1.0, count))
+    return lab.spheres(position, velocity, spin, lab.RADIUS * rng.uniform(smallest, 1.0, count))
 
 
 def rough_material(modulus: float) -> Material:
     """Inelastic, with sliding and rolling friction."""
-    return sphere_material(modulus, 0.5, 0.5, 0.05)
+    return lab.sphere_material(modulus, 0.5, 0.5, 0.05)
 
 
 def momenta() -> Iterator[Check]:
     """Momentum and angular momentum over 10⁴ steps of a rough, inelastic cluster that falls in on itself."""
     # A stiff cluster starts almost in touch: its steps are a hundred times shorter.
-    for modulus, gap, smallest, per_contact in ((SOFT, 1e-4, 0.9, 40), (STIFF, 1e-6, 0.999, 20)):
+    for modulus, gap, smallest, per_contact in ((lab.SOFT, 1e-4, 0.9, 40), (lab.STIFF, 1e-6, 0.999, 20)):
         state, material = cluster(200, 5, gap, smallest), rough_material(modulus)
-        step = on_sphere(material, float(state.radius.min())).duration(3.0 * INWARD) / per_contact
-        trajectory = run(laboratory(material), state, step, 10_000, 100).trajectory
-        mass = mass_of(trajectory.radius)[:, None]
+        step = lab.on_sphere(material, float(state.radius.min())).duration(3.0 * INWARD) / per_contact
+        trajectory = lab.run(lab.laboratory(material), state, step, 10_000, 100).trajectory
+        mass = lab.mass_of(trajectory.radius)[:, None]
         linear = (mass * trajectory.velocity).sum(axis=1)
         own = 0.4 * mass * trajectory.radius[:, None] ** 2 * trajectory.angular_velocity
         angular = (own + mass * np.cross(trajectory.position, trajectory.velocity)).sum(axis=1)
@@ -89,11 +78,11 @@ Change = Callable[[ParticleState], ParticleState]
 
 def _both(change: Change, undo: Change) -> Iterator[Check]:
     """Run a cluster as it is and changed, undo the change, and compare positions, velocities and spins."""
-    for modulus, gap, step, smallest in ((SOFT, 1e-4, 1e-4, 0.9), (STIFF, 1e-6, 2e-6, 0.9999)):
-        scene, state = laboratory(rough_material(modulus)), cluster(60, 11, gap, smallest)
+    for modulus, gap, step, smallest in ((lab.SOFT, 1e-4, 1e-4, 0.9), (lab.STIFF, 1e-6, 2e-6, 0.9999)):
+        scene, state = lab.laboratory(rough_material(modulus)), cluster(60, 11, gap, smallest)
         # Frames at the same steps: an engine starts anew from each.
-        plain = run(scene, state, step, STEPS, STEPS // 20)
-        other = undo(run(scene, change(state), step, STEPS, STEPS // 20).final)
+        plain = lab.run(scene, state, step, STEPS, STEPS // 20)
+        other = undo(lab.run(scene, change(state), step, STEPS, STEPS // 20).final)
         touching = plain.trajectory.diagnostics["contact_count"].mean()
         if touching < 1.0:
             raise RuntimeError("the cluster hardly touched, so that it says nothing of contacts")
@@ -141,30 +130,30 @@ def _drum_bed(modulus: float, time_step: float) -> tuple[Scene, ParticleState]:
     radius, half, rng = 0.25, 0.1, np.random.default_rng(2)
     caps = (Plane((0.0, side * half, 0.0), (0.0, -side, 0.0)) for side in (-1.0, 1.0))
     material = rough_material(modulus)
-    scene = laboratory(
+    scene = lab.laboratory(
         material, (Cylinder((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), radius), *caps),
-        wall_material=replace(material, friction=0.4, restitution=0.6), gravity=DOWN, rpm=40.0,
+        wall_material=replace(material, friction=0.4, restitution=0.6), gravity=lab.DOWN, rpm=40.0,
     )  # fmt: skip
-    spacing = 2.02 * RADIUS
+    spacing = 2.02 * lab.RADIUS
     line = np.arange(-4, 5) * spacing
     grid = np.stack(np.meshgrid(line, np.array([-1.0, 0.0, 1.0]) * spacing, line), axis=-1).reshape(-1, 3)
-    grid = grid[(np.hypot(grid[:, 0], grid[:, 2]) < radius - RADIUS) & (grid[:, 2] < 0.03)]
+    grid = grid[(np.hypot(grid[:, 0], grid[:, 2]) < radius - lab.RADIUS) & (grid[:, 2] < 0.03)]
     velocity, spin = rng.normal(0.0, 0.3, grid.shape), rng.normal(0.0, 5.0, grid.shape)
-    state = spheres(grid, velocity, spin, RADIUS * rng.uniform(0.8, 1.0, len(grid)))
-    return scene, run(scene, state, time_step, math.ceil(0.4 / time_step)).final
+    state = lab.spheres(grid, velocity, spin, lab.RADIUS * rng.uniform(0.8, 1.0, len(grid)))
+    return scene, lab.run(scene, state, time_step, math.ceil(0.4 / time_step)).final
 
 
 def _two_engines(steps: int) -> Iterator[tuple[str, ParticleState, ParticleState, ParticleState]]:
     """Of states in the middle of many contacts: a label, the state, and where each engine takes it."""
     for modulus, step in STEP.items():
-        gap, smallest, begun = (1e-4, 0.9, 60) if modulus == SOFT else (1e-6, 0.9999, 25)
-        free = laboratory(rough_material(modulus))
-        falling = run(free, cluster(200, 3, gap, smallest), step, begun).final
+        gap, smallest, begun = (1e-4, 0.9, 60) if modulus == lab.SOFT else (1e-6, 0.9999, 25)
+        free = lab.laboratory(rough_material(modulus))
+        falling = lab.run(free, cluster(200, 3, gap, smallest), step, begun).final
         for name, (scene, state) in (
             ("bed in a turning drum", _drum_bed(modulus, step)),
             ("free cluster", (free, falling)),
         ):
-            fast, plain = (run(scene, state, step, steps, engine=engine).final for engine in ("numba", "numpy"))
+            fast, plain = (lab.run(scene, state, step, steps, engine=engine).final for engine in ("numba", "numpy"))
             yield f"{name}, E {modulus:g} Pa", state, fast, plain
 
 

@@ -15,22 +15,8 @@ import numpy as np
 
 from gran_bench.scene import Material
 from gran_bench.state import ContactHistory, FloatArray
+from gran_bench.verification import laboratory as lab
 from gran_bench.verification.case import Case, Check
-from gran_bench.verification.laboratory import (
-    FLOOR,
-    RADIUS,
-    SOFT,
-    STIFF,
-    Impacts,
-    collide,
-    laboratory,
-    mass_of,
-    on_sphere,
-    on_wall,
-    run,
-    sphere_material,
-    spheres,
-)
 
 MINDLIN = "k_t = 8 G* √(R* δ), force scaled by √(δ/δ_before) on unloading, closed form"
 LEG_STEPS = 400
@@ -47,14 +33,14 @@ CYCLES = {
 def _work_of_cycles(material: Material, overlap: float, shear: float, engine: str) -> FloatArray:
     """Work that each cycle takes from a sphere on a wall, J; negative would be energy from nowhere."""
     cycles = np.array(list(CYCLES.values()), float) * (overlap, shear)  # (cycle, corner, overlap and shear)
-    line, mass = 1.0 * np.arange(len(cycles)), mass_of(RADIUS, HEAVY)
-    scene, work, history = laboratory(material, (FLOOR,)), np.zeros(len(cycles)), ContactHistory.empty()
+    line, mass = 1.0 * np.arange(len(cycles)), lab.mass_of(lab.RADIUS, HEAVY)
+    scene, work, history = lab.laboratory(material, (lab.FLOOR,)), np.zeros(len(cycles)), ContactHistory.empty()
     # Slow enough to see the contact's pull on a velocity, fast enough not to be led astray by it.
-    duration = 1e-3 * shear * math.sqrt(mass / (material.youngs_modulus * RADIUS * overlap**2))
+    duration = 1e-3 * shear * math.sqrt(mass / (material.youngs_modulus * lab.RADIUS * overlap**2))
     for (depth, slid), (deeper, further) in pairwise(cycles.transpose(1, 2, 0)):
         velocity = np.stack((further - slid, np.zeros(len(line)), depth - deeper), axis=1) / duration
-        state = spheres(np.stack((slid, line, RADIUS - depth), axis=1), velocity)
-        final = run(scene, replace(state, history=history), duration / LEG_STEPS, LEG_STEPS, engine=engine).final
+        state = lab.spheres(np.stack((slid, line, lab.RADIUS - depth), axis=1), velocity)
+        final = lab.run(scene, replace(state, history=history), duration / LEG_STEPS, LEG_STEPS, engine=engine).final
         change = final.velocity - velocity
         work -= mass * ((velocity + 0.5 * change) * change).sum(axis=1)
         history = final.history
@@ -63,9 +49,9 @@ def _work_of_cycles(material: Material, overlap: float, shear: float, engine: st
 
 def cycles() -> Iterator[Check]:
     """Work of closed cycles of shear and load against the closed form ½ (k_deep − k_shallow) s²."""
-    for modulus, overlap in ((SOFT, 2e-3), (STIFF, 2e-5)):
+    for modulus, overlap in ((lab.SOFT, 2e-3), (lab.STIFF, 2e-5)):
         material, shear = Material(modulus, 0.3, HEAVY, 1.0, 1e6), 0.05 * overlap
-        deep, shallow = on_wall(material).shear_stiffness * np.sqrt([overlap, 0.25 * overlap])
+        deep, shallow = lab.on_wall(material).shear_stiffness * np.sqrt([overlap, 0.25 * overlap])
         expected = 0.5 * (deep - shallow) * shear**2 * np.array([1.0, 1.0, 0.0])
         scale = (0.5 * deep * shear**2, "of the shear energy", tuple(CYCLES))
         for engine in ENGINES:
@@ -85,15 +71,15 @@ def _turned(force: FloatArray, turns: float, steps: int, engine: str) -> tuple[F
         steps: in which the pair is turned.
         engine: which.
     """
-    count, scene = len(force), laboratory(Material(SOFT, 0.3, 1e18, 1.0, 1e6))
-    distance, first = 2.0 * RADIUS - 1e-3, np.arange(count)
+    count, scene = len(force), lab.laboratory(Material(lab.SOFT, 0.3, 1e18, 1.0, 1e6))
+    distance, first = 2.0 * lab.RADIUS - 1e-3, np.arange(count)
     history = ContactHistory(first, first + count, force, np.full(count, 1e-3))
     middle = first[:, None] * np.array([0.0, 1.0, 0.0])
     for step in range(1, steps + 1):
         angle = 2.0 * math.pi * turns * step / steps
         normal = np.array([math.cos(angle), 0.0, math.sin(angle)])
         position = np.concatenate((middle - 0.5 * distance * normal, middle + 0.5 * distance * normal))
-        history = run(scene, replace(spheres(position), history=history), 1e-9, 1, engine=engine).final.history
+        history = lab.run(scene, replace(lab.spheres(position), history=history), 1e-9, 1, engine=engine).final.history
     return history.force, normal
 
 
@@ -115,12 +101,12 @@ def turning() -> Iterator[Check]:
 
 def lever_arm() -> Iterator[Check]:
     """Angular momentum about the common centre through impacts so soft that a sphere yields by a tenth of its size."""
-    angles, material = np.radians(np.arange(10.0, 90.0, 10.0)), sphere_material(1e5, 0.8, 0.5)
-    for name, contact in (("equal", on_sphere(material)), ("unequal", on_sphere(material, 0.02, 0.03))):
-        impacts = Impacts(contact, 0.8 * np.cos(angles), 0.8 * np.sin(angles), 5.0, -3.0)
-        rebounds = collide(impacts, stride=50)
+    angles, material = np.radians(np.arange(10.0, 90.0, 10.0)), lab.sphere_material(1e5, 0.8, 0.5)
+    for name, contact in (("equal", lab.on_sphere(material)), ("unequal", lab.on_sphere(material, 0.02, 0.03))):
+        impacts = lab.Impacts(contact, 0.8 * np.cos(angles), 0.8 * np.sin(angles), 5.0, -3.0)
+        rebounds = lab.collide(impacts, stride=50)
         trajectory, count = rebounds.result.trajectory, len(angles)
-        mass = mass_of(trajectory.radius)
+        mass = lab.mass_of(trajectory.radius)
         own = (0.4 * mass * trajectory.radius**2)[:, None] * trajectory.angular_velocity
         orbital = mass[:, None] * np.cross(trajectory.position, trajectory.velocity)
         momentum = (own + orbital).reshape(len(own), 2, count, 3).sum(axis=1)

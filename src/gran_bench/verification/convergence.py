@@ -11,22 +11,9 @@ from scipy.spatial import cKDTree
 
 from gran_bench.scene import Plane, Scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
+from gran_bench.verification import laboratory as lab
 from gran_bench.verification.case import Case, Check, Curves
 from gran_bench.verification.impact_theory import impact
-from gran_bench.verification.laboratory import (
-    RADIUS,
-    SOFT,
-    STIFF,
-    Impacts,
-    collide,
-    laboratory,
-    mass_of,
-    on_sphere,
-    on_wall,
-    run,
-    sphere_material,
-    spheres,
-)
 
 HALVINGS = 2.0 ** np.arange(6)
 # Verlet errs in the energy of one elastic impact by 0.15 (Δt/t_c)² rms over the phases of the step, and on average by
@@ -53,37 +40,37 @@ def gas(seed: int, modulus: float) -> tuple[Scene, ParticleState]:
     line = (np.arange(GAS_SIDE) - 0.5 * (GAS_SIDE - 1)) * GAS_WIDTH / GAS_SIDE
     grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
     velocity = np.random.default_rng(seed).normal(0.0, GAS_SPEED, grid.shape)
-    return laboratory(sphere_material(modulus), walls), spheres(grid, velocity)
+    return lab.laboratory(lab.sphere_material(modulus), walls), lab.spheres(grid, velocity)
 
 
 def quick_impact(modulus: float) -> float:
     """Contact time of the fastest impact that the gas makes likely: two spheres, each at three times the mean, s."""
-    return on_sphere(sphere_material(modulus)).duration(6.0 * GAS_SPEED)
+    return lab.on_sphere(lab.sphere_material(modulus)).duration(6.0 * GAS_SPEED)
 
 
 def elastic_energy(scene: Scene, trajectory: Trajectory) -> FloatArray:
     """Kinetic energy and ⅖ K δ^{5/2} of every contact, of elastic equal spheres in a box, ``(F,)`` J."""
-    pair, wall = on_sphere(scene.material), on_wall(scene.material)
-    energy = 0.5 * (mass_of(trajectory.radius)[:, None] * trajectory.velocity**2).sum(axis=(1, 2))
+    pair, wall = lab.on_sphere(scene.material), lab.on_wall(scene.material)
+    energy = 0.5 * (lab.mass_of(trajectory.radius)[:, None] * trajectory.velocity**2).sum(axis=(1, 2))
     for frame, position in enumerate(trajectory.position):
-        pairs = cKDTree(position).query_pairs(2.0 * RADIUS, output_type="ndarray")
-        overlap = 2.0 * RADIUS - np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
+        pairs = cKDTree(position).query_pairs(2.0 * lab.RADIUS, output_type="ndarray")
+        overlap = 2.0 * lab.RADIUS - np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
         energy[frame] += 0.4 * pair.stiffness * (overlap**2.5).sum()
         for plane in scene.walls:
-            depth = RADIUS - (position - np.array(plane.point)) @ np.array(plane.normal)
+            depth = lab.RADIUS - (position - np.array(plane.point)) @ np.array(plane.normal)
             energy[frame] += 0.4 * wall.stiffness * (np.maximum(depth, 0.0) ** 2.5).sum()
     return energy
 
 
 def reversal() -> Iterator[Check]:
     """Elastic smooth spheres run for a time, turn round, and come back to where they started."""
-    for modulus, step in ((SOFT, 1e-4), (STIFF, 2e-6)):
+    for modulus, step in ((lab.SOFT, 1e-4), (lab.STIFF, 2e-6)):
         scene, state = gas(1, modulus)
         steps = round(0.3 / step)
-        there = run(scene, state, step, steps, steps // 100)
+        there = lab.run(scene, state, step, steps, steps // 100)
         seen = there.trajectory.diagnostics
         back = replace(there.final, velocity=-there.final.velocity, time=0.0, history=ContactHistory.empty())
-        final = run(scene, back, step, steps).final
+        final = lab.run(scene, back, step, steps).final
         touched = np.count_nonzero(seen["contact_count"] + seen["wall_contact_count"])
         label, source = f"E {modulus:g} Pa, {touched} of 101 frames in touch", "Verlet is reversible"
         off, wrong = np.abs(final.position - state.position).max(), np.abs(final.velocity + state.velocity).max()
@@ -99,8 +86,8 @@ def _order(steps: FloatArray, error: FloatArray) -> float:
 
 def order() -> Iterator[Check | Curves]:
     """Error against the step, each time from a start at touch, and its order."""
-    for modulus in (SOFT, STIFF):
-        contact, speed = on_sphere(sphere_material(modulus)), 1.0
+    for modulus in (lab.SOFT, lab.STIFF):
+        contact, speed = lab.on_sphere(lab.sphere_material(modulus)), 1.0
         duration, deepest = contact.duration(speed), contact.largest_overlap(speed)
         exact = solve_ivp(
             lambda _, y, c=contact: (y[1], -c.stiffness * max(y[0], 0.0) ** 1.5 / c.effective_mass),
@@ -108,10 +95,10 @@ def order() -> Iterator[Check | Curves]:
         ).y[:, -1]  # fmt: skip
         errors = []
         for count in (20 * HALVINGS).astype(int).tolist():
-            state = spheres([[0, 0, 0], [2 * RADIUS, 0, 0]], [[0.5 * speed, 0, 0], [-0.5 * speed, 0, 0]])
-            final = run(laboratory(contact.first.material), state, 0.8 * duration / count, count).final
+            state = lab.spheres([[0, 0, 0], [2 * lab.RADIUS, 0, 0]], [[0.5 * speed, 0, 0], [-0.5 * speed, 0, 0]])
+            final = lab.run(lab.laboratory(contact.first.material), state, 0.8 * duration / count, count).final
             closing = final.velocity[0, 0] - final.velocity[1, 0]
-            overlap = 2 * RADIUS - (final.position[1, 0] - final.position[0, 0])
+            overlap = 2 * lab.RADIUS - (final.position[1, 0] - final.position[0, 0])
             errors.append(max(abs(closing - exact[1]) / speed, abs(overlap - exact[0]) / deepest))
         name, fraction = f"elastic contact, E {modulus:g} Pa", 0.8 / (20 * HALVINGS)
         yield {f"{name}|step": fraction, f"{name}|error": np.array(errors)}
@@ -120,12 +107,12 @@ def order() -> Iterator[Check | Curves]:
             "velocity Verlet is of second order (Swope et al. 1982)", 1.0, "order",
         )  # fmt: skip
     for e in (1.0, 0.5):
-        contact, angle = on_wall(sphere_material(SOFT, e, 0.5)), np.radians(20.0)
-        impacts = Impacts(contact, np.cos(angle), np.sin(angle))
+        contact, angle = lab.on_wall(lab.sphere_material(lab.SOFT, e, 0.5)), np.radians(20.0)
+        impacts = lab.Impacts(contact, np.cos(angle), np.sin(angle))
         spin = impact(contact, np.array([np.sin(angle), -np.cos(angle)])).spin[0]
         # The mean over phases, because where a step falls on the first touch scatters the error.
         found = np.array([
-            [collide(impacts, steps_per_contact=25 * k, phase=phase).first_spin[0] for phase in PHASES]
+            [lab.collide(impacts, steps_per_contact=25 * k, phase=phase).first_spin[0] for phase in PHASES]
             for k in HALVINGS
         ])  # fmt: skip
         errors, fraction = np.abs(found / spin - 1.0).mean(axis=1), 1.0 / (25 * HALVINGS)
@@ -139,18 +126,18 @@ def order() -> Iterator[Check | Curves]:
 
 def drift() -> Iterator[Check | Curves]:
     """Energy of an elastic gas over 100 s, at t_c/50 and t_c/100, and of a stiff one over as many steps."""
-    for modulus, per_contact in ((SOFT, 50), (SOFT, 100), (STIFF, 50)):
+    for modulus, per_contact in ((lab.SOFT, 50), (lab.SOFT, 100), (lab.STIFF, 50)):
         scene, state = gas(0, modulus)
-        impacts, name = Impacts(on_sphere(scene.material), np.ones(200)), f"E {modulus:g} Pa, t_c/{per_contact}"
-        one = collide(impacts, steps_per_contact=per_contact, phase=np.arange(200) / 200.0).normal ** 2 - 1.0
+        impacts, name = lab.Impacts(lab.on_sphere(scene.material), np.ones(200)), f"E {modulus:g} Pa, t_c/{per_contact}"
+        one = lab.collide(impacts, steps_per_contact=per_contact, phase=np.arange(200) / 200.0).normal ** 2 - 1.0
         yield Check(
             f"energy error of an impact, mean over 200 phases, {name}", 0.0, one.mean(), 0.01 / per_contact**2,
             "no bias, rms 0.15 (Δt/t_c)²", 1.0, "of the energy",
         )  # fmt: skip
         step = quick_impact(modulus) / per_contact
-        time = LONG if modulus == SOFT else LONG * step / (quick_impact(SOFT) / 50)
+        time = LONG if modulus == lab.SOFT else LONG * step / (quick_impact(lab.SOFT) / 50)
         stride = round(time / step / 1000)
-        trajectory = run(scene, state, step, 1000 * stride, stride).trajectory
+        trajectory = lab.run(scene, state, step, 1000 * stride, stride).trajectory
         energy = elastic_energy(scene, trajectory)
         change = energy / energy[0] - 1.0
         yield {f"{name}|time": trajectory.time, f"{name}|change": change}

@@ -8,18 +8,8 @@ import numpy as np
 
 from gran_bench.state import FloatArray
 from gran_bench.verification import impact_theory
+from gran_bench.verification import laboratory as lab
 from gran_bench.verification.case import Case, Check, Curves
-from gran_bench.verification.laboratory import (
-    SOFT,
-    STIFF,
-    Impacts,
-    Rebounds,
-    collide,
-    on_rigid_wall,
-    on_sphere,
-    on_wall,
-    sphere_material,
-)
 from gran_bench.verification.theory import RESTITUTION, Contact, slides_throughout, sliding_rebound
 
 SET = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0)  # e
@@ -28,10 +18,10 @@ PHASES = np.array([0.0, 0.25, 0.5, 0.75, 0.99])  # of a step, between the last s
 ANGLES = np.arange(0.0, 90.0, 5.0)  # °, between the path and the normal
 SPEED = 2.0  # m/s
 BODIES: dict[str, Callable[..., Contact]] = {
-    "two equal spheres": on_sphere,
-    "two unequal spheres (10 and 50 mm)": lambda material: on_sphere(material, 0.01, 0.05),
-    "sphere on a wall": on_wall,
-    "sphere on a rigid wall": on_rigid_wall,
+    "two equal spheres": lab.on_sphere,
+    "two unequal spheres (10 and 50 mm)": lambda material: lab.on_sphere(material, 0.01, 0.05),
+    "sphere on a wall": lab.on_wall,
+    "sphere on a rigid wall": lab.on_rigid_wall,
 }
 
 
@@ -39,23 +29,23 @@ def restitution() -> Iterator[Check]:
     """Restitution of every pair of bodies over e, speed, stiffness and phase."""
     for name, bodies in BODIES.items():
         expected, found, at = [], [], []
-        for modulus, e in ((modulus, e) for modulus in (SOFT, STIFF) for e in SET):
-            contact = bodies(sphere_material(modulus, e))
+        for modulus, e in ((modulus, e) for modulus in (lab.SOFT, lab.STIFF) for e in SET):
+            contact = bodies(lab.sphere_material(modulus, e))
             for speed in SPEEDS:
-                rebounds = collide(Impacts(contact, np.full(len(PHASES), speed)), phase=PHASES)
+                rebounds = lab.collide(lab.Impacts(contact, np.full(len(PHASES), speed)), phase=PHASES)
                 expected += [e] * len(PHASES)
                 found += list(rebounds.normal / speed)
                 at += [f"E {modulus:g} Pa, e {e:g}, {speed:g} m/s, phase {phase:g}" for phase in PHASES]
         yield Check(f"restitution, {name}", expected, found, 1e-3, RESTITUTION, 1.0, "of approach speed", at)
 
 
-def at_angles(contact: Contact, angles_deg: FloatArray, speed: float = SPEED) -> Impacts:
+def at_angles(contact: Contact, angles_deg: FloatArray, speed: float = SPEED) -> lab.Impacts:
     """One impact at each angle from the normal, all at one resultant speed."""
     radians = np.radians(angles_deg)
-    return Impacts(contact, speed * np.cos(radians), speed * np.sin(radians))
+    return lab.Impacts(contact, speed * np.cos(radians), speed * np.sin(radians))
 
 
-def expected_rebounds(impacts: Impacts) -> dict[str, FloatArray]:
+def expected_rebounds(impacts: lab.Impacts) -> dict[str, FloatArray]:
     """Normal and tangential speed (along z and x) and both spins after each impact, by the equations."""
     rows = zip(impacts.normal, impacts.tangential, impacts.first_spin, impacts.second_spin, strict=True)
     found = [impact_theory.impact(impacts.contact, (t, -n), (first, second)) for n, t, first, second in rows]
@@ -65,7 +55,7 @@ def expected_rebounds(impacts: Impacts) -> dict[str, FloatArray]:
 
 
 def rebound_checks(
-    impacts: Impacts, rebounds: Rebounds, expected: dict[str, FloatArray], label: str, at: Sequence[str]
+    impacts: lab.Impacts, rebounds: lab.Rebounds, expected: dict[str, FloatArray], label: str, at: Sequence[str]
 ) -> Iterator[Check]:
     """Normal speed, tangential speed and spins after each impact, each to 1 %; the spins of what the impact gave."""
     rows = [("normal speed after, m/s", "normal", impacts.normal, "of approach speed")]
@@ -79,7 +69,7 @@ def rebound_checks(
         yield Check(f"{quantity}, {label}", expected[key], found, 0.01, impact_theory.SOURCE, scale, unit, at)
 
 
-def curves(name: str, impacts: Impacts, fine: Impacts, rebounds: Rebounds) -> Curves:
+def curves(name: str, impacts: lab.Impacts, fine: lab.Impacts, rebounds: lab.Rebounds) -> Curves:
     """Tangential restitution, spin Rω/v and rebound angle of the contact point: found, and expected on a finer grid."""
     radius, line = impacts.contact.first.radius, expected_rebounds(fine)
     drawn = {}
@@ -101,17 +91,21 @@ def curves(name: str, impacts: Impacts, fine: Impacts, rebounds: Rebounds) -> Cu
 
 def _contacts(friction: float) -> Iterator[tuple[str, str, Contact]]:
     """Soft and stiff spheres, elastic and not, on walls and on each other: where, a label, the contact."""
-    for modulus, e in ((modulus, e) for modulus in (SOFT, STIFF) for e in (1.0, 0.5)):
-        for name, bodies in (("wall", on_wall), ("sphere", on_sphere)):
+    for modulus, e in ((modulus, e) for modulus in (lab.SOFT, lab.STIFF) for e in (1.0, 0.5)):
+        for name, bodies in (("wall", lab.on_wall), ("sphere", lab.on_sphere)):
             label = f"on a {name}, E {modulus:g} Pa, e {e:g}, μ {friction:g}"
-            yield f"{name} E {modulus:g} e {e:g} mu {friction:g}", label, bodies(sphere_material(modulus, e, friction))
+            yield (
+                f"{name} E {modulus:g} e {e:g} mu {friction:g}",
+                label,
+                bodies(lab.sphere_material(modulus, e, friction)),
+            )
 
 
 def all_angles() -> Iterator[Check | Curves]:
     """Soft and stiff spheres on walls and on each other at 0–85°."""
     for name, label, contact in _contacts(0.3):
         impacts = at_angles(contact, ANGLES)
-        rebounds = collide(impacts)
+        rebounds = lab.collide(impacts)
         yield from rebound_checks(impacts, rebounds, expected_rebounds(impacts), label, [f"{a:g}°" for a in ANGLES])
         if name in ("wall E 1e+07 e 0.5 mu 0.3", "wall E 7e+10 e 1 mu 0.3"):
             yield curves(name, impacts, at_angles(contact, np.linspace(0.5, 88.0, 60)), rebounds)
@@ -121,7 +115,7 @@ def never_gains() -> Iterator[Check]:
     """Kinetic energy after over before of impacts at 1–89°, the grazing one at 76° with μ = 0.5 among them."""
     angles = np.arange(1.0, 90.0)
     for _, label, contact in _contacts(0.5):
-        gain = np.maximum(0.0, collide(at_angles(contact, angles)).energy - 1.0)
+        gain = np.maximum(0.0, lab.collide(at_angles(contact, angles)).energy - 1.0)
         at, source = [f"{angle:g}°" for angle in angles], "no source of energy"
         yield Check(f"energy gained, {label}", np.zeros(89), gain, 1e-12, source, 1.0, "of energy before", at)
 
