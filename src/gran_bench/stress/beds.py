@@ -77,42 +77,44 @@ def escapes(count: FailureCount) -> tuple[str, ...]:
     return tuple(told)
 
 
-def turning_bed(
-    bench: Bench,
-    scene: str = "drum_small",
-    changes: dict | None = None,
-    then: dict | None = None,
-    speed_rpm: float | None = 30.0,
-    seconds: float = 0.5,
-    time_step: float | None = None,
-    unsafe: bool = False,
-    engine: str = "numba",
-) -> Observation:
-    """A settled bed that is turned.
+BED_UNITS = {
+    "energy": "M(gD+½ω²R²)", "outside": "% of sphere states", "outside_5mm": "% of sphere states", "frames": "frames",
+    "non_finite": "states",
+}  # fmt: skip
 
-    Args:
-        scene, changes, then, speed_rpm: as in `bed_in_place`.
-        seconds: simulated.
-        time_step: s; the solver's choice where null.
-        unsafe: whether a step beyond a fifth of the contact time is let through.
-        engine: of the DEM.
-    """
-    place, bed = bed_in_place(bench, scene, speed_rpm, changes, then)
-    dem, end = DemConfig(engine=engine, time_step=time_step, allow_unsafe_step=unsafe), place.start_time + seconds
-    result = simulate(place, bed, end, dem=dem)
-    count = count_failures(result.trajectory, replace(place, end_time=end))
-    energy, scale = float(kinetic_energy(result.trajectory, place).max()), energy_scale(place, bed)
-    deepest = deepest_overlap(result.trajectory.diagnostics)
-    quantities = {
-        "energy": energy / scale if scale else energy,
+
+def seen_of(trajectory: Trajectory, scene: Scene, bed: ParticleState) -> tuple[dict[str, float], tuple, FloatArray]:
+    """What any trajectory of a bed shows: figures in `BED_UNITS`, flags, and each state's energy in `energy_scale`."""
+    span = max(trajectory.frame_count - 1, 1) * scene.frame_interval
+    count = count_failures(trajectory, replace(scene, end_time=scene.start_time + span))
+    share = kinetic_energy(trajectory, scene) / (energy_scale(scene, bed) or 1.0)
+    finite = share[np.isfinite(share)]
+    figures = {
+        "energy": float(finite.max()) if len(finite) else 0.0,
         "outside": count.share(count.outside_radius),
         "outside_5mm": count.share(count.outside_tolerated),
-        "overlap": deepest / float(2.0 * bed.radius.min()) if bed.count else 0.0,
-        "frames": float(result.trajectory.frame_count),
-        "spheres": float(bed.count),
+        "frames": float(trajectory.frame_count),
         "non_finite": float(count.non_finite_states),
     }
-    return Observation(quantities, (*result.warnings, *escapes(count)))
+    return figures, escapes(count), share
+
+
+def turning_bed(
+    bench: Bench, scene: str = "drum_small", changes: dict | None = None, then: dict | None = None,
+    speed_rpm: float | None = 30.0, seconds: float = 0.5, time_step: float | None = None, unsafe: bool = False,
+) -> Observation:  # fmt: skip
+    """A settled bed (`bed_in_place`) that is turned for some seconds.
+
+    ``time_step`` (s) is the solver's choice where null; ``unsafe`` lets a step beyond a fifth of the contact time pass.
+    """
+    place, bed = bed_in_place(bench, scene, speed_rpm, changes, then)
+    dem = DemConfig(time_step=time_step, allow_unsafe_step=unsafe)
+    result = simulate(place, bed, place.start_time + seconds, dem=dem)
+    figures, flags, _ = seen_of(result.trajectory, place, bed)
+    deepest = deepest_overlap(result.trajectory.diagnostics)
+    overlap = deepest / float(2.0 * bed.radius.min()) if bed.count else 0.0
+    figures |= {"overlap": overlap, "spheres": float(bed.count)}
+    return Observation(figures, (*result.warnings, *flags))
 
 
 def differing(one: ParticleState, other: ParticleState) -> int:
@@ -128,14 +130,13 @@ def farthest(one: FloatArray, other: FloatArray) -> float:
     return float(np.linalg.norm(other - one, axis=1).max())
 
 
-def bit_identical(bench: Bench, what: str, scene: str = "drum_small", frames: int = 10) -> Observation:
-    """Two ways to say the same, which must give the same to the last bit.
+def bit_identical(bench: Bench, what: str, scene: str = "drum_small") -> Observation:
+    """Two ways to say the same, which must give the same to the last bit after ten frames.
 
     Args:
         what: ``threads`` (1, 2 and 4), ``rest`` (0 rpm beside no motion), ``weightless`` (a bed that settles without
             gravity stays where it is put), ``restart`` (from a frame in the middle), ``skin`` (2 and 20 mm).
         scene: shipped one.
-        frames: to run.
     """
     still = shipped_scene(scene)
     if what == "weightless":
@@ -143,7 +144,7 @@ def bit_identical(bench: Bench, what: str, scene: str = "drum_small", frames: in
         put = replace(still.fresh_filling(0), time=still.start_time)
         return Observation({"differing": float(differing(settled_bed(bench, still), put)), "moved": 0.0})
     place, bed = still.at_speed(30.0), settled_bed(bench, still)
-    half, end = (place.start_time + number * place.frame_interval for number in (frames // 2, frames))
+    half, end = (place.start_time + number * place.frame_interval for number in (5, 10))
 
     def final(scene: Scene = place, start: ParticleState = bed, until: float = end, **dem: object) -> ParticleState:
         return simulate(scene, start, until, dem=DemConfig(**dem)).final
@@ -197,21 +198,19 @@ def image(
     return scene, replace(state, **vectors), lambda position: position @ linear
 
 
-def alike(bench: Bench, what: str, scene: str = "drum_small", frames: int = 5) -> Observation:
-    """Two ways that must agree to a stated rounding: positions at the end.
+def alike(bench: Bench, what: str) -> Observation:
+    """Two ways that must agree to a stated rounding: positions after five frames of ``drum_small``.
 
     Args:
         what: ``backwards``, ``turned`` or ``renumbered`` as in `image`, ``float32`` (of the contact forces),
             ``engines`` (numpy beside numba).
-        scene: shipped one.
-        frames: to run.
     """
-    place, bed = bed_in_place(bench, scene, 30.0)
+    place, bed = bed_in_place(bench, "drum_small", 30.0)
     bed = replace(bed, history=ContactHistory.empty())  # both runs begin with contacts that remember nothing
     dems = {"float32": DemConfig(precision="float32"), "engines": DemConfig(engine="numpy")}
     if what not in {*dems, *IMAGES, "renumbered"}:
         raise ValueError(f"with.what={what} is unknown; choose renumbered, {', '.join([*dems, *IMAGES])}")
-    end = place.start_time + frames * place.frame_interval
+    end = place.start_time + 5 * place.frame_interval
     one = simulate(place, bed, end).final.position
     there, start, back = (place, bed, np.asarray) if what in dems else image(what, place, bed)
     other = back(simulate(there, start, end, dem=dems.get(what)).final.position)
@@ -219,13 +218,7 @@ def alike(bench: Bench, what: str, scene: str = "drum_small", frames: int = 5) -
 
 
 BEDS = {
-    "turning_bed": Experiment(
-        turning_bed,
-        {
-            "energy": "M(gD+½ω²R²)", "outside": "% of sphere states", "outside_5mm": "% of sphere states",
-            "overlap": "d", "frames": "frames", "spheres": "spheres", "non_finite": "states",
-        },
-    ),
+    "turning_bed": Experiment(turning_bed, BED_UNITS | {"overlap": "d", "spheres": "spheres"}),
     "bit_identical": Experiment(bit_identical, {"differing": "numbers", "moved": "m"}),
     "alike": Experiment(alike, {"position_off": "m", "moved": "m"}),
-}  # fmt: skip
+}

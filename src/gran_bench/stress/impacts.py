@@ -22,22 +22,12 @@ PHASES = (0.0, 0.3, 0.6, 0.9)  # of a step, when the bodies first touch
 
 
 def impacts(
-    bench: Bench,
-    speeds: list[float],
-    youngs_moduli: list[float],
-    restitutions: list[float],
-    frictions: list[float],
-    against: str = "sphere",
-    radius: float = lab.RADIUS,
-    second_radius: float = lab.RADIUS,
-    steps_per_contact: float = 200.0,
-) -> Observation:
+    bench: Bench, speeds: list[float], youngs_moduli: list[float], restitutions: list[float], frictions: list[float],
+    against: str = "sphere", radius: float = lab.RADIUS, second_radius: float = lab.RADIUS,
+) -> Observation:  # fmt: skip
     """Impacts at six angles and four phases of the step, over all of speeds (m/s), stiffnesses (Pa), e and μ.
 
-    Args:
-        against: ``sphere`` or ``wall``.
-        radius, second_radius: m.
-        steps_per_contact: t_c over the step.
+    ``against`` is ``sphere`` or ``wall``; both radii are in m.
     """
     worst = {"restitution_error": 0.0, "energy_gain": -1.0, "momentum_change": 0.0, "overlap": 0.0}
     angle, phase = (a.ravel() for a in np.meshgrid(ANGLES, PHASES))
@@ -49,7 +39,7 @@ def impacts(
         hits = at_angles(
             lab.on_wall(material, radius) if on_a_wall else lab.on_sphere(material, radius, second_radius), angle, speed
         )
-        found = lab.collide(hits, phase=phase, steps_per_contact=steps_per_contact, stride=10)
+        found = lab.collide(hits, phase=phase, stride=10)
         now = {
             "restitution_error": np.abs(found.normal / hits.normal - e)[straight],
             "energy_gain": found.energy - 1.0,
@@ -68,11 +58,11 @@ def _momentum_change(hits: lab.Impacts, final: ParticleState) -> FloatArray:
     return np.linalg.norm(after - before, axis=1) / np.linalg.norm(before, axis=1)
 
 
-def start_overlap(bench: Bench, overlap: float, restitution: float = 0.5, engine: str = "numba") -> Observation:
+def start_overlap(bench: Bench, overlap: float, restitution: float = 0.5) -> Observation:
     """Two spheres that start with an overlap, of the sum of their radii, and push each other apart."""
     contact, depth = lab.on_sphere(lab.sphere_material(restitution=restitution)), overlap * 2.0 * lab.RADIUS
     state = lab.spheres([[0, 0, 0], [2.0 * lab.RADIUS - depth, 0, 0]])
-    dem = DemConfig(engine=engine, time_step=5e-5, allow_unsafe_step=True)
+    dem = DemConfig(time_step=5e-5, allow_unsafe_step=True)
     result = simulate(lab.laboratory(contact.first.material), state, 0.1, dem=dem)
     stored, kinetic = 0.4 * contact.stiffness * depth**2.5, _moving(result.final)
     return Observation({"energy_released": kinetic / stored if stored else kinetic}, result.warnings)
@@ -83,27 +73,15 @@ def _moving(state: ParticleState) -> float:
     return 0.5 * float(lab.mass_of(state.radius) @ np.square(state.velocity).sum(axis=1))
 
 
-def fast_sphere(
-    bench: Bench,
-    speed: float,
-    against: str,
-    youngs_modulus: float = 1.0e7,
-    time_step: float | None = None,
-    engine: str = "numba",
-) -> Observation:
-    """One sphere shot at another or at a wall through the usual front door, with all its checks.
+def fast_sphere(bench: Bench, speed: float, against: str, time_step: float | None = None) -> Observation:
+    """One sphere shot (m/s) at another or at a wall through the usual front door, with all its checks.
 
-    Args:
-        speed: m/s.
-        against: ``sphere`` or ``wall``.
-        youngs_modulus: E, Pa.
-        time_step: s; the solver's choice where null.
-        engine: of the DEM.
+    ``against`` is ``sphere`` or ``wall``; ``time_step`` (s) is the solver's choice where null.
     """
     count = 1 if against == "wall" else 2
-    scene = lab.laboratory(lab.sphere_material(youngs_modulus, 0.5, 0.3), (lab.FLOOR,) if count == 1 else ())
+    scene = lab.laboratory(lab.sphere_material(lab.SOFT, 0.5, 0.3), (lab.FLOOR,) if count == 1 else ())
     state = lab.spheres([[0.0, 0.0, 0.2], [0.0, 0.0, 0.1]][:count], [[0.0, 0.0, -speed], [0.0, 0.0, 0.0]][:count])
-    dem = DemConfig(engine=engine, time_step=time_step, allow_unsafe_step=True)
+    dem = DemConfig(time_step=time_step, allow_unsafe_step=True)
     result = simulate(replace(scene, frame_interval=2e-5), state, 1e-3, dem=dem)
     deepest, flags = deepest_overlap(result.trajectory.diagnostics) / lab.RADIUS, result.warnings
     if deepest > DEEP:
@@ -123,15 +101,15 @@ def with_nan(state: ParticleState, field: str, particle: int) -> ParticleState:
     return replace(state, **{field: values})
 
 
-def not_a_number(bench: Bench, field: str, engine: str = "numba") -> Observation:
+def not_a_number(bench: Bench, field: str) -> Observation:
     """A state with a NaN in one of its fields, in the middle of a run."""
     scene, state = (
         lab.laboratory(lab.sphere_material()),
         lab.spheres([[0, 0, 0], [0.06, 0, 0]], [[0.1, 0, 0], [0, 0, 0]]),
     )
-    middle = lab.run(scene, state, 1e-4, 100, engine=engine).final
+    middle = lab.run(scene, state, 1e-4, 100).final
     broken = with_nan(replace(middle, history=ContactHistory.empty()), field, 1)
-    return Observation({"overlap": float(lab.run(scene, broken, 1e-4, 100, engine=engine).time_step)})
+    return Observation({"overlap": float(lab.run(scene, broken, 1e-4, 100).time_step)})
 
 
 def verified(bench: Bench, case: str) -> Observation:

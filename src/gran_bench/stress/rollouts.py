@@ -12,20 +12,12 @@ import torch
 from gran_bench.config import BoundaryConfig, TrainConfig
 from gran_bench.config.reading import read_config
 from gran_bench.entry import checked_config, compose
-from gran_bench.metrics.outside import count_failures, distance_outside
+from gran_bench.metrics.outside import distance_outside
 from gran_bench.rollout import Rollout, rollout, step_frames
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import FloatArray, ParticleState
-from gran_bench.stress.beds import (
-    STATE_ARRAYS,
-    bed_in_place,
-    energy_scale,
-    escapes,
-    farthest,
-    image,
-    kinetic_energy,
-)
+from gran_bench.stress.beds import BED_UNITS, bed_in_place, farthest, image, seen_of
 from gran_bench.stress.expectation import Observation
 from gran_bench.stress.experiment import Bench, Experiment
 from gran_bench.stress.impacts import with_nan
@@ -33,21 +25,14 @@ from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.step import FrameState, Surrogate
 
 WILD = 2.0  # M (g D + ½ ω² R²): more kinetic energy than falling and turning can give, with room for a model's errors
-UNITS = {
-    "time_to_failure": "s", "horizon": "s", "outside": "% of sphere states", "outside_5mm": "% of sphere states",
-    "energy": "M(gD+½ω²R²)", "failed_frame": "frames", "non_finite": "states", "frames": "frames",
-}  # fmt: skip
+UNITS = BED_UNITS | {"time_to_failure": "s", "horizon": "s", "failed_frame": "frames"}
 
 
 def model_rollout(
-    bench: Bench,
-    scene: str = "drum",
-    changes: dict | None = None,
-    then: dict | None = None,
-    speed_rpm: float | None = 30.0,
-    frames: int = 400,
-) -> Observation:
-    """Roll the model out from a settled bed of the DEM, for a number of frames; the scene as in `bed_in_place`."""
+    bench: Bench, scene: str = "drum", changes: dict | None = None, then: dict | None = None,
+    speed_rpm: float | None = 30.0, frames: int = 400,
+) -> Observation:  # fmt: skip
+    """Roll the model out from a settled bed of the DEM (`bed_in_place`), for a number of frames."""
     place, bed = bed_in_place(bench, scene, speed_rpm, changes, then)
     return observed(rollout(bench.model, place, bed, frames + 1), place, bed)
 
@@ -59,34 +44,22 @@ def observed(result: Rollout, scene: Scene, start: ParticleState) -> Observation
     energy than falling and turning can give. Bounds hold for the finite states.
     """
     trajectory, frames = result.trajectory, result.trajectory.frame_count
-    place = replace(scene, end_time=scene.start_time + max(frames - 1, 1) * scene.frame_interval)
-    count, scale = count_failures(trajectory, place), energy_scale(place, start)
-    share = kinetic_energy(trajectory, place) / (scale or 1.0)
+    figures, flags, share = seen_of(trajectory, scene, start)
     with np.errstate(invalid="ignore"):
-        outside = np.array([_farthest_out(frame, trajectory.radius, place) for frame in trajectory.position])
+        outside = np.array([_farthest_out(frame, trajectory.radius, scene) for frame in trajectory.position])
         failed = ~np.isfinite(share) | (share > WILD) | (outside > 0.0)
-    finite, flags = share[np.isfinite(share)], [*escapes(count)]
     if result.failed_frame is not None:
-        flags.insert(0, f"failed at frame {result.failed_frame}: not finite")
-    if len(finite) and finite.max() > WILD:
-        flags.append(f"kinetic energy up to {finite.max():.3g} M(gD+½ω²R²)")
-    horizon = place.frame_interval * (frames - 1)
-    until = place.frame_interval * int(np.argmax(failed)) if failed.any() else horizon
+        flags = (f"failed at frame {result.failed_frame}: not finite", *flags)
+    if figures["energy"] > WILD:
+        flags = (*flags, f"kinetic energy up to {figures['energy']:.3g} M(gD+½ω²R²)")
     # A state that is not finite must lie at or after the frame that the rollout itself calls failed.
     told = frames if result.failed_frame is None else result.failed_frame
-    quantities = {
-        "time_to_failure": until,
-        "horizon": horizon,
-        "outside": count.share(count.outside_radius),
-        "outside_5mm": count.share(count.outside_tolerated),
-        "energy": float(finite.max()) if len(finite) else 0.0,
-        "failed_frame": float(told),
-        "non_finite": float(count.non_finite_states),
-        "frames": float(frames),
-    }
-    curves = {"speed_rpm": [place.rotation.speeds_rpm[-1]], "time_to_failure": [until], "horizon": [horizon]}
+    horizon = scene.frame_interval * (frames - 1)
+    until = scene.frame_interval * int(np.argmax(failed)) if failed.any() else horizon
+    figures |= {"time_to_failure": until, "horizon": horizon, "failed_frame": float(told)}
+    curves = {"speed_rpm": [scene.rotation.speeds_rpm[-1]], "time_to_failure": [until], "horizon": [horizon]}
     curves["survived"] = [float(not failed.any())]
-    return Observation(quantities, tuple(flags), curves, int((~np.isfinite(share[:told])).sum()))
+    return Observation(figures, flags, curves, int((~np.isfinite(share[:told])).sum()))
 
 
 def _farthest_out(position: FloatArray, radius: FloatArray, scene: Scene) -> float:
@@ -96,19 +69,14 @@ def _farthest_out(position: FloatArray, radius: FloatArray, scene: Scene) -> flo
 
 
 def untrained_rollout(
-    bench: Bench, model: str, scene: str = "drum_small", speed_rpm: float = 40.0, frames: int = 100, seed: int = 0
+    bench: Bench, model: str, scene: str = "drum_small", speed_rpm: float = 40.0, frames: int = 100
 ) -> Observation:
     """Roll out a model of the default configuration with random weights, which must fail: whether it is seen is tested.
 
-    Args:
-        model: ``contact``, ``radial`` or ``ccnn``.
-        scene: shipped one.
-        speed_rpm: of the drum.
-        frames: to compute.
-        seed: of the weights.
+    ``model`` is ``contact``, ``radial`` or ``ccnn``.
     """
     config = checked_config(compose("train", [f"model={model}"]), TrainConfig)
-    torch.manual_seed(seed)
+    torch.manual_seed(0)
     built = build_model(config.model, read_config(BoundaryConfig, vars(config.boundary)), shipped_scene(scene)).eval()
     return model_rollout(replace(bench, model=built), scene, speed_rpm=speed_rpm, frames=frames)
 
@@ -135,54 +103,49 @@ class Poisoned(Surrogate):
         return self.model(state, scene, time)
 
 
-def model_nan(bench: Bench, frame: int, frames: int = 20, scene: str = "drum_small") -> Observation:
-    """A NaN in the state that the model is given at a frame: it must show from the next one on, and not be cured."""
-    return model_rollout(replace(bench, model=Poisoned(bench.model, frame)), scene, frames=frames)
+def model_nan(bench: Bench, frame: int) -> Observation:
+    """A NaN in the state that the model is given at a frame of twenty: it must show from the next one on, for good."""
+    return model_rollout(replace(bench, model=Poisoned(bench.model, frame)), "drum_small", frames=20)
 
 
-def model_start(bench: Bench, field: str, scene: str = "drum_small") -> Observation:
+def model_start(bench: Bench, field: str) -> Observation:
     """A start state with a NaN in one of its fields."""
-    place, bed = bed_in_place(bench, scene, 30.0)
+    place, bed = bed_in_place(bench, "drum_small", 30.0)
     return observed(rollout(bench.model, place, with_nan(bed, field, 0), 3), place, bed)
 
 
-def model_symmetry(
-    bench: Bench, what: str, scene: str = "drum_small", speed_rpm: float = 40.0, warm: int = 20, frames: int = 1
-) -> Observation:
-    """Transform the state, step, transform back: where is a sphere that should be where it was?
+def model_symmetry(bench: Bench, what: str) -> Observation:
+    """Transform the state, step a frame, transform back: where is a sphere that should be where it was?
+
+    Twenty frames of the model come before, so that the bed moves; a memory, if it has one, begins anew after them.
 
     Args:
         what: ``renumbered``, ``turned`` or ``mirrored`` as in `image`.
-        scene: shipped one.
-        speed_rpm: of the drum.
-        warm: frames of the model before, so that the bed moves; a memory, if it has one, begins anew after them.
-        frames: to compare.
     """
     if what not in ("renumbered", "turned", "mirrored"):
         raise ValueError(f"with.what={what} is unknown; choose renumbered, turned or mirrored")
-    place, bed = bed_in_place(bench, scene, speed_rpm)
-    motion = rollout(bench.model, place, bed, warm + 1).trajectory
+    place, bed = bed_in_place(bench, "drum_small", 40.0)
+    motion = rollout(bench.model, place, bed, 21).trajectory
     spin = np.zeros_like(motion.position) if motion.angular_velocity is None else motion.angular_velocity
     last = (np.asarray(values[-1], np.float64) for values in (motion.position, motion.velocity, spin))
-    state = ParticleState(**dict(zip(STATE_ARRAYS, last, strict=True)), radius=bed.radius, time=float(motion.time[-1]))
+    state = ParticleState(*last, bed.radius, time=float(motion.time[-1]))
     there, changed, back = image(what, place, state)
 
     def ahead(scene: Scene, start: ParticleState) -> FloatArray:
-        (frame,) = islice(step_frames(bench.model, scene, start), frames, frames + 1)
+        _, frame = islice(step_frames(bench.model, scene, start), 2)
         return frame.position.cpu().numpy().astype(np.float64)
 
-    one = ahead(place, state)
-    other = back(ahead(there, changed))
+    one, other = ahead(place, state), back(ahead(there, changed))
     return Observation({"position_off": farthest(one, other), "moved": farthest(state.position, one)})
 
 
-def model_threads(bench: Bench, scene: str = "drum_small", speed_rpm: float = 40.0, frames: int = 20) -> Observation:
-    """One, two and four threads of torch: how many numbers of a rollout differ."""
-    (place, bed), before, runs = bed_in_place(bench, scene, speed_rpm), torch.get_num_threads(), []
+def model_threads(bench: Bench) -> Observation:
+    """One, two and four threads of torch: how many numbers of a rollout over twenty frames differ."""
+    (place, bed), before, runs = bed_in_place(bench, "drum_small", 40.0), torch.get_num_threads(), []
     try:
         for number in (1, 2, 4):
             torch.set_num_threads(number)
-            runs.append(rollout(bench.model, place, bed, frames + 1).trajectory.position)
+            runs.append(rollout(bench.model, place, bed, 21).trajectory.position)
     finally:
         torch.set_num_threads(before)
     off = float(sum((run != runs[0]).sum() for run in runs[1:]))

@@ -20,9 +20,7 @@ from gran_bench.verification.laboratory import SOFT, run
 NUDGE = 1e-9  # m
 
 
-def step_ladder(
-    bench: Bench, steps: list[float], production: float, speed_rpm: float = 30.0, seconds: float = 2.0
-) -> Observation:
+def step_ladder(bench: Bench, steps: list[float], production: float, seconds: float = 2.0) -> Observation:
     """Steps from small to far too large on the paper's drum: error of the centre of mass's angle, and cost.
 
     The smallest step is the reference. The floor is the same error of the reference against itself, nudged by 1e-9 m;
@@ -32,12 +30,11 @@ def step_ladder(
     Args:
         steps: s, from the smallest up.
         production: s, that of the data; one of the steps.
-        speed_rpm: of the drum.
-        seconds: of rotation.
+        seconds: of rotation, at 30 rpm.
     """
     if production not in steps:
         raise ValueError(f"with.production={production:g} is none of with.steps={steps}; choose one of them")
-    scene = shipped_scene("drum").at_speed(speed_rpm)
+    scene = shipped_scene("drum").at_speed(30.0)
     bed, end = settled_bed(bench, scene), scene.start_time + seconds
 
     def angles(step: float, state: ParticleState) -> tuple[FloatArray, float, tuple[str, ...]]:
@@ -68,24 +65,19 @@ def step_ladder(
     return Observation(quantities, tuple(flags), curves, silent)
 
 
-def blow_up(bench: Bench, scene: str = "drum_small", speed_rpm: float = 30.0, seconds: float = 0.5) -> Observation:
-    """The smallest step, of the ladder of those that divide a frame, at which a turning bed diverges or escapes.
+def blow_up(bench: Bench) -> Observation:
+    """The smallest step, of the ladder of those that divide a frame, at which ``drum_small`` diverges or lets escape.
 
-    Every step of the ladder is tried, from small to large, until two in a row end with an error.
-
-    Args:
-        scene: shipped one.
-        speed_rpm: of the drum.
-        seconds: of rotation.
+    Every step of the ladder is tried at 30 rpm, from small to large, until two in a row end with an error.
     """
-    place = shipped_scene(scene).at_speed(speed_rpm)
+    place = shipped_scene("drum_small").at_speed(30.0)
     bed, duration = settled_bed(bench, place), contact_times(place)[0]
     survived, failed, flags = [], [], []
     for count in (50, 35, 25, 20, 16, 14, 12, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1):
         step = place.frame_interval / count
         dem = DemConfig(time_step=step, allow_unsafe_step=True)
         try:
-            simulate(place, bed, place.start_time + seconds, dem=dem)
+            simulate(place, bed, place.start_time + 0.5, dem=dem)
             survived.append(step)
         except SimulationError as error:
             failed.append(step)
