@@ -47,7 +47,12 @@ def test_spheres_of_two_densities_keep_their_momentum_and_part_as_set():
     assert rebounds.energy == pytest.approx(1.0 - lost, abs=2e-3)
 
 
-@pytest.mark.parametrize("name", [case.name for case in CASES if case.quick])
+SLOW = ("chung-ooi-5",)  # half a minute of differential equations; the others of its kind stay
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(c.name, marks=[pytest.mark.slow] * (c.name in SLOW)) for c in CASES if c.quick]
+)
 def test_case(name):
     outcome = run_case(BY_NAME[name])
     assert outcome.failure is None

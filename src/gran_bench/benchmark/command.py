@@ -157,22 +157,11 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
     own = scores[automatic.name].floors if automatic.name in scores else None
     beside = {one["round"]: one["wall_seconds"] / automatic.seconds for one in records[automatic.name].turns}
     rows = [kept.method_row(m, records.get(m.name), scores.get(m.name), beside) for m in methods]
-    return {
-        "format": kept.FORMAT,
-        "scene": scene.name,
-        "profile": profile.name,
-        "spheres": scene.filling.count,
-        "simulated_seconds": scene.end_time - scene.start_time,
-        "motion": rotation_label(scene),
-        "modulus": scene.material.youngs_modulus,
-        "rounds": profile.rounds,
-        "automatic": contest.automatic,
-        "reference": kept.reference_facts(reference, config.dataset.replicas, profile.judged_rounds, own),
-        "methods": rows,
-        "waited": kept.share_waited(rows),
-        **studies,
-        "provenance": provenance(),
-    }
+    facts = {"format": kept.FORMAT, "scene": scene.name, "profile": profile.name, "spheres": scene.filling.count}
+    facts |= {"simulated_seconds": scene.end_time - scene.start_time, "motion": rotation_label(scene)}
+    facts |= {"modulus": scene.material.youngs_modulus, "rounds": profile.rounds, "automatic": contest.automatic}
+    facts["reference"] = kept.reference_facts(reference, config.dataset.replicas, profile.judged_rounds, own)
+    return facts | {"methods": rows, "waited": kept.share_waited(rows), **studies, "provenance": provenance()}
 
 
 def _tell(line: str) -> None:

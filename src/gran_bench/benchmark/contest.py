@@ -153,9 +153,8 @@ class Contest:
         automatic, _ = choose_time_step(scene)
         for multiple in multiples:
             step = dividing_step(scene.frame_interval, multiple * automatic)
-            dem = replace(
-                self.config.dem, time_step=step, threads=1, precision=precision, allow_unsafe_step=True, engine="numba"
-            )
+            dem = replace(self.config.dem, time_step=step, threads=1, engine="numba")
+            dem = replace(dem, precision=precision, allow_unsafe_step=True)
             words = [f"DEM {1e3 * step:.3g} ms"]
             words += [f"E = {modulus:.0e} Pa".replace("e+0", "e")] if modulus is not None else []
             words += ["float32"] if precision == "float32" else []
@@ -207,15 +206,10 @@ class Contest:
         config, profile = self.config.scene, self.config.profile
         more = config.filling.diameter if count < config.filling.count else 0.0
         length = config.container.length * count / config.filling.count + more
-        scene = build_scene(
-            replace(
-                config,
-                name=f"{config.name}_{count}",
-                container=replace(config.container, length=length),
-                filling=replace(config.filling, count=count),
-                end_time=config.start_time + profile.study_frames * config.frame_interval,
-            )
-        )
+        end = config.start_time + profile.study_frames * config.frame_interval
+        container, filling = replace(config.container, length=length), replace(config.filling, count=count)
+        changed = replace(config, name=f"{config.name}_{count}", container=container, filling=filling, end_time=end)
+        scene = build_scene(changed)
         return CaseSpec(scene.at_speed(self.rpm), self.config.dem, self.config.dataset.unseen_packing_seed)
 
 

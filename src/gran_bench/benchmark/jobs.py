@@ -82,12 +82,9 @@ def _interpolated(rpm: float, training: dict[float, TrajectorySummary]) -> Outco
 
 def with_modulus(scene: Scene, modulus: float) -> Scene:
     """The same scene with another Young's modulus (Pa) of every material, walls included."""
-    return replace(
-        scene,
-        material=replace(scene.material, youngs_modulus=modulus),
-        wall_material=replace(scene.wall_material, youngs_modulus=modulus),
-        more_materials=tuple(replace(material, youngs_modulus=modulus) for material in scene.more_materials),
-    )
+    materials = (scene.material, scene.wall_material, *scene.more_materials)
+    first, wall, *more = (replace(material, youngs_modulus=modulus) for material in materials)
+    return replace(scene, material=first, wall_material=wall, more_materials=tuple(more))
 
 
 def _dem(scene: Scene, bed: ParticleState, dem: DemConfig, stages: list[float]) -> Run:

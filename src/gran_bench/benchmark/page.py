@@ -10,17 +10,8 @@ from typing import Any
 
 import pandas as pd
 
-from gran_bench.benchmark.claims import (
-    Entry,
-    EqualAccuracy,
-    best_in_time,
-    crossing,
-    equal_accuracy,
-    fastest_rival,
-    not_told_apart,
-    paid_back,
-    speed_up,
-)
+from gran_bench.benchmark import claims
+from gran_bench.benchmark.claims import Entry, EqualAccuracy
 from gran_bench.benchmark.results import SPREAD, entries, read_all, succeeded
 from gran_bench.files import write_atomically, write_part
 from gran_bench.plots.time_error import frontier
@@ -61,9 +52,10 @@ def table_of(found: Found) -> pd.DataFrame:
         flat |= {"reason": row["unfit_because"] or row["failure"], "on_frontier": row["name"] in front}
         flat |= {f"seconds_{name}": (row["wall"] or {}).get(name) for name in SPREAD}
         flat |= {f"relative_{name}": (row["relative"] or {}).get(name) for name in SPREAD}
-        flat |= {name: row[name] for name in ("cpu_seconds", "peak_bytes", "own_bytes")}
-        flat |= {name: row[name] for name in ("data_seconds", "training_seconds")}
-        flat |= {"break_even_seconds": paid_back(equal_accuracy(entry, every, accepted)) if spent else None}
+        names = ("cpu_seconds", "peak_bytes", "own_bytes", "data_seconds", "training_seconds")
+        flat |= {name: row[name] for name in names}
+        beside = claims.equal_accuracy(entry, every, accepted) if spent else None
+        flat["break_even_seconds"] = beside and claims.paid_back(beside)
         flat |= {name: row[name] for name in ("floors", "floors_low", "floors_high", "by", "outside")}
         for key, error in ((row["judgement"] or {}).get("errors") or {}).items():
             unit = error["unit"].replace("/", "_per_")
@@ -131,9 +123,9 @@ def winner(found: Found) -> str:
     perhaps, word = [entry for entry in every if entry in sound and entry.least <= accepted < entry.floors], "P"
     said = "No method has the DEM's own accuracy"
     if exact:
-        first, rival = exact[0], fastest_rival(every, accepted, accepted)
-        same, word = not_told_apart(first, exact), "Faster and p"
-        perhaps = [entry for entry in perhaps if speed_up(first, entry).high < 1.0]
+        first, rival = exact[0], claims.fastest_rival(every, accepted, accepted)
+        same, word = claims.not_told_apart(first, exact), "Faster and p"
+        perhaps = [entry for entry in perhaps if claims.speed_up(first, entry).high < 1.0]
         said = f"Fastest of the DEM's own accuracy ({accepted:.2f} floors){', not told apart' * (len(same) > 1)}: "
         said += "; ".join(f"**{entry.name}** ({_cost(entry)})" for entry in same)
         if rival is not None and rival not in same:
@@ -160,7 +152,7 @@ def verdicts(found: Found) -> Iterator[str]:
         elif entry is None:
             yield f"{name} failed: {row['failure']}."
         else:
-            beside, quick = equal_accuracy(entry, every, accepted), best_in_time(every, entry.seconds)
+            beside, quick = claims.equal_accuracy(entry, every, accepted), claims.best_in_time(every, entry.seconds)
             place = f"it is{'' if entry.name in front else ' not'} on the frontier"
             said = f"{name}: {entry.floors:.2f} floors in {_time(entry.seconds)} a simulated second; {place}."
             in_time = "No DEM of the ladder is as fast."
@@ -183,7 +175,7 @@ def _equal_accuracy(beside: EqualAccuracy) -> str:
 
 
 def _verdict(entry: Entry, rival: Entry) -> str:
-    ratio = speed_up(entry, rival)
+    ratio = claims.speed_up(entry, rival)
     if not ratio.decides:
         return "neither is faster: the ranges overlap"
     if ratio.middle > 1.0:
@@ -192,7 +184,7 @@ def _verdict(entry: Entry, rival: Entry) -> str:
 
 
 def _paid(beside: EqualAccuracy) -> str:
-    entry, seconds = beside.entry, paid_back(beside)
+    entry, seconds = beside.entry, claims.paid_back(beside)
     spent = f"{entry.data_seconds:.0f} s of data and {entry.training_seconds:.0f} s of training"
     if seconds is None:
         return f"It took {spent}."
@@ -210,7 +202,7 @@ def equal_accuracy_words(beside: EqualAccuracy) -> str:
         return "no DEM is as exact"
     if beside.faster in ("undecided", "neither"):
         return "neither is faster" if beside.faster == "neither" else "undecided"
-    ratio = speed_up(beside.entry, rival).middle
+    ratio = claims.speed_up(beside.entry, rival).middle
     who, times = (rival.name, 1 / ratio) if ratio < 1.0 else ("the surrogate", ratio)
     return f"{who} is {times:.2g} times as fast"
 
@@ -218,7 +210,7 @@ def equal_accuracy_words(beside: EqualAccuracy) -> str:
 def softened(found: Found) -> Entry | None:
     """The fastest DEM of the DEM's own accuracy; None where there is none, or that accuracy is not known."""
     accepted = found["reference"]["accepted"]
-    return None if accepted is None else fastest_rival(entries(found), accepted, accepted)
+    return None if accepted is None else claims.fastest_rival(entries(found), accepted, accepted)
 
 
 def stiffness_sentences(found: Found) -> Iterator[str]:
@@ -234,7 +226,7 @@ def stiffness_sentences(found: Found) -> Iterator[str]:
         level = points[0]["wall"]["median"]
         for label, words in (("largest", LARGEST), ("automatic", AUTOMATIC)):
             costs = {point["at"]: point["wall"]["median"] for point in study[label] if succeeded(point)}
-            at = crossing([*costs], [*costs.values()], level) if costs else None
+            at = claims.crossing([*costs], [*costs.values()], level) if costs else None
             where = "at no stiffness that was timed" if at is None else f"from {_modulus(at)} on"
             yield f"- **{name}** ({_time(level)} a simulated second) takes less time than {words} {where}."
         yield (

@@ -60,30 +60,21 @@ def method_row(
     turns, seconds = record.turns if record else [], method.seconds
     wall = [turn["wall_seconds"] / seconds for turn in turns]
     ratios = [t / beside[turn["round"]] for t, turn in zip(wall, turns, strict=True) if turn["round"] in beside]
-    row: dict[str, Any] = {
-        "name": method.name,
-        "kind": method.kind,
-        "unfit_because": method.unfit_because,
-        "data_seconds": method.data_seconds,
-        "training_seconds": method.training_seconds,
-        "simulated_seconds": seconds,
-        "failure": record.failure if record else "",
-        "failed_seconds": record.failed_seconds if record else None,  # its place in the figure
-        "wall": spread(wall),
-        "relative": spread(ratios),
-        "cpu_seconds": float(np.median([turn["cpu_seconds"] for turn in turns])) / seconds if turns else None,
-        "peak_bytes": max((turn["peak_bytes"] for turn in turns), default=None),
-        "own_bytes": max((turn["own_bytes"] for turn in turns), default=None),
-        "floors": scored and scored.floors,
-        "floors_low": scored and scored.low,
-        "floors_high": scored and scored.high,
-        "by": scored.by if scored else "",
-        "outside": scored.outside if scored else 0,
-        "judgement": scored and scored.judgement,
-    }
-    lost = f"{row['outside']} spheres left the container" if row["outside"] else ""
-    row["failure"] = row["failure"] or (scored.reason if scored else "") or lost
-    return row | {"failed": bool(row["failure"])}
+    names = ("name", "kind", "unfit_because", "data_seconds", "training_seconds")
+    spent = {name: getattr(method, name) for name in names}
+    spent |= {"simulated_seconds": seconds, "failure": record.failure if record else ""}
+    spent |= {"failed_seconds": record.failed_seconds if record else None, "wall": spread(wall)}
+    spent |= {"relative": spread(ratios), "cpu_seconds": None}
+    if turns:
+        spent["cpu_seconds"] = float(np.median([turn["cpu_seconds"] for turn in turns])) / seconds
+    spent |= {key: max((turn[key] for turn in turns), default=None) for key in ("peak_bytes", "own_bytes")}
+    found = {"floors": None, "floors_low": None, "floors_high": None, "by": "", "outside": 0, "judgement": None}
+    if scored is not None:
+        found = {"floors": scored.floors, "floors_low": scored.low, "floors_high": scored.high, "by": scored.by}
+        found |= {"outside": scored.outside, "judgement": scored.judgement}
+        lost = f"{scored.outside} spheres left the container" if scored.outside else ""
+        spent["failure"] = spent["failure"] or scored.reason or lost
+    return spent | found | {"failed": bool(spent["failure"])}
 
 
 def study_rows(points: Study, records: dict[str, Record]) -> dict[str, list[dict]]:
@@ -115,15 +106,11 @@ def reference_facts(reference: Reference, replicas: int, runs: int, automatic: f
         Plain data; ``noise`` and ``accepted`` are None where there are too few replicas.
     """
     noise = reference.noise(runs)
-    return {
-        "replicas": replicas,
-        "judged_runs": runs,
-        "own": reference.own,
-        "noise": noise,
-        # Where a bed comes to rest, nudges hardly grow, and the step of the DEM counts for more than its noise.
-        "accepted": None if noise is None else max(noise, automatic or 0.0),
-        "ranked": [{"key": row.key, "label": row.label, "unit": row.unit} for row in reference.ranked],
-    }
+    # Where a bed comes to rest, nudges hardly grow, and the step of the DEM counts for more than its noise.
+    accepted = None if noise is None else max(noise, automatic or 0.0)
+    ranked = [{"key": row.key, "label": row.label, "unit": row.unit} for row in reference.ranked]
+    facts = {"replicas": replicas, "judged_runs": runs, "own": reference.own, "noise": noise}
+    return facts | {"accepted": accepted, "ranked": ranked}
 
 
 def judged_anew(found: dict[str, Any], reference: Reference, replicas: int) -> dict[str, Any]:

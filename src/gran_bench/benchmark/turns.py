@@ -53,16 +53,11 @@ def nudge_seed(seed: int, index: int) -> int:
 
 
 def take_turns(
-    methods: Sequence[Method],
-    rounds: int,
-    seed: int,
-    folder: Path,
-    conditions: Sequence[str],
-    frame_interval: float,
+    methods: Sequence[Method], rounds: int, seed: int, folder: Path, conditions: Sequence[str], frame_interval: float,
     wants_frames: Callable[[Method, Path, int], bool] = lambda method, folder, index: False,
     after_round: Callable[[int, dict[str, Path]], None] = lambda index, folders: None,
     label: str = "timing",
-) -> dict[str, Record]:
+) -> dict[str, Record]:  # fmt: skip
     """Run every method once a round, and keep what was measured.
 
     Args:

@@ -41,18 +41,7 @@ BOUND = {"quantity": str, "unit": str, "at_most": float, "at_least": float}
 
 @dataclass(frozen=True)
 class StressCase:
-    """One row of the list.
-
-    Attributes:
-        name: of the case.
-        kind: of the experiment.
-        expectation: written before it runs.
-        parameters: of the experiment.
-        short: whether the short list has it.
-        models: that it is for; empty for every one.
-        known: what is known of a failure that is not mended yet; it still fails.
-        part: the list that it stands in.
-    """
+    """One row of a list, with the keys that it has there (``with`` as parameters), and the list as its part."""
 
     name: str
     kind: str

@@ -39,12 +39,6 @@ class Expectation:
     - ``error``: it is refused or stops with an error of this class that holds these words.
     - ``flagged``: it may fail, but not silently: it ends without an error, every bound holds for what it did up to
       its failure, and each failure stands among its flags, of which some hold these words.
-
-    Attributes:
-        form: ``met``, ``error`` or ``flagged``.
-        bounds: of ``met`` and ``flagged``.
-        error: name of the exception's class.
-        says: words that the error, or the flags, must hold.
     """
 
     form: str

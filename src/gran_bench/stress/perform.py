@@ -44,17 +44,11 @@ def perform(kind: str, parameters: Mapping[str, Any], checkpoint: str, shared: s
         return Failure(type(error).__name__, str(error).replace(shared, "…"))
 
 
-def to_document(outcome: Outcome) -> dict[str, Any]:
-    """An outcome as plain data."""
-    return {"observation" if isinstance(outcome, Observation) else "failure": asdict(outcome)}
-
-
 def outcome_of(document: Mapping[str, Any]) -> Outcome:
-    """The outcome that plain data describe."""
-    if "failure" in document:
-        return Failure(**document["failure"])
-    seen = Observation(**document["observation"])
-    return replace(seen, flags=tuple(seen.flags))
+    """The outcome that plain data (`asdict`) describe."""
+    if "error" in document:
+        return Failure(**document)
+    return Observation(**document | {"flags": tuple(document["flags"])})
 
 
 def model_words(path: Path) -> tuple[str, str]:
@@ -81,4 +75,4 @@ def _model(checkpoint: str) -> Surrogate:
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    serve(lambda task: to_document(perform(**task)))
+    serve(lambda task: asdict(perform(**task)))

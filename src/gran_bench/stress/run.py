@@ -10,7 +10,7 @@ import shutil
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.resources import files
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from gran_bench.files import write_text
 from gran_bench.provenance.source_digest import source_digest
 from gran_bench.stress.case_list import StressCase
 from gran_bench.stress.expectation import Outcome, verdict
-from gran_bench.stress.perform import EXPERIMENTS, model_words, outcome_of, perform, to_document
+from gran_bench.stress.perform import EXPERIMENTS, model_words, outcome_of, perform
 from gran_bench.surrogate.checkpoint import file_digest
 from gran_bench.workers import Worker
 
@@ -29,25 +29,15 @@ KEPT, SHARED = "kept", "beds"
 
 @dataclass
 class Errand:
-    """A case for the DEM or for one model, and what came of it once it is carried out.
-
-    Attributes:
-        case: which.
-        checkpoint: model file; empty for the DEM.
-        model: its label.
-        file: where the outcome is kept until the whole run ends.
-        outcome: what it showed.
-        seconds: wall time, s.
-        kept: whether it is from an earlier, interrupted run.
-    """
+    """A case for the DEM or for one model, and what came of it once it is carried out."""
 
     case: StressCase
-    checkpoint: str
-    model: str
-    file: Path
+    checkpoint: str  # model file; empty for the DEM
+    model: str  # its label
+    file: Path  # where the outcome is kept until the whole run ends
     outcome: Outcome | None = None
-    seconds: float = 0.0
-    kept: bool = False
+    seconds: float = 0.0  # wall time
+    kept: bool = False  # whether it is from an earlier, interrupted run
 
     @property
     def name(self) -> str:
@@ -139,13 +129,13 @@ def forget(folder: Path) -> None:
 def _carry_out(errand: Errand, shared: str, worker: Worker | None, patience: float) -> None:
     case, began = errand.case, time.perf_counter()
     if errand.file.exists():
-        answer, errand.kept = json.loads(errand.file.read_text("utf-8")), True
+        (answer, errand.seconds), errand.kept = json.loads(errand.file.read_text("utf-8")), True
     else:
         task = {"kind": case.kind, "parameters": case.parameters, "checkpoint": errand.checkpoint, "shared": shared}
-        answer = to_document(perform(**task)) if worker is None else worker.ask(task, patience)
-        answer["seconds"] = time.perf_counter() - began
+        answer = asdict(perform(**task)) if worker is None else worker.ask(task, patience)
+        errand.seconds = time.perf_counter() - began
         if "died" in answer:  # it gets another chance in the next run
-            answer["failure"] = {"error": "Hang" if answer["late"] else "Crash", "message": answer["died"]}
+            answer = {"error": "Hang" if answer["late"] else "Crash", "message": answer["died"]}
         else:
-            write_text(errand.file, json.dumps(answer) + "\n")
-    errand.outcome, errand.seconds = outcome_of(answer), answer["seconds"]
+            write_text(errand.file, json.dumps([answer, errand.seconds]) + "\n")
+    errand.outcome = outcome_of(answer)

@@ -19,11 +19,10 @@ MET, FAILED, REFUSED, INTERRUPTED = 0, 1, 2, 130
 FOLDER = Path("results/verification")
 
 
-def run(
-    draw: Callable[[Sequence[Outcome], Path], object],
-    words: Sequence[str] | None = None,
-    cases: Sequence[Case] = CASES,
-) -> int:
+Draw = Callable[[Sequence[Outcome], Path], object]
+
+
+def run(draw: Draw, words: Sequence[str] | None = None, cases: Sequence[Case] = CASES) -> int:
     """Verify the DEM; print a table with the worst point of each quantity, and write a page.
 
     Args:

@@ -48,15 +48,10 @@ def on_sphere(
 
 
 def laboratory(
-    material: Material,
-    walls: tuple[Wall, ...] = (),
-    *,
-    wall_material: Material | None = None,
-    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    rpm: float | None = None,
-    radius: float = RADIUS,
+    material: Material, walls: tuple[Wall, ...] = (), *, wall_material: Material | None = None,
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0), rpm: float | None = None, radius: float = RADIUS,
     second: Material | None = None,
-) -> Scene:
+) -> Scene:  # fmt: skip
     """A scene with these walls and nothing else.
 
     Args:
@@ -158,12 +153,9 @@ class Rebounds:
 
 
 def collide(
-    impacts: Impacts,
-    *,
-    steps_per_contact: float = STEPS_PER_CONTACT,
-    phase: FloatArray | float = 0.0,
+    impacts: Impacts, *, steps_per_contact: float = STEPS_PER_CONTACT, phase: FloatArray | float = 0.0,
     stride: int | None = None,
-) -> Rebounds:
+) -> Rebounds:  # fmt: skip
     """Let all impacts happen side by side in one run, long enough for the slowest to part.
 
     Args:

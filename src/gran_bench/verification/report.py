@@ -61,13 +61,8 @@ def write_report(outcomes: Sequence[Outcome], folder: Path, provenance: dict[str
         provenance: where the result comes from.
         subset: what was left out, in words; empty for the whole suite.
     """
-    record = {
-        "provenance": provenance,
-        "verdict": verdict(outcomes),
-        "met": all(outcome.met for outcome in outcomes),
-        "subset": subset,
-        "cases": [_record(outcome) for outcome in outcomes],
-    }
+    record = {"provenance": provenance, "verdict": verdict(outcomes), "met": all(o.met for o in outcomes)}
+    record |= {"subset": subset, "cases": [_record(outcome) for outcome in outcomes]}
     write_text(folder / JSON, json.dumps(record, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n")
     write_page(folder)
 
