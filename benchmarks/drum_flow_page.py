@@ -5,14 +5,15 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy import stats
 
 from gran_bench.metrics.summary import STEADY_FROM
 from gran_bench.provenance import read_table, stamp
 from gran_bench.state import FloatArray
-from gran_bench.verification.agreement import difference_of, mean_of
 
 OURS = "gran-bench"
 THEIRS, SAME_LAW, FULL_RADIUS = "LAMMPS", "LAMMPS, gran-bench's law", f"{OURS}, LAMMPS' slip"
@@ -24,6 +25,12 @@ NAME = "drum_flow"
 Bounds = dict[float, tuple[tuple[float, float], ...]]  # by speed: (middle, half width) of each quantity
 Flow = dict[int, tuple[float, float]]  # by packing: steady angle in degrees, steady speed in m/s
 Samples = dict[tuple[str, float], Flow]  # by code and speed
+
+
+def interval(test: Any) -> tuple[float, float]:
+    """Middle and half width of the 95 % interval of a mean, or of a difference of two, by Student or Welch."""
+    low, high = test.confidence_interval(0.95)
+    return 0.5 * (low + high), 0.5 * (high - low)
 
 
 def columns(flow: Flow) -> tuple[FloatArray, FloatArray]:
@@ -63,8 +70,8 @@ def part(path: Path) -> str:
     heads = " | ".join(f"{name}, {unit}" for _, name, unit, _ in QUANTITIES)
     lines = [f"| rpm | code | packings | {heads} |", "|---:|---|---:|---:|---:|"]
     for (code, rpm), flow in samples.items():
-        means = zip(QUANTITIES, map(mean_of, columns(flow)), strict=True)
-        cells = [f"{mean.middle:.{digits}f} ± {mean.half_width:.{digits}f}" for (*_, digits), mean in means]
+        means = zip(QUANTITIES, (interval(stats.ttest_1samp(values, 0.0)) for values in columns(flow)), strict=True)
+        cells = [f"{middle:.{digits}f} ± {half:.{digits}f}" for (*_, digits), (middle, half) in means]
         lines.append(f"| {rpm:g} | {code} | {len(flow)} | {' | '.join(cells)} |")
     for rpm, bound in bounds.items():
         cells = " | ".join(f"{middle:g} ± {half:g}" for middle, half in bound)
@@ -72,9 +79,9 @@ def part(path: Path) -> str:
     lines += ["", f"| rpm | of | minus | {heads} | more than chance |", "|---:|---|---|---:|---:|---|"]
     for one, code, rpm in compared_flows(samples):
         pairs = zip(columns(samples[one, rpm]), columns(samples[code, rpm]), strict=True)
-        apart = [difference_of(ours, theirs) for ours, theirs in pairs]
-        cells = [f"{d.middle:+.{q[3]}f} ± {d.half_width:.{q[3]}f}" for q, d in zip(QUANTITIES, apart, strict=True)]
-        sure = [q[0] for q, d in zip(QUANTITIES, apart, strict=True) if abs(d.middle) > d.half_width]
+        apart = [interval(stats.ttest_ind(ours, theirs, equal_var=False)) for ours, theirs in pairs]
+        cells = [f"{d:+.{q[3]}f} ± {half:.{q[3]}f}" for q, (d, half) in zip(QUANTITIES, apart, strict=True)]
+        sure = [q[0] for q, (d, half) in zip(QUANTITIES, apart, strict=True) if abs(d) > half]
         lines.append(f"| {rpm:g} | {one} | {code} | {' | '.join(cells)} | {' and '.join(sure) or 'no'} |")
     lines += [
         "",

@@ -11,7 +11,7 @@ import pytest
 from benchmark_records import row
 
 from gran_bench.benchmark import command
-from gran_bench.benchmark.page import part_text, table_of
+from gran_bench.benchmark.page import part_text, table_of, verdicts, winner
 from gran_bench.benchmark.results import (
     FORMAT,
     RESULTS,
@@ -23,7 +23,6 @@ from gran_bench.benchmark.results import (
     share_waited,
     untimed,
 )
-from gran_bench.benchmark.sentences import verdicts, winner
 
 found = benchmark_records.found
 

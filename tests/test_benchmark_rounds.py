@@ -5,59 +5,51 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-import tempfile
 
 import numpy as np
 import pytest
 
+from gran_bench import workers
 from gran_bench.benchmark import command, turns
-from gran_bench.benchmark.crew import ask
-from gran_bench.benchmark.errors import noise_bound
-from gran_bench.benchmark.method import Method
-from gran_bench.benchmark.pooling import pooled_judgement
+from gran_bench.benchmark.contest import Method
+from gran_bench.benchmark.errors import noise_bound, pooled_judgement
 
 
 @pytest.fixture
-def worker_that():
-    """Starts processes that do what a line of Python says once they are asked."""
-    started = []
+def worker_that(monkeypatch):
+    """Makes workers whose process does what a line of Python says once it is asked."""
+    made = []
 
-    def start(does: str) -> subprocess.Popen:
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        complaints = tempfile.TemporaryFile()  # noqa: SIM115 (lives as long as its worker)
-        code = f"import sys, time; sys.stdin.readline(); {does}"
-        started.append(subprocess.Popen([sys.executable, "-S", "-c", code], stderr=complaints, **pipes))
-        started[-1].complaints = complaints
-        return started[-1]
+    def make(does: str) -> workers.Worker:
+        def start(module: str, environment: dict, **pipes) -> subprocess.Popen:
+            code = f"import sys, time; sys.stdin.readline(); {does}"
+            return subprocess.Popen([sys.executable, "-S", "-c", code], start_new_session=True, **pipes)
 
-    yield start
-    for worker in started:
-        worker.kill()
-        worker.communicate()
-        worker.complaints.close()
+        monkeypatch.setattr(workers, "start_module", start)
+        made.append(workers.Worker("none"))
+        return made[-1]
 
-
-def test_a_method_that_never_returns_is_a_failed_run_and_its_process_is_ended(worker_that):
-    worker = worker_that("time.sleep(60)")
-    assert ask(worker, {"round": 0}, patience=0.2) == {"died": "no end within 0.2 s"}
-    assert worker.wait(10) < 0
+    yield make
+    for worker in made:
+        worker.end()
 
 
 @pytest.mark.parametrize(
     ("does", "words"),
     [
+        ("time.sleep(60)", "no end within 2 s"),
         ("print('{\"wall_sec', end='')", "ended with status 0"),
         ("print('{\"wall_sec', end='', flush=True); sys.exit('out of memory')", "out of memory"),
         ("print('{\"wall_sec')", "no line of JSON"),
         ("sys.stdout.flush(); import os; os.kill(os.getpid(), 9)", "signal 9"),
     ],
 )
-def test_a_part_of_an_answer_is_a_failed_run(worker_that, does, words):
-    assert words in ask(worker_that(does), {"round": 0})["died"]
+def test_a_method_that_never_returns_or_gives_a_part_of_an_answer_is_a_failed_run(worker_that, does, words):
+    assert words in worker_that(does).ask({"round": 0}, patience=2.0)["died"]
 
 
 def test_an_answer_in_time_is_taken(worker_that):
-    assert ask(worker_that("print('{\"ready\": true}')"), {"job": {}}) == {"ready": True}
+    assert worker_that("print('{\"ready\": true}')").ask({"job": {}}, patience=60.0) == {"ready": True}
 
 
 class Echo:
@@ -66,7 +58,13 @@ class Echo:
     def __init__(self) -> None:
         self.nudges: list[int] = []
 
-    def __call__(self, worker: object, request: dict) -> dict:
+    def __call__(self, module: str) -> Echo:
+        return self
+
+    def end(self) -> None:
+        pass
+
+    def ask(self, request: dict, patience: float) -> dict:
         self.nudges += [request["nudge_seed"]] if "keep" in request else []
         turn = {"wall_seconds": 1.0, "cpu_seconds": 1.0, "peak_bytes": 1, "own_bytes": 1}
         return turn if "keep" in request else {"ready": True}
@@ -75,7 +73,7 @@ class Echo:
 def test_two_seeds_give_rounds_that_start_from_nudges_of_their_own(tmp_path, monkeypatch):
     nudges = {}
     for seed in (0, 1):
-        monkeypatch.setattr(turns, "ask", echo := Echo())
+        monkeypatch.setattr(turns, "Worker", echo := Echo())
         method = Method("net", "surrogate", {}, 1.0)
         turns.take_turns([method], 3, seed, tmp_path, [f"seed {seed}"], frame_interval=0.1)
         nudges[seed] = echo.nudges

@@ -18,7 +18,7 @@ PARENT = """
 import subprocess, sys, time
 from gran_bench.processes import start_module, start_program
 sleep = [sys.executable, "-c", "import time; time.sleep(300)"]
-children = [start_program(sleep), start_module("gran_bench.benchmark.worker", stdin=subprocess.PIPE)]
+children = [start_program(sleep), start_module("gran_bench.benchmark.jobs", stdin=subprocess.PIPE)]
 print(*(child.pid for child in children), flush=True)
 {ending}
 """

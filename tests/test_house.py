@@ -32,7 +32,7 @@ MODULES = sorted(path for path in SOURCE.rglob("*.py") if path.name != "__init__
 
 # A module may import from rooms before its own.
 ROOMS = [
-    *("cache_folders", "files", "config", "provenance", "processes"),
+    *("cache_folders", "files", "config", "provenance", "processes", "workers"),
     *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses"),
     *("metrics", "baselines", "trainer", "evaluation", "plots", "export", "tracking", "run", "compose"),
     *("sweep", "compare", "shipped", "entry", "benchmark", "stress", "report"),

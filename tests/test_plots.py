@@ -34,9 +34,9 @@ from gran_bench.plots import (
     time_against_error,
 )
 from gran_bench.plots.case_card import default_title
+from gran_bench.plots.hopper_discharge import HopperDischarge
 from gran_bench.plots.spheres import draw_spheres, halved, shaded, view_along_axis
 from gran_bench.shipped import shipped_scene
-from gran_bench.verification.hopper_discharge import HopperDischarge
 
 SCENE = replace(drum(end_time=2.6), frame_interval=0.1)
 
@@ -360,7 +360,7 @@ def test_any_scene_can_be_drawn_cut_open(tmp_path, texts, name):
 
 def test_the_discharge_is_drawn_with_both_exponents(tmp_path, texts):
     opening = np.array([0.09, 0.12, 0.15, 0.18])
-    result = HopperDischarge(opening + 0.028, 1e3 * opening**2.4, 10 * opening**2.5, 2.4, 0.03, 0.6, 0.02, 1450.0)
+    result = HopperDischarge(opening + 0.028, 1e3 * opening**2.4, 10 * opening**2.5, 2.4, 0.03, 0.6, 0.02, 1450.0, 1.4)
     draw_discharge(tmp_path / "flow.png", result)
     assert any("exponent 2.5, C = 0.600" in text for text in texts)
     assert any("exponent 2.400 ± 0.030" in text for text in texts)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from gran_bench.verification.hopper_discharge import bulk_density, discharge, hopper, power_law
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from hopper_discharge import bulk_density, discharge, hopper, power_law
 
 
 def test_the_exponent_of_an_exact_law_is_found_without_error():

@@ -16,7 +16,7 @@ import gran_bench.verification.impact_theory
 import gran_bench.verification.theory
 from gran_bench.dem import contact, engine_numpy
 from gran_bench.plots.verification import draw_verification
-from gran_bench.verification import CASES, Case, Check, Findings, run_case
+from gran_bench.verification import CASES, Case, Check, run_case
 from gran_bench.verification.command import FAILED, MET, REFUSED, run
 from gran_bench.verification.laboratory import (
     Impacts,
@@ -36,7 +36,7 @@ BY_NAME = {case.name: case for case in CASES}
 def test_spheres_of_two_densities_keep_their_momentum_and_part_as_set():
     light = sphere_material(restitution=0.7)
     contact = on_sphere(light, 0.02, 0.03, replace(light, density=5.0 * light.density))
-    rebounds = collide(Impacts.of(contact, [0.5, 1.0, 2.0]))
+    rebounds = collide(Impacts(contact, [0.5, 1.0, 2.0]))
     mass = np.array([contact.first.mass, contact.second.mass])
     assert mass[1] / mass[0] == pytest.approx(5.0 * 1.5**3)
     after = rebounds.result.final.velocity[:, 2].reshape(2, 3)
@@ -47,11 +47,16 @@ def test_spheres_of_two_densities_keep_their_momentum_and_part_as_set():
     assert rebounds.energy == pytest.approx(1.0 - lost, abs=2e-3)
 
 
-@pytest.mark.parametrize("name", [case.name for case in CASES if case.quick])
+SLOW = ("chung-ooi-5",)  # half a minute of differential equations; the others of its kind stay
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(c.name, marks=[pytest.mark.slow] * (c.name in SLOW)) for c in CASES if c.quick]
+)
 def test_case(name):
     outcome = run_case(BY_NAME[name])
     assert outcome.failure is None
-    missed = [check.quantity for check in outcome.findings.checks if not check.met]
+    missed = [check.quantity for check in outcome.checks if not check.met]
     assert outcome.met, f"out of tolerance: {missed}\n{table([outcome])}"
 
 
@@ -69,7 +74,7 @@ def command(*words: str, cases: tuple[Case, ...] = CASES) -> int:
 def a_case(found: object, tolerance: float = 1e-3, expected: object = 1.0) -> Case:
     """A case of one quantity."""
     check = Check("length, m", expected, found, tolerance, "made up")
-    return Case("made-up", "a case of a test", lambda: Findings((check,)))
+    return Case("made-up", "a case of a test", lambda: [check])
 
 
 # What the suite says of a solver that is wrong
@@ -127,13 +132,12 @@ def test_a_quantity_out_of_tolerance_is_a_failure(found, capsys):
 
 def test_a_tolerance_of_nothing_fails_a_true_case():
     case = BY_NAME["chung-ooi-1"]
-    checks = case.run().checks
-    strict = tuple(Check(c.quantity, c.expected, c.found, 0.0, c.source, c.scale, c.unit, c.at) for c in checks)
-    assert command("--case", "strict", cases=(Case("strict", "", lambda: Findings(strict)),)) == FAILED
+    strict = [replace(check, tolerance=0.0) for check in case.run()]
+    assert command("--case", "strict", cases=(Case("strict", "", lambda: strict),)) == FAILED
 
 
 def test_a_case_that_stops_is_a_failure_with_its_words(capsys):
-    def stop() -> Findings:
+    def stop() -> list[Check]:
         raise ZeroDivisionError("no mass")
 
     assert command("--case", "stops", cases=(Case("stops", "", stop), a_case(1.0))) == FAILED
@@ -141,13 +145,13 @@ def test_a_case_that_stops_is_a_failure_with_its_words(capsys):
 
 
 def test_a_case_that_checks_nothing_is_a_failure(capsys):
-    assert command("--case", "empty", cases=(Case("empty", "", lambda: Findings(())),)) == FAILED
+    assert command("--case", "empty", cases=(Case("empty", "", lambda: []),)) == FAILED
     assert "nothing was checked" in capsys.readouterr().out
 
 
 def test_the_worst_point_is_the_one_that_is_shown(capsys):
     check = Check("speed, m/s", [1.0, 2.0, 3.0], [1.0, 2.5, 3.0], 0.3, "made up", at=("a", "b", "c"))
-    assert command("--case", "made-up", cases=(Case("made-up", "", lambda: Findings((check,))),)) == MET
+    assert command("--case", "made-up", cases=(Case("made-up", "", lambda: [check]),)) == MET
     row = capsys.readouterr().out.splitlines()[1]
     assert "speed, m/s at b" in row
     assert "2.5" in row
@@ -192,7 +196,7 @@ def test_an_output_that_is_a_file_is_refused_before_anything_runs(tmp_path, caps
 
 
 def test_a_part_of_the_suite_leaves_the_page_of_the_whole_alone(tmp_path):
-    other = Case("other", "another", lambda: Findings((Check("a", 1.0, 1.0, 1.0, "made up"),)))
+    other = Case("other", "another", lambda: [Check("a", 1.0, 1.0, 1.0, "made up")])
     assert command("--case", "made-up", cases=(a_case(1.0), other)) == MET
     assert command("--quick", cases=(a_case(1.0), other)) == MET
     assert list(tmp_path.iterdir()) == []
@@ -269,6 +273,6 @@ def test_without_friction_nothing_but_the_normal_speed_changes():
 
 def test_impacts_side_by_side_do_not_see_each_other():
     material = sphere_material(1e7, 0.5, 0.3)
-    together = collide(Impacts.of(on_sphere(material), [1.0, 1.0, 1.0], [0.2, 1.0, 3.0]))
-    alone = collide(Impacts.of(on_sphere(material), 1.0, 1.0))
+    together = collide(Impacts(on_sphere(material), [1.0, 1.0, 1.0], [0.2, 1.0, 3.0]))
+    alone = collide(Impacts(on_sphere(material), 1.0, 1.0))
     assert together.first_spin[1] == pytest.approx(alone.first_spin[0], rel=1e-12)

@@ -8,40 +8,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gran_bench.plots.time_error import Contender
+
 
 @dataclass(frozen=True)
-class Entry:
-    """One method with what was measured of it.
+class Entry(Contender):
+    """One method with what was measured of it; ``fast`` and ``slow`` are the range of its times over the rounds.
 
     Attributes:
-        name, kind: of the method.
-        seconds: wall time of a simulated second, s: median.
-        low, high: of the rounds; an interval that holds the seconds.
-        floors: error in noise floors; None for a failed run.
         data_seconds, training_seconds: spent before the first run, s.
-        floors_low, floors_high: 95 % interval of the error, in noise floors; None where it is the error alone.
     """
 
-    name: str
-    kind: str
-    seconds: float
-    low: float
-    high: float
-    floors: float | None
     data_seconds: float = 0.0
     training_seconds: float = 0.0
-    floors_low: float | None = None
-    floors_high: float | None = None
 
     @property
     def least(self) -> float:
         """The smallest error that its interval allows, in noise floors; of a run that did not fail."""
-        return self.floors if self.floors_low is None else self.floors_low
+        return self.floors if self.low is None else self.low
 
     @property
     def most(self) -> float:
         """The largest error that its interval allows, in noise floors; of a run that did not fail."""
-        return self.floors if self.floors_high is None else self.floors_high
+        return self.floors if self.high is None else self.high
 
 
 @dataclass(frozen=True)
@@ -58,47 +47,36 @@ class Ratio:
         return self.low > 1.0 or self.high < 1.0
 
 
-def frontier(entries: Sequence[Entry]) -> list[Entry]:
-    """Those that no other beats: none is at least as fast and at least as exact, and better in one of both.
+def speed_up(entry: Entry, rival: Entry) -> Ratio:
+    """How many times as fast ``entry`` is as ``rival``."""
+    return Ratio(rival.seconds / entry.seconds, rival.fast / entry.slow, rival.slow / entry.fast)
 
-    Failed runs are beaten by definition. Ordered from fast to slow.
-    """
-    sound = [entry for entry in entries if entry.floors is not None]
 
-    def beaten(entry: Entry) -> bool:
-        return any(
-            other.seconds <= entry.seconds
-            and other.floors <= entry.floors
-            and (other.seconds < entry.seconds or other.floors < entry.floors)
-            for other in sound
-        )
-
-    return sorted((entry for entry in sound if not beaten(entry)), key=lambda entry: (entry.seconds, entry.name))
+def sound_dems(entries: Sequence[Entry]) -> list[Entry]:
+    """The DEMs that did not fail, softened and large steps included, from fast to slow."""
+    return sorted((e for e in entries if e.kind == "dem" and e.floors is not None), key=lambda e: e.seconds)
 
 
 def fastest_rival(entries: Sequence[Entry], floors: float, accepted: float | None) -> Entry | None:
-    """The fastest DEM, softened and large steps included, whose error is no larger; None where no DEM is.
-
-    Errors are taken as they were measured; `equal_accuracy` asks what their intervals allow.
+    """The fastest DEM whose measured error is no larger; None where no DEM is.
 
     Args:
         entries: all methods.
         floors: error to be met, in noise floors.
         accepted: the DEM's own accuracy: whoever is below is exact enough; None where it is not known.
     """
-    met = [e for e in entries if e.kind == "dem" and e.floors is not None and e.floors <= max(floors, accepted or 0.0)]
-    return min(met, key=lambda entry: entry.seconds, default=None)
+    return next((e for e in sound_dems(entries) if e.floors <= max(floors, accepted or 0.0)), None)
 
 
-def fastest_not_worse(entries: Sequence[Entry], entry: Entry, accepted: float | None) -> Entry | None:
-    """The fastest DEM that is not significantly less exact than ``entry``; None where every DEM is.
+def best_in_time(entries: Sequence[Entry], seconds: float) -> Entry | None:
+    """The most exact DEM that takes no longer; None where every DEM takes longer."""
+    return min((e for e in sound_dems(entries) if e.seconds <= seconds), key=lambda e: e.floors, default=None)
 
-    A DEM is significantly worse where the low end of its interval lies above the high end of the entry's, and above
-    the DEM's own accuracy.
-    """
-    bound = max(entry.most, accepted or 0.0)
-    met = [e for e in entries if e.kind == "dem" and e.floors is not None and e.least <= bound]
-    return min(met, key=lambda other: other.seconds, default=None)
+
+def not_told_apart(first: Entry, entries: Sequence[Entry]) -> list[Entry]:
+    """Those whose range of times overlaps the first's, itself too, from fast to slow."""
+    same = [entry for entry in entries if entry == first or not speed_up(first, entry).decides]
+    return sorted(same, key=lambda entry: (entry.seconds, entry.name))
 
 
 @dataclass(frozen=True)
@@ -108,7 +86,8 @@ class EqualAccuracy:
     Attributes:
         entry: the method.
         rival: the fastest DEM whose measured error is no larger; None where there is none.
-        lenient: the fastest DEM that is not significantly worse; at least as fast as the rival.
+        lenient: the fastest DEM that is not significantly worse (the low end of its interval lies above the high end
+            of the entry's, and above the DEM's own accuracy); at least as fast as the rival.
         faster: who is, of ``entry``, ``rival``, ``neither`` (the ranges of the times overlap), ``undecided`` (the two
             DEMs give two answers) and ``alone`` (every DEM is significantly worse).
     """
@@ -127,33 +106,17 @@ def equal_accuracy(entry: Entry, entries: Sequence[Entry], accepted: float | Non
         entries: all methods.
         accepted: the DEM's own accuracy, in noise floors; None where it is not known.
     """
-    rival, lenient = fastest_rival(entries, entry.floors, accepted), fastest_not_worse(entries, entry, accepted)
+    rival, bound = fastest_rival(entries, entry.floors, accepted), max(entry.most, accepted or 0.0)
+    lenient = next((e for e in sound_dems(entries) if e.least <= bound), None)
     if lenient is None:
         return EqualAccuracy(entry, None, None, "alone")
-    answers = {"entry" if other is None else _faster(entry, other) for other in (rival, lenient)}
+
+    def faster(dem: Entry | None) -> str:
+        ratio = Ratio(math.inf, math.inf, math.inf) if dem is None else speed_up(entry, dem)
+        return "neither" if not ratio.decides else "entry" if ratio.middle > 1.0 else "rival"
+
+    answers = {faster(rival), faster(lenient)}
     return EqualAccuracy(entry, rival, lenient, answers.pop() if len(answers) == 1 else "undecided")
-
-
-def _faster(entry: Entry, rival: Entry) -> str:
-    ratio = speed_up(entry, rival)
-    return "neither" if not ratio.decides else "entry" if ratio.middle > 1.0 else "rival"
-
-
-def best_in_time(entries: Sequence[Entry], seconds: float) -> Entry | None:
-    """The most exact DEM that takes no longer; None where every DEM takes longer."""
-    met = [e for e in entries if e.kind == "dem" and e.floors is not None and e.seconds <= seconds]
-    return min(met, key=lambda entry: entry.floors, default=None)
-
-
-def speed_up(entry: Entry, rival: Entry) -> Ratio:
-    """How many times as fast ``entry`` is as ``rival``."""
-    return Ratio(rival.seconds / entry.seconds, rival.low / entry.high, rival.high / entry.low)
-
-
-def not_told_apart(first: Entry, entries: Sequence[Entry]) -> list[Entry]:
-    """Those whose range of times overlaps the first's, itself too, from fast to slow."""
-    same = [entry for entry in entries if entry == first or not speed_up(first, entry).decides]
-    return sorted(same, key=lambda entry: (entry.seconds, entry.name))
 
 
 def break_even(entry: Entry, rival: Entry) -> float:
@@ -188,9 +151,8 @@ def crossing(abscissa: Sequence[float], costs: Sequence[float], level: float) ->
         level: > 0.
     """
     x, y = np.log(np.asarray(abscissa, float)), np.log(np.asarray(costs, float) / level)
-    if y[0] >= 0.0:
-        return float(abscissa[0])
-    for k in range(1, len(x)):
-        if y[k] >= 0.0:
-            return float(np.exp(x[k - 1] + (x[k] - x[k - 1]) * -y[k - 1] / (y[k] - y[k - 1])))
-    return None
+    above = np.flatnonzero(y >= 0.0)
+    if not len(above) or not above[0]:
+        return float(abscissa[0]) if len(above) else None
+    k = above[0]
+    return float(np.exp(x[k - 1] + (x[k] - x[k - 1]) * -y[k - 1] / (y[k] - y[k - 1])))

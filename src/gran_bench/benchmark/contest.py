@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import re
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -9,7 +12,6 @@ from typing import Any
 
 from gran_bench.baselines import neighbouring_speeds
 from gran_bench.benchmark.jobs import BASELINES, with_modulus
-from gran_bench.benchmark.method import Method
 from gran_bench.config import BenchmarkConfig, DemConfig, SceneConfig
 from gran_bench.config.reading import read_config
 from gran_bench.dataset import CaseSpec, half_step, read_attributes, replicas, to_document
@@ -18,59 +20,79 @@ from gran_bench.dem.time_step import ERROR_FRACTION, contact_times
 from gran_bench.scene import Scene, build_scene
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card
 
-AUTOMATIC = "DEM"  # first word of the method that all times are held against: this engine, this step
+Study = dict[str, list[tuple[float, "Method"]]]  # by label: an abscissa, and the method that is timed there
 
 
 @dataclass(frozen=True)
+class Method:
+    """A method on a scene.
+
+    Attributes:
+        name: for people, unique among those that are compared.
+        kind: ``dem``, ``surrogate`` or ``baseline``.
+        job: what a worker does, as plain data (`jobs.prepare`); empty where the method does not fit the scene.
+        seconds: of the scene that one run of the job covers.
+        data_seconds: wall time of the data that it was made from, s.
+        training_seconds: wall time of its training, s.
+        judged: whether a run covers the whole scene, so that its error is known.
+        unfit_because: why it cannot answer for this scene; empty where it can.
+    """
+
+    name: str
+    kind: str
+    job: dict[str, Any]
+    seconds: float
+    data_seconds: float = 0.0
+    training_seconds: float = 0.0
+    judged: bool = True
+    unfit_because: str = ""
+
+    def key(self, *conditions: str) -> str:
+        """A readable name of the method's files, with a hash of the job, how long it is, and under which conditions.
+
+        Args:
+            conditions: whatever else decides a measurement: code, hardware.
+        """
+
+        def name_of(value: Any) -> Any:
+            # Without the folders that files are in: the same data in another place are the same data.
+            return {k: Path(path).name for k, path in value.items()} if isinstance(value, dict) else Path(value).name
+
+        plain = self.job | {k: name_of(self.job[k]) for k in ("bed", "model", "cases") if k in self.job}
+        text = json.dumps([plain, self.seconds, *conditions], sort_keys=True)
+        digest = hashlib.sha256(text.encode()).hexdigest()[:12]
+        return re.sub(r"[^\w.+-]+", "-", self.name).strip("-") + f"-{digest}"
+
+
 class Contest:
     """A scene, the state that all start from, and everyone who answers for it.
 
-    Attributes:
+    Args:
         config: of the command.
         models: model files by the name that they are shown under.
+
+    Attributes:
+        scene: at the held-out speed, or with the motion that it keeps.
+        case: the run of the DEM whose settled state all methods start from: a packing that no training saw.
+        replicas: what errors are measured from: nudged runs of the DEM at half its automatic step.
+        neighbours: the training speeds below and above, rpm, from the packing of training; none where a side lacks one.
+        cases: every run of the DEM that the comparison needs before anything is timed.
+        automatic: name of the DEM at its automatic step, which all times are held against.
     """
 
-    config: BenchmarkConfig
-    models: dict[str, Path]
-
-    @property
-    def scene(self) -> Scene:
-        """At the held-out speed, or with the motion that it keeps."""
-        scene = build_scene(self.config.scene)
-        return scene.at_speed(self.rpm) if scene.takes_speeds else scene
-
-    @property
-    def rpm(self) -> float:
-        """The held-out speed; of no meaning to a scene that keeps its own motion."""
-        return float(self.config.dataset.holdout_speeds_rpm[0])
-
-    @property
-    def case(self) -> CaseSpec:
-        """The run of the DEM whose settled state all methods start from: a packing that no training saw."""
-        return CaseSpec(self.scene, self.config.dem, self.config.dataset.unseen_packing_seed)
-
-    @property
-    def replicas(self) -> list[CaseSpec]:
-        """What errors are measured from: nudged runs of the DEM at half its automatic step."""
-        return replicas(half_step(self.case), self.config.dataset.replicas)
-
-    @property
-    def neighbours(self) -> dict[float, CaseSpec]:
-        """The training speeds below and above, rpm, from the packing of training; none where a side lacks one."""
-        found = neighbouring_speeds(self.rpm, self.config.dataset.training_speeds_rpm)
-        if found is None or not build_scene(self.config.scene).takes_speeds:
-            return {}
-        return {rpm: self._training_case(rpm) for rpm in found}
-
-    @property
-    def cases(self) -> list[CaseSpec]:
-        """Every run of the DEM that the comparison needs before anything is timed."""
-        return [*self.replicas, *self.neighbours.values(), *self._count_cases.values()]
-
-    @property
-    def automatic(self) -> str:
-        """Name of the DEM at its automatic step."""
-        return next(self._dem_ladder([1.0])).name
+    def __init__(self, config: BenchmarkConfig, models: dict[str, Path]) -> None:
+        self.config, self.models, data = config, models, config.dataset
+        self.rpm, scene = float(data.holdout_speeds_rpm[0]), build_scene(config.scene)
+        self.takes_speeds = scene.takes_speeds
+        self.scene = scene.at_speed(self.rpm) if self.takes_speeds else scene
+        self.case = CaseSpec(self.scene, config.dem, data.unseen_packing_seed)
+        self.replicas = replicas(half_step(self.case), data.replicas)
+        found = neighbouring_speeds(self.rpm, data.training_speeds_rpm) if self.takes_speeds else None
+        self.neighbours = {rpm: CaseSpec(scene.at_speed(rpm), config.dem, data.packing_seed) for rpm in found or ()}
+        counts = sorted(config.profile.counts) if self.takes_speeds else []
+        self._count_cases = {count: self._count_case(count) for count in counts}
+        self.cases = [*self.replicas, *self.neighbours.values(), *self._count_cases.values()]
+        self.automatic = next(self._dem_ladder([1.0])).name
 
     @property
     def methods(self) -> list[Method]:
@@ -82,46 +104,46 @@ class Contest:
             if modulus < self.scene.material.youngs_modulus:
                 found += self._dem_ladder(profile.soft_multiples, modulus)
         if profile.numpy_frames:
-            found.append(self._numpy(profile.numpy_frames))
-        found += [self._surrogate(name, path, self.scene, self.case) for name, path in self.models.items()]
+            step, _ = choose_time_step(self.scene)
+            job = self._dem_job(self.case, DemConfig(engine="numpy", time_step=step))
+            name, seconds = f"DEM {1e3 * step:.3g} ms, numpy engine", profile.numpy_frames * self.scene.frame_interval
+            found.append(Method(name, "dem", job, seconds, judged=False))
+        found += [self._surrogate(name, self.case) for name in self.models]
         found += [*self._baselines()]
         return list({method.name: method for method in found}.values())  # two multiples may round to one step
 
     @property
-    def stiffness_methods(self) -> dict[str, list[tuple[float, Method]]]:
+    def stiffness_methods(self) -> Study:
         """What is timed against stiffness: by label, the modulus (Pa) and the method there."""
-        found: dict[str, list[tuple[float, Method]]] = {"automatic": [], "largest": []}
-        if not build_scene(self.config.scene).takes_speeds:
+        home, moduli = self.scene.material.youngs_modulus, sorted(self.config.profile.stiffness)
+        if not (self.takes_speeds and moduli):
             return {}
-        for modulus in sorted(self.config.profile.stiffness):
+        found: Study = {"automatic": [], "largest": []}
+        for modulus in moduli:
             scene = with_modulus(self.scene, modulus)
-            stages = [*_decades(self.scene.material.youngs_modulus, modulus)]
             for label, step in (("automatic", None), ("largest", largest_allowed_step(scene))):
                 dem = replace(self.config.dem, time_step=step, threads=1)
-                job = self._dem_job(scene, dem, self.case, stages)
+                job = self._dem_job(self.case, dem, scene, [*_decades(home, modulus)])
                 found[label].append((modulus, self._short(f"E = {modulus:g} Pa, {label} step", "dem", job)))
-        for name, path in self.models.items():
-            method = self._surrogate(name, path, self.scene, self.case)
+        for name in self.models:
+            method = self._surrogate(name, self.case)
             if not method.unfit_because:
-                found[name] = [(self.scene.material.youngs_modulus, self._short(name, "surrogate", method.job))]
-        return found if found["automatic"] else {}
+                found[name] = [(home, self._short(name, "surrogate", method.job))]
+        return found
 
     @property
-    def count_methods(self) -> dict[str, list[tuple[int, Method]]]:
+    def count_methods(self) -> Study:
         """What is timed against the number of spheres: by label, the number and the method there."""
-        found: dict[str, list[tuple[int, Method]]] = {"DEM": []} if self._count_cases else {}
+        found: Study = {}
         for count, case in self._count_cases.items():
-            dem = replace(self.config.dem, threads=1)
-            job = self._dem_job(case.scene, dem, case, [])
-            found["DEM"].append((count, self._short(f"DEM, {count} spheres", "dem", job)))
-            for name, path in self.models.items():
-                method = self._surrogate(name, path, case.scene, case)
+            job = self._dem_job(case, replace(self.config.dem, threads=1))
+            found.setdefault("DEM", []).append((count, self._short(f"DEM, {count} spheres", "dem", job)))
+            for name in self.models:
+                method = self._surrogate(name, case)
                 if not method.unfit_because:
                     short = self._short(f"{name}, {count} spheres", "surrogate", method.job)
                     found.setdefault(name, []).append((count, short))
         return found
-
-    # ---- the parts -------------------------------------------------------------------------------------------
 
     def _dem_ladder(
         self, multiples: list[float], modulus: float | None = None, precision: str = "float64"
@@ -131,62 +153,44 @@ class Contest:
         automatic, _ = choose_time_step(scene)
         for multiple in multiples:
             step = dividing_step(scene.frame_interval, multiple * automatic)
-            dem = replace(
-                self.config.dem, time_step=step, threads=1, precision=precision, allow_unsafe_step=True, engine="numba"
-            )
-            words = [f"{AUTOMATIC} {1e3 * step:.3g} ms"]
+            dem = replace(self.config.dem, time_step=step, threads=1, engine="numba")
+            dem = replace(dem, precision=precision, allow_unsafe_step=True)
+            words = [f"DEM {1e3 * step:.3g} ms"]
             words += [f"E = {modulus:.0e} Pa".replace("e+0", "e")] if modulus is not None else []
             words += ["float32"] if precision == "float32" else []
-            yield self._whole(", ".join(words), "dem", self._dem_job(scene, dem, self.case, []))
+            yield self._whole(", ".join(words), "dem", self._dem_job(self.case, dem, scene))
 
-    def _numpy(self, frames: int) -> Method:
-        step, _ = choose_time_step(self.scene)
-        dem = DemConfig(engine="numpy", time_step=step)
-        job, name = self._dem_job(self.scene, dem, self.case, []), f"{AUTOMATIC} {1e3 * step:.3g} ms, numpy engine"
-        return Method(name, "dem", job, frames * self.scene.frame_interval, judged=False)
+    def _dem_job(
+        self, case: CaseSpec, dem: DemConfig, scene: Scene | None = None, stages: list[float] | None = None
+    ) -> dict[str, Any]:
+        return self._job("dem", case, scene) | {"dem": asdict(dem), "stages": stages or []}
 
-    def _dem_job(self, scene: Scene, dem: DemConfig, case: CaseSpec, stages: list[float]) -> dict[str, Any]:
+    def _job(self, does: str, case: CaseSpec, scene: Scene | None = None) -> dict[str, Any]:
         bed = str(case.settled_path(self.config.dataset.root))
-        return {"does": "dem", "scene": to_document(scene), "dem": asdict(dem), "bed": bed, "stages": stages}
+        return {"does": does, "scene": to_document(scene or case.scene), "bed": bed}
 
-    def _surrogate(self, name: str, path: Path, scene: Scene, case: CaseSpec) -> Method:
+    def _surrogate(self, name: str, case: CaseSpec) -> Method:
+        path, scene = self.models[name], case.scene
         card, _ = load_card(path)
-        origin = card.origin
-        bed = str(case.settled_path(self.config.dataset.root))
-        job = {"does": "surrogate", "scene": to_document(scene), "bed": bed, "model": str(path)}
-        return Method(
-            name,
-            "surrogate",
-            job | {"weights": file_digest(path)},
-            scene.end_time - scene.start_time,
-            data_seconds=float(origin.get("data_seconds", 0.0)),
-            training_seconds=float(origin.get("seconds", 0.0)),
-            unfit_because=why_unfit(card, scene, case.packing_seed),
-        )
+        job = self._job("surrogate", case) | {"model": str(path), "weights": file_digest(path)}
+        spent = (float(card.origin.get(key, 0.0)) for key in ("data_seconds", "seconds"))
+        unfit = why_unfit(card, scene, case.packing_seed)
+        return Method(name, "surrogate", job, scene.end_time - scene.start_time, *spent, unfit_because=unfit)
 
     def _baselines(self) -> Iterator[Method]:
-        bed = str(self.case.settled_path(self.config.dataset.root))
         for name in BASELINES:
-            yield self._whole(name, "baseline", {"does": name, "scene": to_document(self.scene), "bed": bed})
-        cases = self.neighbours
-        if not cases:
+            yield self._whole(name, "baseline", self._job(name, self.case))
+        if not self.neighbours:
             reason = "there are no runs of this scene at a lower and at a higher speed"
             yield Method("interpolation", "baseline", {}, 0.0, unfit_because=reason)
             return
-        root = self.config.dataset.root
-        paths = {f"{rpm:g}": str(case.path(root)) for rpm, case in cases.items()}
+        paths = {f"{rpm:g}": str(case.path(self.config.dataset.root)) for rpm, case in self.neighbours.items()}
         spent = [read_attributes(path) for path in map(Path, paths.values()) if path.exists()]
         seconds = sum(float(facts["wall_seconds"]) for facts in spent)
         seconds += max((float(facts["settling_wall_seconds"]) for facts in spent), default=0.0)
-        low, high = cases
-        yield replace(
-            self._whole(
-                f"interpolation, {low:g} and {high:g} rpm",
-                "baseline",
-                {"does": "interpolation", "cases": paths, "rpm": self.rpm},
-            ),
-            data_seconds=seconds,
-        )
+        job = {"does": "interpolation", "cases": paths, "rpm": self.rpm}
+        method = self._whole(f"interpolation, {' and '.join(paths)} rpm", "baseline", job)
+        yield replace(method, data_seconds=seconds)
 
     def _whole(self, name: str, kind: str, job: dict[str, Any]) -> Method:
         return Method(name, kind, job, self.scene.end_time - self.scene.start_time)
@@ -194,34 +198,19 @@ class Contest:
     def _short(self, name: str, kind: str, job: dict[str, Any]) -> Method:
         return Method(name, kind, job, self.config.profile.study_frames * self.scene.frame_interval, judged=False)
 
-    def _training_case(self, rpm: float) -> CaseSpec:
-        return CaseSpec(self.scene.at_speed(rpm), self.config.dem, self.config.dataset.packing_seed)
-
-    @property
-    def _count_cases(self) -> dict[int, CaseSpec]:
-        """Drums of other lengths, filled as high, that run only as long as they are timed.
+    def _count_case(self, count: int) -> CaseSpec:
+        """A drum of another length, filled as high, that runs only as long as it is timed.
 
         A short one gets a sphere's diameter more: its first lattice would not fit between the caps.
         """
-        config = self.config.scene
-        if not build_scene(config).takes_speeds:
-            return {}
-        found = {}
-        for count in sorted(self.config.profile.counts):
-            length = config.container.length * count / config.filling.count
-            if count < config.filling.count:
-                length += config.filling.diameter
-            scene = build_scene(
-                replace(
-                    config,
-                    name=f"{config.name}_{count}",
-                    container=replace(config.container, length=length),
-                    filling=replace(config.filling, count=count),
-                    end_time=config.start_time + self.config.profile.study_frames * config.frame_interval,
-                )
-            )
-            found[count] = CaseSpec(scene.at_speed(self.rpm), self.config.dem, self.config.dataset.unseen_packing_seed)
-        return found
+        config, profile = self.config.scene, self.config.profile
+        more = config.filling.diameter if count < config.filling.count else 0.0
+        length = config.container.length * count / config.filling.count + more
+        end = config.start_time + profile.study_frames * config.frame_interval
+        container, filling = replace(config.container, length=length), replace(config.filling, count=count)
+        changed = replace(config, name=f"{config.name}_{count}", container=container, filling=filling, end_time=end)
+        scene = build_scene(changed)
+        return CaseSpec(scene.at_speed(self.rpm), self.config.dem, self.config.dataset.unseen_packing_seed)
 
 
 def why_unfit(card: ModelCard, scene: Scene, packing_seed: int) -> str:
@@ -237,16 +226,11 @@ def why_unfit(card: ModelCard, scene: Scene, packing_seed: int) -> str:
         return "it knows spheres of one size alone"
     if len(scene.materials) > 1:
         return "it knows one material alone"
-    same = {
-        "diameter": (2.0 * scene.filling.largest_radius, 2.0 * home.filling.largest_radius),
-        "frame interval": (scene.frame_interval, home.frame_interval),
-        "gravity": (scene.gravity, home.gravity),
-        "material": (scene.material, home.material),
-        "wall material": (scene.wall_material, home.wall_material),
-    }
-    for what, (here, there) in same.items():
-        if here != there:
-            return f"it was trained with another {what}"
+    if scene.filling.largest_radius != home.filling.largest_radius:
+        return "it was trained with another diameter"
+    for name in ("frame_interval", "gravity", "material", "wall_material"):
+        if getattr(scene, name) != getattr(home, name):
+            return f"it was trained with another {name.replace('_', ' ')}"
     # The other sense of rotation is the mirror image.
     speeds = set(map(abs, scene.rotation.speeds_rpm))
     if scene.takes_speeds and speeds & set(map(abs, card.origin.get("training_speeds_rpm", ()))):

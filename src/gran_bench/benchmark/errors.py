@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,10 @@ import numpy as np
 from scipy.stats import t as student_t
 
 from gran_bench.baselines import interpolated_statistics
-from gran_bench.benchmark.method import Method
-from gran_bench.benchmark.pooling import pooled_judgement
+from gran_bench.benchmark.contest import Method
+from gran_bench.benchmark.jobs import read_trajectory, training_summaries
 from gran_bench.benchmark.turns import trajectory_file
-from gran_bench.dataset import Case, read_case
+from gran_bench.dataset import Case
 from gran_bench.files import write_text
 from gran_bench.metrics.comparisons import COMPARISONS, Comparison
 from gran_bench.metrics.judge import judge
@@ -32,6 +32,9 @@ RANKED_WITHOUT_ANGLE = ("center_height", "speed_w1")
 ERRORS = "errors"
 VELOCITY = "instantaneous"  # of the replicas: what the DEM has
 LEAST_REPLICAS = 3  # that say how far the DEM's own errors scatter
+# How each table of a pooled judgement is made of the rounds'; it stands beside them.
+RULES = {"errors": "mean", "figures": "mean", "requirements": "worst round", "failures": "worst round, each count"}
+Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -95,13 +98,7 @@ class Reference:
         """Error up to which the mean of some runs cannot be told from the DEM itself, in noise floors.
 
         A method is given the largest, over the ranked errors, of its mean over its runs; so this is the largest of
-        their bounds (`noise_bound`).
-
-        Args:
-            runs: whose mean is a method's error.
-
-        Returns:
-            None below three replicas.
+        their bounds (`noise_bound`). None below three replicas.
         """
         bounds = [noise_bound(errors, runs) for errors in self.own.values()]
         return None if None in bounds else max(bounds, default=None)
@@ -109,24 +106,22 @@ class Reference:
     def score(self, candidate: TrajectorySummary | Trajectory) -> Scored:
         """Hold one run of a method against the replicas."""
         mine = candidate if isinstance(candidate, TrajectorySummary) else summarise(candidate, self.scene)
-        truth = self.summaries(mine.velocity_kind)
+        truth, found = self.summaries(mine.velocity_kind), {}
         judgement = judge(mine, truth, self.scene)
         outside = 0 if mine.failures is None else mine.failures.outside_spheres
-        found = {}
         for row in self.ranked:
             error = judgement.error(row.key).error
             if not error.defined:
                 return Scored(None, None, None, row.key, f"{row.label}: {error.note}", outside, judgement.to_dict())
-            floor = self._floor(row, truth)
+            floor = _mean(_pairs(row, truth))
             found[row.key] = [distance / floor for distance in _distances(row, mine, truth)]
         worst = max(found, key=lambda key: _mean(found[key]))
-        middle, reach = _mean(found[worst]), _reach(found[worst], 1.0)
-        return Scored(middle, middle - reach, middle + reach, worst, "", outside, judgement.to_dict())
+        return Scored(*_interval(found[worst], 1.0), worst, "", outside, judgement.to_dict())
 
     def pooled(self, runs: Sequence[Scored]) -> Scored:
         """The error of a method from several runs of it: means, and where the mean of as many others lies.
 
-        What else was found of them is pooled by `pooling.RULES`.
+        What else was found of them is pooled by `RULES`.
 
         A single run (statistics without particles) keeps its interval over the replicas.
         """
@@ -134,19 +129,14 @@ class Reference:
         if failed is not None or len(runs) == 1:
             return failed or runs[0]
         judgement = pooled_judgement([run.judgement for run in runs])
-        errors = judgement["errors"]
-        worst = max(self.ranked, key=lambda row: errors[row.key]["multiple_of_floor"]).key
+        worst = max(self.ranked, key=lambda row: judgement["errors"][row.key]["multiple_of_floor"]).key
         floors = [run.judgement["errors"][worst]["multiple_of_floor"] for run in runs]
-        middle, reach = _mean(floors), _reach(floors, math.sqrt(2.0))
         outside = max(run.outside for run in runs)
-        return Scored(middle, middle - reach, middle + reach, worst, "", outside, judgement)
+        return Scored(*_interval(floors, math.sqrt(2.0)), worst, "", outside, judgement)
 
     def floors(self) -> dict[str, float]:
         """The noise floor of each ranked error, in its unit."""
-        return {row.key: self._floor(row, self.summaries(VELOCITY)) for row in self.ranked}
-
-    def _floor(self, row: Comparison, truth: list[TrajectorySummary]) -> float:
-        return _mean(_pairs(row, truth))
+        return {row.key: _mean(_pairs(row, self.summaries(VELOCITY))) for row in self.ranked}
 
 
 def noise_bound(own: Sequence[float], runs: int) -> float | None:
@@ -163,9 +153,7 @@ def noise_bound(own: Sequence[float], runs: int) -> float | None:
     Returns:
         None below three replicas: of two, each has the same distance from the other, and nothing scatters.
     """
-    if len(own) < LEAST_REPLICAS:
-        return None
-    return _mean(own) + _reach(own, math.sqrt(1.0 + len(own) / runs))
+    return None if len(own) < LEAST_REPLICAS else _interval(own, math.sqrt(1.0 + len(own) / runs))[2]
 
 
 def score_run(method: Method, folder: Path, reference: Reference, index: int) -> Scored | None:
@@ -176,9 +164,7 @@ def score_run(method: Method, folder: Path, reference: Reference, index: int) ->
     path, frames = errors_file(folder, reference.digest, index), trajectory_file(folder, index)
     if not path.exists():
         if method.job["does"] == "interpolation":
-            cases = {float(rpm): read_case(case) for rpm, case in method.job["cases"].items()}
-            training = {rpm: summarise(case.trajectory, case.scene) for rpm, case in cases.items()}
-            found = reference.score(interpolated_statistics(method.job["rpm"], training))
+            found = reference.score(interpolated_statistics(method.job["rpm"], training_summaries(method.job)))
         elif frames.exists():
             found = reference.score(read_trajectory(frames))
         else:
@@ -198,12 +184,56 @@ def errors_file(folder: Path, digest: str, index: int) -> Path:
     return folder / f"{ERRORS}{index}-{digest}.json"
 
 
-def read_trajectory(path: Path) -> Trajectory:
-    """The frames that a worker kept."""
-    with np.load(path) as kept:
-        spin = kept["angular_velocity"] if "angular_velocity" in kept.files else None
-        kind = str(kept["velocity_kind"])
-        return Trajectory(kept["time"], kept["position"], kept["velocity"], spin, kept["radius"], velocity_kind=kind)
+def pooled_judgement(judgements: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """One judgement of several, in the layout of a single one (`Judgement.to_dict`), with the rule of each table.
+
+    A figure that a round lacks is undefined, as in that round. A requirement is that of the round farthest beyond its
+    bound, and one without a figure is the worst. Failures are each count where it is worst: the largest, the fewest
+    states, the first time without a figure.
+
+    Args:
+        judgements: of the rounds of one method, held against the same replicas.
+    """
+    found = judgements[0] | {"rounds": len(judgements), "pooled": RULES}
+    for table, pool in (("errors", _mean_error), ("figures", _mean_figure), ("requirements", _worst_requirement)):
+        found[table] = _by_key([judgement[table] for judgement in judgements], pool)
+    found["accepted"] = all(judgement["accepted"] for judgement in judgements)
+    counts = [judgement["failures"] for judgement in judgements]
+    found["failures"] = None if None in counts else _worst_failures(counts)
+    return found
+
+
+def _by_key(tables: Sequence[dict[str, Row]], pool: Callable[[Sequence[Row]], Row]) -> dict[str, Row]:
+    return {key: pool([table[key] for table in tables]) for key in tables[0]}
+
+
+def _lacking(rows: Sequence[Row]) -> Row | None:
+    return next((row for row in rows if row["value"] is None), None)
+
+
+def _mean_value(rows: Sequence[Row], *names: str) -> Row:
+    missing = _lacking(rows)
+    return dict(missing) if missing else rows[0] | {name: _mean([row[name] for row in rows]) for name in names}
+
+
+def _mean_error(rows: Sequence[Row]) -> Row:
+    return _mean_value(rows, "value", *(["multiple_of_floor"] if rows[0]["multiple_of_floor"] is not None else []))
+
+
+def _mean_figure(rows: Sequence[Row]) -> Row:
+    inside = [row["inside_interval"] for row in rows]
+    held = {"inside_interval": None if None in inside else all(inside), "rounds_inside": inside.count(True)}
+    return _mean_value(rows, "value") | held
+
+
+def _worst_requirement(rows: Sequence[Row]) -> Row:
+    return _lacking(rows) or max(rows, key=lambda row: row["value"])
+
+
+def _worst_failures(counts: Sequence[Row]) -> Row:
+    found = {name: max(count[name] for count in counts) for name in counts[0] if name != "first_non_finite"}
+    times = [count["first_non_finite"] for count in counts if count["first_non_finite"] is not None]
+    return found | {"states": min(count["states"] for count in counts), "first_non_finite": min(times, default=None)}
 
 
 def _distances(row: Comparison, mine: TrajectorySummary, truth: Sequence[TrajectorySummary]) -> list[float]:
@@ -222,12 +252,14 @@ def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values))
 
 
-def _reach(values: Sequence[float], factor: float) -> float:
-    """Half a 95 % interval by Student, t s/√n × ``factor``: 1 for the mean, √2 for that of as many others.
+def _interval(values: Sequence[float], factor: float) -> tuple[float, float, float]:
+    """Mean, and its 95 % interval by Student, ± t s/√n × ``factor``: 1 for the mean, √2 for that of as many others.
 
     √(1 + n/k) is the factor for the mean of k others.
     """
-    if len(values) < 2:
-        return 0.0
-    quantile = float(student_t.ppf(0.5 + 0.5 * CONFIDENCE, len(values) - 1))
-    return factor * quantile * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    mean, count = _mean(values), len(values)
+    if count < 2:
+        return mean, mean, mean
+    quantile = float(student_t.ppf(0.5 + 0.5 * CONFIDENCE, count - 1))
+    reach = factor * quantile * float(np.std(values, ddof=1)) / math.sqrt(count)
+    return mean, mean - reach, mean + reach

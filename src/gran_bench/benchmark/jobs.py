@@ -1,9 +1,16 @@
-"""What a method does when it is its turn, from plain data: prepared once, run as often as it is timed."""
+"""What a method does when it is its turn, from plain data; as a module, a process that prepares and runs one method.
+
+One method a process, so that the memory is its own.
+"""
 
 from __future__ import annotations
 
+import resource
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,11 +21,14 @@ from gran_bench.dataset import from_document, read_case, read_settled
 from gran_bench.dataset.case_spec import NUDGE
 from gran_bench.dataset.generation import nudged
 from gran_bench.dem.simulate import SimulationError, simulate
-from gran_bench.metrics.summary import summarise
+from gran_bench.files import write_atomically
+from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.scene import Scene
 from gran_bench.state import ParticleState, Trajectory
+from gran_bench.workers import serve
 
 STAGE = 0.05  # s that a bed is given to relax after each step towards a stiffer material
+WARM_UP = 2  # frames: they compile, or load what was compiled before
 BASELINES = {"rigid rotation": rigid_rotation, "ballistic": ballistic}
 
 
@@ -48,29 +58,42 @@ def prepare(job: dict[str, Any]) -> Run:
     Args:
         job: ``does`` names the method; the rest is what it needs, as plain data.
     """
-    makers = {"dem": _dem, "surrogate": _surrogate, "interpolation": _interpolation}
-    return (makers | dict.fromkeys(BASELINES, _baseline))[job["does"]](job)
+    if job["does"] == "interpolation":
+        training = training_summaries(job)
+        return lambda frames, seed: _interpolated(job["rpm"], training)
+    scene, (bed, _) = from_document(job["scene"]), read_settled(job["bed"])
+    if job["does"] == "dem":
+        return _dem(scene, bed, DemConfig(**job["dem"]), job["stages"])
+    if job["does"] == "surrogate":
+        return _surrogate(scene, bed, job["model"])
+    return lambda frames, seed: Outcome(BASELINES[job["does"]](_cut(scene, bed, frames), nudged(bed, NUDGE, seed)))
+
+
+def training_summaries(job: dict[str, Any]) -> dict[float, TrajectorySummary]:
+    """What the interpolation of a job lies between, by speed in rpm."""
+    cases = {float(rpm): read_case(path) for rpm, path in job["cases"].items()}
+    return {rpm: summarise(case.trajectory, case.scene) for rpm, case in cases.items()}
+
+
+def _interpolated(rpm: float, training: dict[float, TrajectorySummary]) -> Outcome:
+    interpolated_statistics(rpm, training)
+    return Outcome(None)
 
 
 def with_modulus(scene: Scene, modulus: float) -> Scene:
     """The same scene with another Young's modulus (Pa) of every material, walls included."""
-    return replace(
-        scene,
-        material=replace(scene.material, youngs_modulus=modulus),
-        wall_material=replace(scene.wall_material, youngs_modulus=modulus),
-        more_materials=tuple(replace(material, youngs_modulus=modulus) for material in scene.more_materials),
-    )
+    materials = (scene.material, scene.wall_material, *scene.more_materials)
+    first, wall, *more = (replace(material, youngs_modulus=modulus) for material in materials)
+    return replace(scene, material=first, wall_material=wall, more_materials=tuple(more))
 
 
-def _dem(job: dict[str, Any]) -> Run:
-    scene, dem = from_document(job["scene"]), DemConfig(**job["dem"])
-    bed, _ = read_settled(job["bed"])
+def _dem(scene: Scene, bed: ParticleState, dem: DemConfig, stages: list[float]) -> Run:
     # A bed of softer spheres overlaps too much for a stiffer material to take at once: it would fly apart.
-    for modulus in job["stages"]:
+    for modulus in stages:
         bed = simulate(with_modulus(scene, modulus), bed, bed.time + STAGE, dem=DemConfig(threads=1)).final
 
-    def run(frames: int, nudge_seed: int) -> Outcome:
-        start, end = _start(bed, nudge_seed), bed.time + frames * scene.frame_interval
+    def run(frames: int, seed: int) -> Outcome:
+        start, end = nudged(bed, NUDGE, seed), bed.time + frames * scene.frame_interval
         try:
             return Outcome(simulate(scene, start, end, dem=dem).trajectory)
         except SimulationError as error:
@@ -79,7 +102,7 @@ def _dem(job: dict[str, Any]) -> Run:
     return run
 
 
-def _surrogate(job: dict[str, Any]) -> Run:
+def _surrogate(scene: Scene, bed: ParticleState, path: str) -> Run:
     # Imported here, so that the memory of a DEM does not have PyTorch in it.
     import torch
 
@@ -87,11 +110,10 @@ def _surrogate(job: dict[str, Any]) -> Run:
     from gran_bench.surrogate.rollout import rollout
 
     torch.set_num_threads(1)
-    scene, (bed, _) = from_document(job["scene"]), read_settled(job["bed"])
-    model, _ = load_model(job["model"])
+    model, _ = load_model(path)
 
-    def run(frames: int, nudge_seed: int) -> Outcome:
-        result = rollout(model, scene, _start(bed, nudge_seed), frames + 1)
+    def run(frames: int, seed: int) -> Outcome:
+        result = rollout(model, scene, nudged(bed, NUDGE, seed), frames + 1)
         if result.failed_frame is None:
             return Outcome(result.trajectory)
         reason = f"not finite from frame {result.failed_frame} on"
@@ -100,27 +122,72 @@ def _surrogate(job: dict[str, Any]) -> Run:
     return run
 
 
-def _baseline(job: dict[str, Any]) -> Run:
-    scene, (bed, _) = from_document(job["scene"]), read_settled(job["bed"])
-    return lambda frames, nudge_seed: Outcome(BASELINES[job["does"]](_cut(scene, bed, frames), _start(bed, nudge_seed)))
-
-
-def _interpolation(job: dict[str, Any]) -> Run:
-    cases = {float(rpm): read_case(path) for rpm, path in job["cases"].items()}
-    training = {rpm: summarise(case.trajectory, case.scene) for rpm, case in cases.items()}
-
-    def run(frames: int, nudge_seed: int) -> Outcome:
-        interpolated_statistics(job["rpm"], training)
-        return Outcome(None)
-
-    return run
-
-
-def _start(bed: ParticleState, nudge_seed: int) -> ParticleState:
-    return nudged(bed, NUDGE, nudge_seed)
-
-
 def _cut(scene: Scene, bed: ParticleState, frames: int) -> Scene:
     """The scene, ended ``frames`` frames after the state of the bed."""
     end = bed.time + frames * scene.frame_interval
     return scene if np.isclose(end, scene.end_time) else replace(scene, end_time=end)
+
+
+def _timed(run: Run, frames: int, seed: int, keep: str | None) -> dict[str, Any]:
+    """Wall and processor time of a run, s, the largest memory of this process, and what came on top of it, bytes."""
+    with suppress(OSError):  # the peak starts anew, where the system can: what compiling took is not the method's
+        Path("/proc/self/clear_refs").write_text("5")
+    before, wall, cpu = _resident_memory("VmRSS"), time.perf_counter(), time.process_time()
+    outcome = run(frames, seed)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    peak = _resident_memory("VmHWM")
+    if outcome.failure:
+        return {"failure": outcome.failure, "wall_seconds": wall, "reached": outcome.reached}
+    if keep and outcome.trajectory is not None:
+        keep_trajectory(Path(keep), outcome.trajectory)
+    own = max(0, peak - before)
+    return {"wall_seconds": wall, "cpu_seconds": cpu, "peak_bytes": peak, "own_bytes": own}
+
+
+def keep_trajectory(path: Path, frames: Trajectory) -> None:
+    """Write the frames of a run in single precision, as data sets hold them, whole or not at all."""
+    arrays = {name: getattr(frames, name) for name in ("position", "velocity", "angular_velocity")}
+    single = {name: np.asarray(array, np.float32) for name, array in arrays.items() if array is not None}
+    facts = {"time": frames.time, "radius": frames.radius, "velocity_kind": frames.velocity_kind}
+    write_atomically(path, lambda file: np.savez(file, **facts, **single))
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """The frames that a run kept."""
+    with np.load(path) as kept:
+        arrays = {name: kept[name] for name in kept.files}
+    spin = arrays.pop("angular_velocity", None)
+    return Trajectory(**arrays | {"velocity_kind": str(arrays["velocity_kind"])}, angular_velocity=spin)
+
+
+def _resident_memory(field: str) -> int:
+    """``VmRSS``, the resident memory of this process, or ``VmHWM``, its peak; bytes.
+
+    ``ru_maxrss`` would count the parent's memory at the moment of the start; it stands in where /proc is missing.
+    """
+    with suppress(OSError):
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith(f"{field}:"):
+                return 1024 * int(line.split()[1])
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+class _Server:
+    """Prepares a method at the first request, and runs it at every further one."""
+
+    run: Run | None = None
+    frames = 0
+
+    def __call__(self, request: dict[str, Any]) -> dict[str, Any]:
+        try:
+            if self.run is not None:
+                return _timed(self.run, self.frames, request["nudge_seed"], request["keep"])
+            self.run, self.frames = prepare(request["job"]), request["frames"]
+            self.run(min(WARM_UP, self.frames), request["nudge_seed"])
+            return {"ready": True}
+        except Exception as error:  # whatever a method dies of is its failure, not the benchmark's
+            return {"died": f"{type(error).__name__}: {error}"}
+
+
+if __name__ == "__main__":
+    serve(_Server())

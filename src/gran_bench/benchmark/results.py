@@ -3,26 +3,46 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import t as student_t
 
 from gran_bench.benchmark.claims import Entry
+from gran_bench.benchmark.contest import Method, Study
 from gran_bench.benchmark.errors import VELOCITY, Reference, Scored
-from gran_bench.benchmark.method import Method
-from gran_bench.benchmark.spread import spread
-from gran_bench.benchmark.turns import Record, Turn
+from gran_bench.benchmark.turns import Record
 from gran_bench.files import write_text
 
 RESULTS = "benchmark.json"
 FORMAT = 1  # of the file; a change makes a page refuse the older ones
+SPREAD = ("median", "low", "high", "expected_low", "expected_high")
 
 
 class ResultsError(ValueError):
     """Results that a page cannot be made from; the message names the file and the remedy."""
+
+
+def spread(values: Sequence[float]) -> dict[str, float | None] | None:
+    """Median, smallest and largest of positive values, one a round, and where the median of another benchmark lies.
+
+    With s the standard deviation of ln x over n rounds, the median of n others lies with 95 % confidence within
+    median × exp(± t_{n−1} × 1.2533 s √(2/n)): 1.2533 s/√n is the standard error of a median of normal values, and two
+    medians scatter √2 as much as one. None of no value; a single round says nothing of another.
+    """
+    if not values:
+        return None
+    logarithm, count = np.log(np.asarray(values, float)), len(values)
+    if count == 1:
+        return dict(zip(SPREAD, [float(values[0])] * 3 + [None] * 2, strict=True))
+    middle = float(np.median(logarithm))
+    error = math.sqrt(0.5 * math.pi) * float(logarithm.std(ddof=1)) * math.sqrt(2.0 / count)
+    reach = float(student_t.ppf(0.975, count - 1)) * error
+    expected = math.exp(middle - reach), math.exp(middle + reach)
+    return dict(zip(SPREAD, (math.exp(middle), float(min(values)), float(max(values)), *expected), strict=True))
 
 
 def method_row(
@@ -34,49 +54,37 @@ def method_row(
         method: that was compared.
         record: of its turns; None where it does not fit the scene.
         scored: its error; None where it has none.
-        beside: wall time of a simulated second of the DEM at its automatic step, s, by round: the unit of ``relative``.
+        beside: wall time of a simulated second of the DEM at its automatic step, s, by round: the unit of ``relative``,
+            in which what slows a whole machine cancels.
     """
-    row: dict[str, Any] = {"name": method.name, "kind": method.kind, "unfit_because": method.unfit_because}
-    row |= {"data_seconds": method.data_seconds, "training_seconds": method.training_seconds}
-    row |= {"simulated_seconds": method.seconds, "failure": record.failure if record else ""}
-    turns = record.turns if record else []
-    wall = [turn.wall_seconds / method.seconds for turn in turns]
-    # Where in the figure a run stands that failed on its way.
-    row["failed_seconds"] = record.failed_seconds if record else None
-    row["wall"] = asdict(spread(wall)) if wall else None
-    row["relative"] = _relative(wall, turns, beside)
-    row["cpu_seconds"] = float(np.median([t.cpu_seconds for t in turns])) / method.seconds if turns else None
-    for name in ("peak_bytes", "own_bytes"):
-        row[name] = max((getattr(turn, name) for turn in turns), default=None)
-    row |= {"floors": None, "floors_low": None, "floors_high": None, "by": "", "outside": 0, "judgement": None}
+    turns, seconds = record.turns if record else [], method.seconds
+    wall = [turn["wall_seconds"] / seconds for turn in turns]
+    ratios = [t / beside[turn["round"]] for t, turn in zip(wall, turns, strict=True) if turn["round"] in beside]
+    names = ("name", "kind", "unfit_because", "data_seconds", "training_seconds")
+    spent = {name: getattr(method, name) for name in names}
+    spent |= {"simulated_seconds": seconds, "failure": record.failure if record else ""}
+    spent |= {"failed_seconds": record.failed_seconds if record else None, "wall": spread(wall)}
+    spent |= {"relative": spread(ratios), "cpu_seconds": None}
+    if turns:
+        spent["cpu_seconds"] = float(np.median([turn["cpu_seconds"] for turn in turns])) / seconds
+    spent |= {key: max((turn[key] for turn in turns), default=None) for key in ("peak_bytes", "own_bytes")}
+    found = {"floors": None, "floors_low": None, "floors_high": None, "by": "", "outside": 0, "judgement": None}
     if scored is not None:
-        row |= {"floors": scored.floors, "floors_low": scored.low, "floors_high": scored.high, "by": scored.by}
-        row |= {"outside": scored.outside, "judgement": scored.judgement}
-        row["failure"] = row["failure"] or scored.reason
-        if scored.outside:
-            row["failure"] = row["failure"] or f"{scored.outside} spheres left the container"
-    row["failed"] = bool(row["failure"])
-    return row
+        found = {"floors": scored.floors, "floors_low": scored.low, "floors_high": scored.high, "by": scored.by}
+        found |= {"outside": scored.outside, "judgement": scored.judgement}
+        lost = f"{scored.outside} spheres left the container" if scored.outside else ""
+        spent["failure"] = spent["failure"] or scored.reason or lost
+    return spent | found | {"failed": bool(spent["failure"])}
 
 
-def _relative(wall: Sequence[float], turns: Sequence[Turn], beside: dict[int, float]) -> dict[str, Any] | None:
-    """Times in units of the reference method's time in the same round: what slows a whole machine cancels."""
-    ratios = [seconds / beside[turn.round] for seconds, turn in zip(wall, turns, strict=True) if turn.round in beside]
-    return asdict(spread(ratios)) if ratios else None
-
-
-def study_rows(points: dict[str, list[tuple[float, Method]]], records: dict[str, Record]) -> dict[str, list[dict]]:
+def study_rows(points: Study, records: dict[str, Record]) -> dict[str, list[dict]]:
     """Cost against stiffness or number: by label, a point for each abscissa; its time is None where the run failed."""
-    found: dict[str, list[dict]] = {}
-    for label, methods in points.items():
-        found[label] = []
-        for abscissa, method in methods:
-            record = records[method.name]
-            wall = [turn.wall_seconds / method.seconds for turn in record.turns]
-            point = {"at": abscissa, "wall": asdict(spread(wall)) if wall else None, "failure": record.failure}
-            if method.kind == "dem":
-                point["time_step"] = method.job["dem"]["time_step"]
-            found[label].append(point)
+    found: dict[str, list[dict]] = {label: [] for label in points}
+    for label, abscissa, method in ((label, *point) for label, line in points.items() for point in line):
+        record = records[method.name]
+        wall = spread([turn["wall_seconds"] / method.seconds for turn in record.turns])
+        step = {"time_step": method.job["dem"]["time_step"]} if method.kind == "dem" else {}
+        found[label].append({"at": abscissa, "wall": wall, "failure": record.failure} | step)
     return found
 
 
@@ -98,15 +106,11 @@ def reference_facts(reference: Reference, replicas: int, runs: int, automatic: f
         Plain data; ``noise`` and ``accepted`` are None where there are too few replicas.
     """
     noise = reference.noise(runs)
-    return {
-        "replicas": replicas,
-        "judged_runs": runs,
-        "own": reference.own,
-        "noise": noise,
-        # Where a bed comes to rest, nudges hardly grow, and the step of the DEM counts for more than its noise.
-        "accepted": None if noise is None else max(noise, automatic or 0.0),
-        "ranked": [{"key": row.key, "label": row.label, "unit": row.unit} for row in reference.ranked],
-    }
+    # Where a bed comes to rest, nudges hardly grow, and the step of the DEM counts for more than its noise.
+    accepted = None if noise is None else max(noise, automatic or 0.0)
+    ranked = [{"key": row.key, "label": row.label, "unit": row.unit} for row in reference.ranked]
+    facts = {"replicas": replicas, "judged_runs": runs, "own": reference.own, "noise": noise}
+    return facts | {"accepted": accepted, "ranked": ranked}
 
 
 def judged_anew(found: dict[str, Any], reference: Reference, replicas: int) -> dict[str, Any]:
@@ -146,13 +150,11 @@ def entries(found: dict[str, Any]) -> list[Entry]:
     """The judged methods of a benchmark, failed ones included, that were timed."""
     timed = []
     for row in found["methods"]:
-        wall = row["wall"] or dict.fromkeys(("median", "low", "high"), row["failed_seconds"])
-        times = [wall[name] for name in ("median", "low", "high")]
-        if times[0] is not None and (row["floors"] is not None or row["failed"]):
-            floors = None if row["failed"] else row["floors"]
+        wall = row["wall"] or dict.fromkeys(SPREAD, row["failed_seconds"])
+        if wall["median"] is not None and (row["floors"] is not None or row["failed"]):
+            errors = [None] * 3 if row["failed"] else [row[key] for key in ("floors", "floors_low", "floors_high")]
             spent = row["data_seconds"], row["training_seconds"]
-            interval = (None, None) if row["failed"] else (row["floors_low"], row["floors_high"])
-            timed.append(Entry(row["name"], row["kind"], *times, floors, *spent, *interval))
+            timed.append(Entry(row["name"], row["kind"], wall["median"], *errors, wall["low"], wall["high"], *spent))
     return timed
 
 
@@ -162,10 +164,9 @@ def untimed(found: dict[str, Any]) -> list[str]:
     return [row["name"] for row in rows]
 
 
-def write_results(folder: Path, found: dict[str, Any]) -> Path:
+def write_results(folder: Path, found: dict[str, Any]) -> None:
     """Write the results whole or not at all."""
     write_text(folder / RESULTS, json.dumps(found, indent=1, allow_nan=False) + "\n")
-    return folder / RESULTS
 
 
 def read_results(path: Path) -> dict[str, Any]:
@@ -188,8 +189,7 @@ def read_all(root: Path) -> dict[str, dict[str, Any]]:
     Raises:
         ResultsError: results of another format.
     """
-    found = {}
-    for path in sorted(root.glob(f"*/*/{RESULTS}")):
-        found[f"{path.parent.parent.name}/{path.parent.name}"] = read_results(path)
-    thorough = {place.partition("/")[2] for place in found if place.startswith("full/")}
-    return {p: r for p, r in found.items() if p.startswith("full/") or p.partition("/")[2] not in thorough}
+    paths = sorted(root.glob(f"*/*/{RESULTS}"))
+    thorough = {path.parent.name for path in paths if path.parts[-3] == "full"}
+    shown = [path for path in paths if path.parts[-3] == "full" or path.parent.name not in thorough]
+    return {f"{path.parts[-3]}/{path.parts[-2]}": read_results(path) for path in shown}

@@ -7,42 +7,24 @@ there, so that an interrupted benchmark goes on from where it was.
 from __future__ import annotations
 
 import json
-import subprocess
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from gran_bench.benchmark.crew import ask, crew
-from gran_bench.benchmark.method import Method
+from gran_bench.benchmark.contest import Method
 from gran_bench.files import write_text
+from gran_bench.workers import Worker
 
 PREPARED_AT_A_TIME = 2
+PATIENCE = 3600.0  # s that a method may prepare itself, or take for one run: the slowest take minutes
 FAILURE = "failure.json"
 FIRST_NUDGE = 1001  # seed of the nudge of the first round of seed 0; the replicas have the lower ones
 ROUNDS_OF_A_SEED = 1000
-
-
-@dataclass(frozen=True)
-class Turn:
-    """One timed run.
-
-    Attributes:
-        round: index.
-        wall_seconds, cpu_seconds: of the run; where they differ, the process waited for the processor.
-        peak_bytes: largest resident memory of the method's process during the run, Python and libraries included.
-        own_bytes: of these, what came on top of what was resident before the run.
-    """
-
-    round: int
-    wall_seconds: float
-    cpu_seconds: float
-    peak_bytes: int
-    own_bytes: int
 
 
 @dataclass(frozen=True)
@@ -50,15 +32,13 @@ class Record:
     """All turns of one method.
 
     Attributes:
-        folder: of its files.
-        turns: by round; empty for a method that failed in its first run.
+        turns: by round, as the method's process told them (`jobs.prepare`); none of a method that failed at once.
         failure: why it failed; empty where it did not.
         failed_seconds: wall time of a simulated second before it failed, s; None where it never got to a frame.
     """
 
-    folder: Path
-    turns: list[Turn]
-    failure: str
+    turns: list[dict[str, Any]]
+    failure: str = ""
     failed_seconds: float | None = None
 
 
@@ -68,26 +48,16 @@ def trajectory_file(folder: Path, index: int) -> Path:
 
 
 def nudge_seed(seed: int, index: int) -> int:
-    """Seed of the nudge that a round starts from: no two rounds of two benchmarks have the same.
-
-    Args:
-        seed: of the benchmark.
-        index: of the round.
-    """
+    """Seed of the nudge that a round of a benchmark starts from: no two rounds of two benchmarks have the same."""
     return FIRST_NUDGE + ROUNDS_OF_A_SEED * seed + index
 
 
 def take_turns(
-    methods: Sequence[Method],
-    rounds: int,
-    seed: int,
-    folder: Path,
-    conditions: Sequence[str],
-    frame_interval: float,
+    methods: Sequence[Method], rounds: int, seed: int, folder: Path, conditions: Sequence[str], frame_interval: float,
     wants_frames: Callable[[Method, Path, int], bool] = lambda method, folder, index: False,
     after_round: Callable[[int, dict[str, Path]], None] = lambda index, folders: None,
     label: str = "timing",
-) -> dict[str, Record]:
+) -> dict[str, Record]:  # fmt: skip
     """Run every method once a round, and keep what was measured.
 
     Args:
@@ -116,66 +86,57 @@ def take_turns(
         return frames_wanted or not _path(place, index).exists(), frames_wanted
 
     for place in folders.values():
-        _forget_death(place)
-    missing = [(m, index) for index in range(rounds) for m in _order(fit, seed, index) if wants(m, index)[0]]
-    with crew() as hire, tqdm(total=len(missing), desc=label, unit="run", disable=None, leave=False) as bar:
-        # All are compiled and warm before the first is timed.
-        workers: dict[str, subprocess.Popen] = {}
+        # A run that diverged will diverge again; a process that died (of a lack of memory, say) gets another chance.
+        if (place / FAILURE).exists() and json.loads((place / FAILURE).read_text("utf-8"))["died"]:
+            (place / FAILURE).unlink()
+    orders = [np.random.default_rng([seed, index]).permutation(len(fit)) for index in range(rounds)]
+    missing = [(fit[k], index) for index, order in enumerate(orders) for k in order if wants(fit[k], index)[0]]
+    workers = {method.name: Worker("gran_bench.benchmark.jobs") for method, _ in missing}
+    with tqdm(total=len(missing), desc=label, unit="run", disable=None, leave=False) as bar:
 
         def prepare(method: Method) -> None:
             bar.set_postfix_str(f"preparing {method.name}", refresh=True)
-            workers[method.name] = hire()
             frames = round(method.seconds / frame_interval)
-            answer = ask(workers[method.name], {"job": method.job, "frames": frames, "nudge_seed": nudge_seed(seed, 0)})
+            request = {"job": method.job, "frames": frames, "nudge_seed": nudge_seed(seed, 0)}
+            answer = workers[method.name].ask(request, PATIENCE)
             if "died" in answer:
                 _fail(folders[method.name], answer["died"], died=True)
 
-        needed = list({method.name: method for method, _ in missing}.values())
-        for method in needed[:1]:  # it compiles what the others then load
-            prepare(method)
         lanes = ThreadPoolExecutor(PREPARED_AT_A_TIME)
         try:
-            list(lanes.map(prepare, needed[1:]))
-        except BaseException:
-            # The lanes end once nothing waits and those that they wait for are gone.
-            lanes.shutdown(wait=False, cancel_futures=True)
-            for worker in list(workers.values()):
-                worker.kill()
-            raise
+            # All are compiled and warm before the first is timed; the first compiles what the others then load.
+            needed = list({method.name: method for method, _ in missing}.values())
+            for some in (needed[:1], needed[1:]):
+                list(lanes.map(prepare, some))
+            for index in range(rounds):
+                for method in [method for method, when in missing if when == index]:
+                    wanted, keeps = wants(method, index)
+                    bar.set_postfix_str(method.name, refresh=True)
+                    bar.update()
+                    if wanted:
+                        place = folders[method.name]
+                        keep = str(trajectory_file(place, index).resolve()) if keeps else None
+                        request = {"nudge_seed": nudge_seed(seed, index), "keep": keep}
+                        _note(method, workers[method.name].ask(request, PATIENCE), place, index, frame_interval)
+                after_round(index, folders)
         finally:
+            lanes.shutdown(wait=False, cancel_futures=True)  # nobody waits for what an interruption ends
+            for worker in workers.values():
+                worker.end()
             lanes.shutdown()
-        for index in range(rounds):
-            for method in [method for method, when in missing if when == index]:
-                wanted, keeps = wants(method, index)
-                bar.set_postfix_str(method.name, refresh=True)
-                bar.update()
-                if wanted:
-                    place = folders[method.name]
-                    keep = str(trajectory_file(place, index).resolve()) if keeps else None
-                    request = {"nudge_seed": nudge_seed(seed, index), "keep": keep}
-                    _take_turn(method, workers[method.name], place, index, request, frame_interval)
-            after_round(index, folders)
     return {method.name: _read(folders[method.name], rounds) for method in fit}
 
 
-def _take_turn(
-    method: Method, worker: subprocess.Popen, folder: Path, index: int, request: dict[str, Any], frame_interval: float
-) -> None:
-    """Let a worker run once, and write down what came of it."""
-    answer = ask(worker, request)
+def _note(method: Method, answer: dict[str, Any], folder: Path, index: int, frame_interval: float) -> None:
+    """Write down what came of a run."""
     if "died" in answer:
         _fail(folder, answer["died"], died=True)
     elif "failure" in answer:
         reached = answer["reached"] * frame_interval
-        seconds = answer["wall_seconds"] / reached if reached else None
-        _fail(folder, answer["failure"], died=False, seconds=seconds)
+        _fail(folder, answer["failure"], died=False, seconds=answer["wall_seconds"] / reached if reached else None)
     else:
-        turn = asdict(Turn(index, **answer)) | {"method": method.name}
+        turn = {"round": index, **answer, "method": method.name}
         write_text(_path(folder, index), json.dumps(turn, indent=1) + "\n")
-
-
-def _order(methods: Sequence[Method], seed: int, index: int) -> list[Method]:
-    return [methods[i] for i in np.random.default_rng([seed, index]).permutation(len(methods))]
 
 
 def _path(folder: Path, index: int) -> Path:
@@ -186,17 +147,9 @@ def _fail(folder: Path, message: str, died: bool, seconds: float | None = None) 
     write_text(folder / FAILURE, json.dumps({"failure": message, "died": died, "seconds": seconds}) + "\n")
 
 
-def _forget_death(folder: Path) -> None:
-    """A run that diverged will diverge again; a process that died (of a lack of memory, say) gets another chance."""
-    path = folder / FAILURE
-    if path.exists() and json.loads(path.read_text("utf-8"))["died"]:
-        path.unlink()
-
-
 def _read(folder: Path, rounds: int) -> Record:
-    found = [json.loads(_path(folder, k).read_text("utf-8")) for k in range(rounds) if _path(folder, k).exists()]
-    turns = [Turn(**{name: value for name, value in turn.items() if name != "method"}) for turn in found]
+    turns = [json.loads(_path(folder, k).read_text("utf-8")) for k in range(rounds) if _path(folder, k).exists()]
     if not (folder / FAILURE).exists():
-        return Record(folder, turns, "")
+        return Record(turns)
     failed = json.loads((folder / FAILURE).read_text("utf-8"))
-    return Record(folder, turns, failed["failure"], failed["seconds"])
+    return Record(turns, failed["failure"], failed["seconds"])

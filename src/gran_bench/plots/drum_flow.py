@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import ttest_1samp
 
 from gran_bench.plots.style import BAND, BASELINE, DEM, drawing
 from gran_bench.state import FloatArray
-from gran_bench.verification.agreement import mean_of
 
 
 def draw_drum_flow(
@@ -43,8 +43,9 @@ def draw_drum_flow(
                     spread = np.linspace(-0.15, 0.15, len(values[row]))
                     colour = DEM if code.startswith(codes[0]) else BASELINE  # the first, or it with something changed
                     axes.plot(place + spread, values[row], "o", color=colour, markersize=3.5, alpha=0.7)
-                    mean = mean_of(values[row])
-                    axes.errorbar(place + 0.3, mean.middle, mean.half_width, fmt="_", color=colour, capsize=3)
+                    low, high = ttest_1samp(values[row], 0.0).confidence_interval(0.95)
+                    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+                    axes.errorbar(place + 0.3, middle, half, fmt="_", color=colour, capsize=3)
                 axes.set_xticks(range(len(codes)), [code.replace(", ", ",\n") for code in codes])
                 axes.set_xlim(-0.5, len(codes) - 0.3)
                 axes.set_ylabel(label)

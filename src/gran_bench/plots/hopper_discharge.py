@@ -3,14 +3,47 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gran_bench.plots.style import BASELINE, DEM, drawing
-from gran_bench.verification.hopper_discharge import HopperDischarge
+from gran_bench.state import FloatArray
 
 GRAVITY = 9.81  # m/s²
+
+
+@dataclass(frozen=True)
+class HopperDischarge:
+    """Flows out of hoppers that differ in their orifice alone.
+
+    Attributes:
+        orifice: ``(K,)`` D, m.
+        flow: ``(K,)`` W, kg/s.
+        flow_error: ``(K,)`` standard error of W from the scatter of blocks of time, kg/s.
+        exponent: of D − k d, by least squares of the logarithms.
+        exponent_error: its standard error: of the straight line or of the flows, whichever is larger.
+        factor: C of the law with exponent 5/2, −, with the bulk density of the settled bed.
+        diameter: d, m.
+        bulk_density: ρ_b, kg/m³.
+        rim: k, −.
+    """
+
+    orifice: FloatArray
+    flow: FloatArray
+    flow_error: FloatArray
+    exponent: float
+    exponent_error: float
+    factor: float
+    diameter: float
+    bulk_density: float
+    rim: float
+
+    @property
+    def opening(self) -> FloatArray:
+        """D − k d, ``(K,)`` m."""
+        return self.orifice - self.rim * self.diameter
 
 
 def draw_discharge(path: Path | str, result: HopperDischarge) -> None:

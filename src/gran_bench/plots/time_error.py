@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -57,6 +58,9 @@ class Contender:
             raise ValueError(f"kind={self.kind!r} of {self.name!r}; choose one of {', '.join(KINDS)}")
 
 
+Method = TypeVar("Method", bound=Contender)
+
+
 def time_against_error(
     contenders: Sequence[Contender],
     quantity: str,
@@ -101,7 +105,7 @@ def time_against_error(
             axes.axhspan(0.0, accuracy, color="#f0f0f0", zorder=0)
             axes.text(0.99, 0.015, "the DEM's own accuracy", transform=axes.transAxes, ha="right", fontsize=8.5,
                       color="#666666")  # fmt: skip
-        ahead = front(sound)
+        ahead = frontier(sound)
         if len(ahead) > 1:
             axes.plot([c.seconds for c in ahead], [c.floors for c in ahead], color=QUIET, linewidth=1.0,
                       drawstyle="steps-post", linestyle=(0, (5, 3)), label="nothing is faster and better")  # fmt: skip
@@ -149,10 +153,16 @@ def _name_marks(figure: Figure, axes: Axes, marks: Sequence[tuple[Contender, flo
         taken.append(box)
 
 
-def front(contenders: Sequence[Contender]) -> list[Contender]:
-    """Those that no other beats in time and error at once, from fast to slow."""
-    found: list[Contender] = []
-    for contender in sorted(contenders, key=lambda c: (c.seconds, c.floors)):
-        if not found or contender.floors < found[-1].floors:
-            found.append(contender)
-    return found
+def frontier(contenders: Sequence[Method]) -> list[Method]:
+    """Those that no other beats, from fast to slow: none is as fast and as exact, and better in one of both.
+
+    Failed runs are beaten by definition.
+    """
+    sound = [c for c in contenders if c.floors is not None]
+
+    def beats(other: Method, one: Method) -> bool:
+        better = other.seconds < one.seconds or other.floors < one.floors
+        return better and other.seconds <= one.seconds and other.floors <= one.floors
+
+    ahead = (one for one in sound if not any(beats(other, one) for other in sound))
+    return sorted(ahead, key=lambda one: (one.seconds, one.name))

@@ -34,7 +34,7 @@ def draw_verification(outcomes: Sequence[Outcome], folder: Path) -> list[str]:
         outcomes: of the suite or of a part of it.
         folder: of the page.
     """
-    curves = {name: values for outcome in outcomes for name, values in outcome.findings.curves.items()}
+    curves = {name: values for outcome in outcomes for name, values in outcome.curves.items()}
     names = []
     if any(name.startswith(tuple(f"{key}|" for key, *_ in IMPACTS)) for name in curves):
         _oblique_impact(curves, folder / "oblique_impact.png")

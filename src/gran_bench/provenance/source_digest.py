@@ -32,7 +32,7 @@ JUDGING = (*_READING, "dataset/generation.py", "surrogate/rollout.py", "metrics"
 # What a benchmark measures of a method.
 COMPARING = (
     *(*JUDGING, *SOLVER, "surrogate"),
-    *(f"benchmark/{name}.py" for name in ("crew", "errors", "jobs", "method", "pooling", "turns", "worker")),
+    *("workers.py", *(f"benchmark/{name}.py" for name in ("contest", "errors", "jobs", "turns"))),
 )
 
 # Hashes that this process has taken; they stay what they were when its modules were loaded, whatever is edited later.

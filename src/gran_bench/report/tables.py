@@ -10,9 +10,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from gran_bench.benchmark.claims import Entry, equal_accuracy, frontier
+from gran_bench.benchmark.claims import Entry, equal_accuracy
+from gran_bench.benchmark.page import equal_accuracy_words, softened
 from gran_bench.benchmark.results import entries, read_all
-from gran_bench.benchmark.sentences import equal_accuracy_words, softened
+from gran_bench.plots.time_error import frontier
 from gran_bench.provenance import read_table
 from gran_bench.run.summary import missed_requirements, read_summary
 from gran_bench.stress.expectation import FAILED

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,43 +19,34 @@ from gran_bench.shipped import shipped_scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
 from gran_bench.stress.expectation import Observation
 from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.stress.impacts import deepest_overlap
 
 STATE_ARRAYS = ("position", "velocity", "angular_velocity")
 
 
-def settled_bed(scene: Scene, shared: Path, dem: DemConfig | None = None) -> ParticleState:
-    """The bed that a scene starts with, made once for all cases of a run.
-
-    Args:
-        scene: at any motion.
-        shared: folder of the beds.
-        dem: that it settles with.
-    """
-    job = Job(CaseSpec(scene, dem or DemConfig()), shared, settles=True)
-    with locked(shared / "beds.lock"):
+def settled_bed(bench: Bench, scene: Scene) -> ParticleState:
+    """The bed that a scene starts with, at any motion; made once for all cases of a run."""
+    job = Job(CaseSpec(scene, DemConfig()), bench.shared, settles=True)
+    with locked(bench.shared / "beds.lock"):
         job.run(lambda seconds: None)
     return read_settled(job.path)[0]
 
 
 def bed_in_place(
-    bench: Bench, scene: str, changes: dict[str, Any] | None, then: dict[str, Any] | None, speed_rpm: float | None
+    bench: Bench, scene: str, speed_rpm: float | None, changes: dict | None = None, then: dict | None = None
 ) -> tuple[Scene, ParticleState]:
     """A scene and its settled bed, at the time when the scene starts.
 
     Args:
         scene: shipped one.
+        speed_rpm: constant speed; None for the scene's own motion.
         changes: of its keys before the bed settles.
         then: further changes of its keys after that.
-        speed_rpm: constant speed; None for the scene's own motion.
     """
-    bed = settled_bed(shipped_scene(scene, changes), bench.shared)
-    place = turned(shipped_scene(scene, (changes or {}) | (then or {})), speed_rpm)
+    bed = settled_bed(bench, shipped_scene(scene, changes))
+    place = shipped_scene(scene, (changes or {}) | (then or {}))
+    place = place if speed_rpm is None else place.at_speed(speed_rpm)
     return place, replace(bed, time=place.start_time)
-
-
-def turned(scene: Scene, speed_rpm: float | None) -> Scene:
-    """The scene at a constant speed; as it is where None."""
-    return scene if speed_rpm is None else scene.at_speed(speed_rpm)
 
 
 def energy_scale(scene: Scene, state: ParticleState) -> float:
@@ -69,11 +59,8 @@ def energy_scale(scene: Scene, state: ParticleState) -> float:
 def kinetic_energy(trajectory: Trajectory, scene: Scene) -> FloatArray:
     """Translational and, where there is spin, rotational energy of each frame, ``(F,)`` J; NaN where not finite."""
     mass = sphere_masses(trajectory.radius, scene.material.density)
-    energy = translational_energy(trajectory.time, trajectory.velocity, mass).value
-    if trajectory.angular_velocity is not None:
-        spin = trajectory.angular_velocity
-        energy = energy + rotational_energy(trajectory.time, spin, mass, trajectory.radius).value
-    return energy
+    energy, spin = translational_energy(trajectory.time, trajectory.velocity, mass).value, trajectory.angular_velocity
+    return energy if spin is None else energy + rotational_energy(trajectory.time, spin, mass, trajectory.radius).value
 
 
 def escapes(count: FailureCount) -> tuple[str, ...]:
@@ -90,49 +77,44 @@ def escapes(count: FailureCount) -> tuple[str, ...]:
     return tuple(told)
 
 
-def turning_bed(
-    bench: Bench,
-    scene: str = "drum_small",
-    changes: dict[str, Any] | None = None,
-    then: dict[str, Any] | None = None,
-    speed_rpm: float | None = 30.0,
-    seconds: float = 0.5,
-    time_step: float | None = None,
-    unsafe: bool = False,
-    engine: str = "numba",
-) -> Observation:
-    """A settled bed that is turned.
+BED_UNITS = {
+    "energy": "M(gD+½ω²R²)", "outside": "% of sphere states", "outside_5mm": "% of sphere states", "frames": "frames",
+    "non_finite": "states",
+}  # fmt: skip
 
-    Args:
-        scene: shipped one.
-        changes: of its keys before the bed settles.
-        then: further changes of its keys after that.
-        speed_rpm: constant speed; null for the scene's own motion.
-        seconds: simulated.
-        time_step: s; the solver's choice where null.
-        unsafe: whether a step beyond a fifth of the contact time is let through.
-        engine: of the DEM.
+
+def seen_of(trajectory: Trajectory, scene: Scene, bed: ParticleState) -> tuple[dict[str, float], tuple, FloatArray]:
+    """What any trajectory of a bed shows: figures in `BED_UNITS`, flags, and each state's energy in `energy_scale`."""
+    span = max(trajectory.frame_count - 1, 1) * scene.frame_interval
+    count = count_failures(trajectory, replace(scene, end_time=scene.start_time + span))
+    share = kinetic_energy(trajectory, scene) / (energy_scale(scene, bed) or 1.0)
+    finite = share[np.isfinite(share)]
+    figures = {
+        "energy": float(finite.max()) if len(finite) else 0.0,
+        "outside": count.share(count.outside_radius),
+        "outside_5mm": count.share(count.outside_tolerated),
+        "frames": float(trajectory.frame_count),
+        "non_finite": float(count.non_finite_states),
+    }
+    return figures, escapes(count), share
+
+
+def turning_bed(
+    bench: Bench, scene: str = "drum_small", changes: dict | None = None, then: dict | None = None,
+    speed_rpm: float | None = 30.0, seconds: float = 0.5, time_step: float | None = None, unsafe: bool = False,
+) -> Observation:  # fmt: skip
+    """A settled bed (`bed_in_place`) that is turned for some seconds.
+
+    ``time_step`` (s) is the solver's choice where null; ``unsafe`` lets a step beyond a fifth of the contact time pass.
     """
-    place, bed = bed_in_place(bench, scene, changes, then, speed_rpm)
-    dem = DemConfig(engine=engine, time_step=time_step, allow_unsafe_step=unsafe)
+    place, bed = bed_in_place(bench, scene, speed_rpm, changes, then)
+    dem = DemConfig(time_step=time_step, allow_unsafe_step=unsafe)
     result = simulate(place, bed, place.start_time + seconds, dem=dem)
-    ended = replace(place, end_time=place.start_time + seconds)
-    count = count_failures(result.trajectory, ended)
-    energy, scale = kinetic_energy(result.trajectory, place), energy_scale(place, bed)
-    overlap = result.trajectory.diagnostics
-    deepest = max(overlap["overlap_peak"].max(), overlap["wall_overlap_peak"].max())
-    return Observation(
-        {
-            "energy": float(energy.max() / scale) if scale else float(energy.max()),
-            "outside": count.share(count.outside_radius),
-            "outside_5mm": count.share(count.outside_tolerated),
-            "overlap": float(deepest / (2.0 * bed.radius.min())) if bed.count else 0.0,
-            "frames": float(result.trajectory.frame_count),
-            "spheres": float(bed.count),
-            "non_finite": float(count.non_finite_states),
-        },
-        (*result.warnings, *escapes(count)),
-    )
+    figures, flags, _ = seen_of(result.trajectory, place, bed)
+    deepest = deepest_overlap(result.trajectory.diagnostics)
+    overlap = deepest / float(2.0 * bed.radius.min()) if bed.count else 0.0
+    figures |= {"overlap": overlap, "spheres": float(bed.count)}
+    return Observation(figures, (*result.warnings, *flags))
 
 
 def differing(one: ParticleState, other: ParticleState) -> int:
@@ -143,93 +125,100 @@ def differing(one: ParticleState, other: ParticleState) -> int:
     return count + int((one.history.force != other.history.force).sum())
 
 
-def bit_identical(bench: Bench, what: str, scene: str = "drum_small", frames: int = 10) -> Observation:
-    """Two ways to say the same, which must give the same to the last bit.
+def farthest(one: FloatArray, other: FloatArray) -> float:
+    """The largest distance of a particle's two positions, ``(N, 3)`` m each."""
+    return float(np.linalg.norm(other - one, axis=1).max())
+
+
+def bit_identical(bench: Bench, what: str, scene: str = "drum_small") -> Observation:
+    """Two ways to say the same, which must give the same to the last bit after ten frames.
 
     Args:
         what: ``threads`` (1, 2 and 4), ``rest`` (0 rpm beside no motion), ``weightless`` (a bed that settles without
             gravity stays where it is put), ``restart`` (from a frame in the middle), ``skin`` (2 and 20 mm).
         scene: shipped one.
-        frames: to run.
     """
-    place = shipped_scene(scene)
+    still = shipped_scene(scene)
     if what == "weightless":
-        place = replace(place, gravity=(0.0, 0.0, 0.0))
-        put = replace(place.fresh_filling(0), time=place.start_time)
-        return Observation({"differing": float(differing(settled_bed(place, bench.shared), put)), "moved": 0.0})
-    place, bed = place.at_speed(30.0), settled_bed(place, bench.shared)
-    end = place.start_time + frames * place.frame_interval
-    half = place.start_time + frames // 2 * place.frame_interval
-    if what == "rest":
-        runs = [simulate(one, bed, end).final for one in (place.at_rest(), place.at_speed(0.0))]
-    elif what == "threads":
-        runs = [simulate(place, bed, end, dem=DemConfig(threads=n)).final for n in (1, 2, 4)]
-    elif what == "skin":
-        runs = [simulate(place, bed, end, dem=DemConfig(skin=skin)).final for skin in (0.002, 0.02)]
-    elif what == "restart":
-        runs = [simulate(place, bed, end).final, simulate(place, simulate(place, bed, half).final, end).final]
-    else:
-        raise ValueError(f"with.what={what} is unknown; choose threads, rest, weightless, restart or skin")
-    moved = float(np.linalg.norm(runs[0].position - bed.position, axis=1).max())
-    return Observation({"differing": float(sum(differing(runs[0], run) for run in runs[1:])), "moved": moved})
+        still = replace(still, gravity=(0.0, 0.0, 0.0))
+        put = replace(still.fresh_filling(0), time=still.start_time)
+        return Observation({"differing": float(differing(settled_bed(bench, still), put)), "moved": 0.0})
+    place, bed = still.at_speed(30.0), settled_bed(bench, still)
+    half, end = (place.start_time + number * place.frame_interval for number in (5, 10))
+
+    def final(scene: Scene = place, start: ParticleState = bed, until: float = end, **dem: object) -> ParticleState:
+        return simulate(scene, start, until, dem=DemConfig(**dem)).final
+
+    ways: dict[str, Callable[[], list[ParticleState]]] = {
+        "rest": lambda: [final(place.at_rest()), final(place.at_speed(0.0))],
+        "threads": lambda: [final(threads=number) for number in (1, 2, 4)],
+        "skin": lambda: [final(skin=skin) for skin in (0.002, 0.02)],
+        "restart": lambda: [final(), final(start=final(until=half))],
+    }
+    if what not in ways:
+        raise ValueError(f"with.what={what} is unknown; choose weightless, {', '.join(ways)}")
+    runs = ways[what]()
+    off = float(sum(differing(runs[0], run) for run in runs[1:]))
+    return Observation({"differing": off, "moved": farthest(bed.position, runs[0].position)})
 
 
-def alike(bench: Bench, what: str, scene: str = "drum_small", frames: int = 5) -> Observation:
-    """Two ways that must agree to a stated rounding: positions at the end.
+TURN = np.radians(40.0)  # no multiple of an angle that a lattice could know
+# What a drum looks like in other axes: matrices of a vector.
+IMAGES = {
+    "backwards": np.diag([-1.0, 1.0, 1.0]),
+    "mirrored": np.diag([1.0, -1.0, 1.0]),
+    "turned": np.array([[np.cos(TURN), 0, np.sin(TURN)], [0, 1, 0], [-np.sin(TURN), 0, np.cos(TURN)]]),
+}
+
+
+def image(
+    what: str, scene: Scene, state: ParticleState
+) -> tuple[Scene, ParticleState, Callable[[FloatArray], FloatArray]]:
+    """A moving drum and its bed, turned (with gravity), mirrored along the axis or across it, or renumbered.
 
     Args:
-        what: ``backwards`` (the mirror image at −30 rpm), ``float32`` (of the contact forces), ``engines`` (numpy
-            beside numba), ``turned`` (bed and gravity turned by 40° about the axis), ``renumbered``.
-        scene: shipped one.
-        frames: to run.
+        what: ``turned``, ``mirrored``, ``backwards`` (the mirror image across the axis, which turns the other way) or
+            ``renumbered``.
+        scene, state: as they are.
+
+    Returns:
+        Scene and state, and what brings positions back, ``(N, 3)`` m.
     """
-    place, bed = shipped_scene(scene).at_speed(30.0), settled_bed(shipped_scene(scene), bench.shared)
-    bed = replace(bed, history=ContactHistory.empty())  # both runs begin with contacts that remember nothing
-    end = place.start_time + frames * place.frame_interval
-    one = simulate(place, bed, end).final
-    if what == "backwards":
-        image = _mapped(bed, np.diag([-1.0, 1.0, 1.0]), proper=False)
-        other = _mapped(simulate(place.at_speed(-30.0), image, end).final, np.diag([-1.0, 1.0, 1.0]), proper=False)
-    elif what == "turned":
-        angle = np.radians(40.0)
-        turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-        tilted = replace(place, gravity=tuple(turn @ np.array(place.gravity)))
-        other = _mapped(simulate(tilted, _mapped(bed, turn), end).final, turn.T)
-    elif what == "renumbered":
-        order = np.random.default_rng(3).permutation(bed.count)
-        there = simulate(place, _reordered(bed, order), end).final
-        other = _reordered(replace(there, history=ContactHistory.empty()), np.argsort(order))
-    elif what in ("float32", "engines"):
-        dem = DemConfig(precision="float32") if what == "float32" else DemConfig(engine="numpy")
-        other = simulate(place, bed, end, dem=dem).final
-    else:
-        raise ValueError(f"with.what={what} is unknown; choose backwards, turned, renumbered, float32 or engines")
-    moved = float(np.linalg.norm(one.position - bed.position, axis=1).max())
-    off = float(np.linalg.norm(other.position - one.position, axis=1).max())
-    return Observation({"position_off": off, "moved": moved})
-
-
-def _mapped(state: ParticleState, linear: FloatArray, proper: bool = True) -> ParticleState:
-    """A state turned, or mirrored: spins are axial vectors."""
+    if what == "renumbered":
+        order = np.random.default_rng(3).permutation(state.count)
+        names = (*STATE_ARRAYS, "radius", "material")
+        changed = replace(state, **{name: getattr(state, name)[order] for name in names})
+        return scene, changed, lambda position: position[np.argsort(order)]
+    linear = IMAGES[what]
     vectors = {name: getattr(state, name) @ linear.T for name in STATE_ARRAYS}
-    if not proper:
-        vectors["angular_velocity"] = -vectors["angular_velocity"]
-    return replace(state, **vectors)
+    vectors["angular_velocity"] *= np.sign(np.linalg.det(linear))  # spins are axial vectors
+    if what == "backwards":
+        scene = scene.at_speed(-scene.rotation.speeds_rpm[-1])
+    scene = replace(scene, gravity=tuple(linear @ np.array(scene.gravity)))
+    return scene, replace(state, **vectors), lambda position: position @ linear
 
 
-def _reordered(state: ParticleState, order: FloatArray) -> ParticleState:
-    names = (*STATE_ARRAYS, "radius", "material")
-    return replace(state, **{name: getattr(state, name)[order] for name in names})
+def alike(bench: Bench, what: str) -> Observation:
+    """Two ways that must agree to a stated rounding: positions after five frames of ``drum_small``.
+
+    Args:
+        what: ``backwards``, ``turned`` or ``renumbered`` as in `image`, ``float32`` (of the contact forces),
+            ``engines`` (numpy beside numba).
+    """
+    place, bed = bed_in_place(bench, "drum_small", 30.0)
+    bed = replace(bed, history=ContactHistory.empty())  # both runs begin with contacts that remember nothing
+    dems = {"float32": DemConfig(precision="float32"), "engines": DemConfig(engine="numpy")}
+    if what not in {*dems, *IMAGES, "renumbered"}:
+        raise ValueError(f"with.what={what} is unknown; choose renumbered, {', '.join([*dems, *IMAGES])}")
+    end = place.start_time + 5 * place.frame_interval
+    one = simulate(place, bed, end).final.position
+    there, start, back = (place, bed, np.asarray) if what in dems else image(what, place, bed)
+    other = back(simulate(there, start, end, dem=dems.get(what)).final.position)
+    return Observation({"position_off": farthest(one, other), "moved": farthest(bed.position, one)})
 
 
 BEDS = {
-    "turning_bed": Experiment(
-        turning_bed,
-        {
-            "energy": "M(gD+½ω²R²)", "outside": "% of sphere states", "outside_5mm": "% of sphere states",
-            "overlap": "d", "frames": "frames", "spheres": "spheres", "non_finite": "states",
-        },
-    ),
+    "turning_bed": Experiment(turning_bed, BED_UNITS | {"overlap": "d", "spheres": "spheres"}),
     "bit_identical": Experiment(bit_identical, {"differing": "numbers", "moved": "m"}),
     "alike": Experiment(alike, {"position_off": "m", "moved": "m"}),
-}  # fmt: skip
+}

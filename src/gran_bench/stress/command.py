@@ -7,7 +7,6 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from difflib import get_close_matches
 from pathlib import Path
 
 from gran_bench.config import StressConfig
@@ -16,13 +15,11 @@ from gran_bench.files import locked
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
 from gran_bench.processes import stop_on_signals
 from gran_bench.provenance import provenance
-from gran_bench.shipped import SHIPPED
-from gran_bench.stress.case_list import StressCase, cases_of_file, shipped_cases
+from gran_bench.shipped import SHIPPED, shipped_model
+from gran_bench.stress.case_list import StressCase, cases_of_file, near_match, shipped_cases
 from gran_bench.stress.expectation import FAILED, Observation
 from gran_bench.stress.page import PAGE, closing_line, table, write_results
-from gran_bench.stress.perform import model_file
-from gran_bench.stress.registry import EXPERIMENTS
-from gran_bench.stress.run import Result, carry_out, errands, forget
+from gran_bench.stress.run import Errand, carry_out, errands, forget
 
 LOCK = ".lock"  # in the folder of the page
 PART = "part"  # folder of the page of less than the whole list
@@ -32,14 +29,8 @@ class StressFailed(RuntimeError):
     """At least one expectation was not met; the message names the cases."""
 
 
-def run_stress(config: StressConfig) -> list[Result]:
+def run_stress(config: StressConfig) -> list[Errand]:
     """Carry out the list that a config describes; print its table and write its page.
-
-    Args:
-        config: checked.
-
-    Returns:
-        The results.
 
     Raises:
         ConfigError: a list, or a case's name, that cannot be.
@@ -48,12 +39,12 @@ def run_stress(config: StressConfig) -> list[Result]:
     """
     cases, whole = chosen(config)
     folder = Path(config.output) if whole else Path(config.output) / PART
-    checkpoints = [model_file(checkpoint) for checkpoint in (config.checkpoint, *config.also)]
-    todo = errands(cases, checkpoints, folder)
+    files = [shipped_model() if file == SHIPPED else Path(file) for file in (config.checkpoint, *config.also)]
+    results = errands(cases, files, folder)
     # Two at once would empty each other's work folders.
     with stop_on_signals(), locked(folder / LOCK, lambda: _tell_of_another(folder)):
         began = time.perf_counter()
-        results = carry_out(todo, folder, config.workers, config.patience, lambda result: None)
+        carry_out(results, folder, config.workers, config.patience)
         print(table(results))
         seconds = time.perf_counter() - began
         # Times are of a machine that may have had other work.
@@ -62,7 +53,7 @@ def run_stress(config: StressConfig) -> list[Result]:
         write_results(results, folder, origin)
         forget(folder)
     print(f"\nthe page is {folder / PAGE}\n{closing_line(results, seconds)}")
-    failed = [result.name for result in results if result.verdict.word == FAILED]
+    failed = [result.name for result in results if result.verdict[0] == FAILED]
     if failed:
         raise StressFailed(f"{len(failed)} of {len(results)} expectations are not met: {', '.join(failed)}")
     return results
@@ -79,48 +70,39 @@ def chosen(config: StressConfig) -> tuple[list[StressCase], bool]:
     Raises:
         ConfigError: an unknown case, or nothing left.
     """
-    everything = (
-        shipped_cases(EXPERIMENTS) if config.case_list is None else cases_of_file(Path(config.case_list), EXPERIMENTS)
-    )
+    everything = shipped_cases() if config.case_list is None else cases_of_file(Path(config.case_list))
     names = [case.name for case in everything]
     for name in config.cases:
         if name not in names:
-            near = get_close_matches(name, names, 1)
-            raise ConfigError(
-                f"cases={config.cases}: {name!r} is not in the list; "
-                + (f"did you mean {near[0]!r}?" if near else f"it has {', '.join(names)}")
-            )
-    cases = [
-        case
-        for case in everything
-        if (case.short or config.selection == "full") and (case.name in config.cases or not config.cases)
-    ]
+            remedy = near_match(name, names, f"it has {', '.join(names)}")
+            raise ConfigError(f"cases={config.cases}: {name!r} is not in the list; {remedy}")
+    cases = [case for case in everything if case.name in (config.cases or names)]
+    cases = [case for case in cases if case.short or config.selection == "full"]
     if not cases:
         raise ConfigError(f"selection={config.selection} leaves no case of cases={config.cases}; choose selection=full")
     ships = config.case_list is None and config.checkpoint == SHIPPED and not config.also
     return cases, ships and len(cases) == len(everything)
 
 
-def draw_figures(results: Sequence[Result], folder: Path) -> list[str]:
-    """The figures that the results have curves for; their file names."""
+def draw_figures(results: Sequence[Errand], folder: Path) -> None:
+    """The figures that the results have curves for."""
     folder.mkdir(parents=True, exist_ok=True)
-    drawn, runs = [], defaultdict(list)
+    runs = defaultdict(list)
     for result in results:
         if not isinstance(result.outcome, Observation):
             continue
         curves = result.outcome.curves
         if result.case.kind == "step_ladder":
-            drawn.append(draw_dem_step(curves, folder / "dem_step.png").name)
+            draw_dem_step(curves, folder / "dem_step.png")
         elif result.case.kind == "energy_drift":
-            drawn.append(draw_energy_drift(curves, folder / "energy_drift.png").name)
+            draw_energy_drift(curves, folder / "energy_drift.png")
         elif label := _label_in_drum(result):
             runs[label].append((curves["speed_rpm"][0], curves["time_to_failure"][0], bool(curves["survived"][0])))
     if runs:
-        drawn.insert(0, draw_time_to_failure(runs, folder / "time_to_failure.png").name)
-    return drawn
+        draw_time_to_failure(runs, folder / "time_to_failure.png")
 
 
-def _label_in_drum(result: Result) -> str:
+def _label_in_drum(result: Errand) -> str:
     """The model whose rollout in the paper's drum, unchanged but for its speed, a result is; empty for any other."""
     values, kind = result.case.parameters, result.case.kind
     plain = values.get("scene", "drum") == "drum" and not {"changes", "then"} & set(values)

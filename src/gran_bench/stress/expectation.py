@@ -11,13 +11,7 @@ MET, FLAGGED, FAILED = "met", "flagged", "FAILED"
 
 @dataclass(frozen=True)
 class Bound:
-    """A quantity and how far it may go.
-
-    Attributes:
-        quantity: that the experiment measures.
-        unit: of it.
-        at_most, at_least: limits, both included; None for no limit on that side.
-    """
+    """A quantity that an experiment measures, its unit, and how far it may go, limits included; None for no limit."""
 
     quantity: str
     unit: str
@@ -34,7 +28,7 @@ class Bound:
         high = f" ≤ {self.at_most:g}" if self.at_most is not None else ""
         if self.at_least is not None and self.at_least == self.at_most:
             low, high = "", f" = {self.at_most:g}"
-        return f"{low}{self.quantity}{high} {_shown(self.unit)}".rstrip()
+        return f"{low}{self.quantity}{high} {self.unit.removeprefix('-')}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -45,12 +39,6 @@ class Expectation:
     - ``error``: it is refused or stops with an error of this class that holds these words.
     - ``flagged``: it may fail, but not silently: it ends without an error, every bound holds for what it did up to
       its failure, and each failure stands among its flags, of which some hold these words.
-
-    Attributes:
-        form: ``met``, ``error`` or ``flagged``.
-        bounds: of ``met`` and ``flagged``.
-        error: name of the exception's class.
-        says: words that the error, or the flags, must hold.
     """
 
     form: str
@@ -62,9 +50,8 @@ class Expectation:
         words = " … ".join(f"“{word}”" for word in self.says)
         if self.form == "error":
             return f"{self.error}: {words}"
-        bounds = "; ".join(map(str, self.bounds))
         prefix = "flagged, " if self.form == "flagged" else ""
-        return f"{prefix}{bounds}" + (f"; says {words}" if words else "")
+        return prefix + "; ".join([*map(str, self.bounds), *([f"says {words}"] if words else [])])
 
 
 @dataclass(frozen=True)
@@ -86,12 +73,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class Failure:
-    """An error that ended a case.
-
-    Attributes:
-        error: name of its class.
-        message: of it.
-    """
+    """An error that ended a case: the name of its class, and its message."""
 
     error: str
     message: str
@@ -100,52 +82,33 @@ class Failure:
 Outcome = Observation | Failure
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """How a case ended.
+def verdict(expectation: Expectation, outcome: Outcome) -> tuple[str, str]:
+    """Hold what a case showed, or the error that stopped it, against what it must show.
 
-    Attributes:
-        word: ``met``, ``flagged`` (as expected, with flags) or ``FAILED``.
-        found: what was found, in a line.
+    Returns:
+        ``met``, ``flagged`` (as expected, with flags) or ``FAILED``, and what was found, in a line.
     """
-
-    word: str
-    found: str
-
-
-def verdict(expectation: Expectation, outcome: Outcome) -> Verdict:
-    """Hold what a case showed, or the error that stopped it, against what it must show."""
     if isinstance(outcome, Failure):
         right = expectation.form == "error" and outcome.error == expectation.error
         right = right and all(word in outcome.message for word in expectation.says)
-        return Verdict(MET if right else FAILED, f"{outcome.error}: {_one_line(outcome.message)}")
+        return MET if right else FAILED, f"{outcome.error}: {_one_line(outcome.message)}"
     found = _found(expectation, outcome)
     if expectation.form == "error":
-        return Verdict(FAILED, f"no error; {found}")
-    told = " ".join(outcome.flags)
-    sound = (
-        all(bound.holds(outcome.quantities.get(bound.quantity, math.nan)) for bound in expectation.bounds)
-        and all(word in told for word in expectation.says)
-        and outcome.unflagged == 0
-    )
-    if not sound:
-        return Verdict(FAILED, found)
-    return Verdict(FLAGGED if expectation.form == "flagged" and outcome.flags else MET, found)
+        return FAILED, f"no error; {found}"
+    bounds = [bound.holds(outcome.quantities.get(bound.quantity, math.nan)) for bound in expectation.bounds]
+    said = [word in " ".join(outcome.flags) for word in expectation.says]
+    if not all([*bounds, *said]) or outcome.unflagged:
+        return FAILED, found
+    return FLAGGED if expectation.form == "flagged" and outcome.flags else MET, found
 
 
 def _found(expectation: Expectation, outcome: Observation) -> str:
-    """The bounded quantities first, then the flags, then what nothing flagged."""
-    values = [
-        f"{bound.quantity} {outcome.quantities.get(bound.quantity, math.nan):.4g} {_shown(bound.unit)}".rstrip()
-        for bound in expectation.bounds
-    ]
-    others = [] if values else [f"{name} {value:.4g}" for name, value in outcome.quantities.items()]
+    """The bounded quantities, or all where none is; then the flags, then what nothing flagged."""
+    seen, bounds = outcome.quantities, expectation.bounds
+    values = [f"{b.quantity} {seen.get(b.quantity, math.nan):.4g} {b.unit.removeprefix('-')}".rstrip() for b in bounds]
+    values = values or [f"{name} {value:.4g}" for name, value in seen.items()]
     hidden = [f"{outcome.unflagged} failures that no flag tells of"] if outcome.unflagged else []
-    return "; ".join([*values, *others, *map(_one_line, outcome.flags), *hidden])
-
-
-def _shown(unit: str) -> str:
-    return "" if unit == "-" else unit
+    return "; ".join([*values, *map(_one_line, outcome.flags), *hidden])
 
 
 def _one_line(text: str, longest: int = 200) -> str:

@@ -12,44 +12,16 @@ from gran_bench.surrogate.step import Surrogate
 
 
 @dataclass(frozen=True)
-class Subject:
-    """A model under stress.
-
-    Attributes:
-        label: for tables and figures.
-        name: ``contact``, ``radial`` or ``ccnn``.
-        model: in evaluation mode.
-        diameter: of the spheres that it was made for, m.
-    """
-
-    label: str
-    name: str
-    model: Surrogate
-    diameter: float
-
-
-@dataclass(frozen=True)
 class Bench:
     """What an experiment may use beside its parameters.
 
     Attributes:
         shared: folder of settled beds that the cases of a run share.
-        subject: the model under stress; None for the DEM.
+        model: under stress, in evaluation mode; None for the DEM.
     """
 
     shared: Path
-    subject: Subject | None = None
-
-    @property
-    def model(self) -> Subject:
-        """The model under stress.
-
-        Raises:
-            RuntimeError: an experiment without a model asks for one.
-        """
-        if self.subject is None:
-            raise RuntimeError("this experiment has no model")
-        return self.subject
+    model: Surrogate | None = None
 
 
 @dataclass(frozen=True)
@@ -70,5 +42,5 @@ class Experiment:
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:
-        """The parameters that a case may set, by name."""
-        return dict(list(inspect.signature(self.run).parameters.items())[1:])
+        """The parameters that a case may set, by name, with evaluated annotations."""
+        return dict(list(inspect.signature(self.run, eval_str=True).parameters.items())[1:])

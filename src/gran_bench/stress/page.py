@@ -12,11 +12,12 @@ from pathlib import Path
 from gran_bench.files import write_part
 from gran_bench.provenance import read_table, stamp, write_table
 from gran_bench.stress.expectation import FAILED, FLAGGED, MET, Observation
-from gran_bench.stress.run import Result
+from gran_bench.stress.run import Errand
 
 PAGE, TABLE = "README.md", "stress.csv"
 HEADS = ("case", "model", "expectation", "found", "verdict", "s")
 PARTS = {"dem": "The DEM", "surrogate": "Surrogates"}
+WORDS = (MET, FLAGGED, FAILED)
 FIGURES = {
     "time_to_failure.png": "Time to failure of each model's rollout in the paper's drum, against the speed: the first "
     "state that is not finite, has a centre outside by more than a radius, or has more than twice the energy that "
@@ -27,36 +28,30 @@ FIGURES = {
 }
 
 
-def row(result: Result) -> tuple[str, ...]:
+def row(result: Errand) -> tuple[str, ...]:
     """A result in words, under `HEADS`."""
-    end = result.verdict
-    known = f" (known: {result.case.known})" if result.case.known and end.word == FAILED else ""
-    return (
-        result.case.name, result.model, str(result.case.expectation), end.found, end.word + known,
-        f"{result.seconds:.1f}",
-    )  # fmt: skip
+    case, (word, found) = result.case, result.verdict
+    word += f" (known: {case.known})" if case.known and word == FAILED else ""
+    return (case.name, result.model, str(case.expectation), found, word, f"{result.seconds:.1f}")
 
 
-def table(results: Sequence[Result], widest: int = 64) -> str:
+def table(results: Sequence[Errand], widest: int = 64) -> str:
     """All rows in columns, long cells cut; the page and the CSV have them whole."""
-
-    def cut(cell: str) -> str:
-        return cell if len(cell) <= widest else cell[: widest - 1] + "…"
-
-    lines = [HEADS, *(tuple(map(cut, row(result))) for result in results)]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(HEADS))]
+    rows = [HEADS, *map(row, results)]
+    lines = [[cell if len(cell) <= widest else cell[: widest - 1] + "…" for cell in line] for line in rows]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
 
 
-def closing_line(results: Sequence[Result], seconds: float) -> str:
+def closing_line(results: Sequence[Errand], seconds: float) -> str:
     """How many cases ended how, and which failed, in a line."""
-    words = Counter(result.verdict.word for result in results)
-    failed = [result.name for result in results if result.verdict.word == FAILED]
-    counted = ", ".join(f"{words[word]} {word}" for word in (MET, FLAGGED, FAILED) if words[word])
+    words = Counter(result.verdict[0] for result in results)
+    failed = [result.name for result in results if result.verdict[0] == FAILED]
+    counted = ", ".join(f"{words[word]} {word}" for word in WORDS if words[word])
     return f"{len(results)} cases in {seconds:.0f} s: {counted}" + (f" ({', '.join(failed)})" if failed else "")
 
 
-def write_results(results: Sequence[Result], folder: Path, origin: Mapping[str, str]) -> None:
+def write_results(results: Sequence[Errand], folder: Path, origin: Mapping[str, str]) -> None:
     """The CSV, and what the page says of it; each whole or not there.
 
     Args:
@@ -64,7 +59,14 @@ def write_results(results: Sequence[Result], folder: Path, origin: Mapping[str, 
         folder: made where it is missing.
         origin: where the results come from.
     """
-    write_table(folder / TABLE, _csv(results), origin)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["part", *HEADS[:-1], "seconds", "flags", "quantities"])
+    for result in results:
+        seen = result.outcome if isinstance(result.outcome, Observation) else Observation()
+        quantities = {name: float(f"{value:.6g}") for name, value in seen.quantities.items()}
+        writer.writerow([result.case.part, *row(result), " | ".join(seen.flags), json.dumps(quantities)])
+    write_table(folder / TABLE, text.getvalue(), origin)
     write_page(folder)
 
 
@@ -75,42 +77,25 @@ def write_page(folder: Path) -> None:
     write_part(folder / PAGE, "cases", text, "Stress test of numerical stability")
 
 
-def _csv(results: Sequence[Result]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["part", *HEADS[:-1], "seconds", "flags", "quantities"])
-    for result in results:
-        outcome = result.outcome
-        seen = isinstance(outcome, Observation)
-        quantities = {name: float(f"{value:.6g}") for name, value in outcome.quantities.items()} if seen else {}
-        flags = " | ".join(outcome.flags) if seen else ""
-        writer.writerow([result.case.part, *row(result), flags, json.dumps(quantities)])
-    return text.getvalue()
-
-
 def _page(rows: Sequence[dict[str, str]], origin: Mapping[str, str], folder: Path) -> Iterator[str]:
     """A table of verdicts by part, every case that failed, rollouts of models that ended early, and figures."""
-    words = (MET, FLAGGED, FAILED)
-    yield f"| {len(rows)} cases | {' | '.join(words)} |"
-    yield "|---" + "|---:" * len(words) + "|"
+    yield f"| {len(rows)} cases | {' | '.join(WORDS)} |"
+    yield "|---" + "|---:" * len(WORDS) + "|"
     for part in dict.fromkeys(row["part"] for row in rows):
         some = [row for row in rows if row["part"] == part]
-        yield f"| {PARTS.get(part, part)} | {' | '.join(str(count(some, word)) for word in words)} |"
+        yield f"| {PARTS.get(part, part)} | {' | '.join(str(count(some, word)) for word in WORDS)} |"
     yield ""
-    failed = [row for row in rows if row["verdict"].startswith(FAILED)]
-    if failed:
+    if failed := [row for row in rows if row["verdict"].startswith(FAILED)]:
         yield from (f"- {row['verdict']}: {row['case']} {row['model']}: {row['found']}" for row in failed)
         yield ""
     if early := early_ends(rows):
         yield "| rollout that failed before its end | model | after, s | of, s |"
         yield "|---|---|---:|---:|"
-        for case, model, after, whole in early:
-            yield f"| {case} | {model or 'untrained'} | {after:g} | {whole:g} |"
+        yield from (
+            f"| {case} | {model or 'untrained'} | {after:g} | {whole:g} |" for case, model, after, whole in early
+        )
         yield ""
-    for name, caption in FIGURES.items():
-        if (folder / name).exists():
-            yield f"![{caption}]({name})"
-            yield ""
+    yield from (f"![{caption}]({name})\n" for name, caption in FIGURES.items() if (folder / name).exists())
     yield f"Every expectation, figure and flag: [`{TABLE}`]({TABLE}). {stamp(origin)}"
 
 

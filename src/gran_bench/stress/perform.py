@@ -1,59 +1,54 @@
-"""One stress case, carried out in this process."""
+"""One stress case, carried out in this process; as a module, a process that serves them."""
 
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from gran_bench.config.rules import ConfigError
-from gran_bench.shipped import SHIPPED, shipped_model
-from gran_bench.stress.expectation import Failure, Outcome
-from gran_bench.stress.experiment import Bench, Subject
-from gran_bench.stress.registry import EXPERIMENTS
+from gran_bench.stress.beds import BEDS
+from gran_bench.stress.expectation import Failure, Observation, Outcome
+from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.stress.impacts import IMPACTS
+from gran_bench.stress.rollouts import ROLLOUTS
+from gran_bench.stress.steps import STEPS
 from gran_bench.surrogate.checkpoint import load_card, load_model
+from gran_bench.surrogate.step import Surrogate
+from gran_bench.workers import serve
 
 DIAMETER = 0.05  # m, of the spheres of every scene in the lists
+# Every kind by the name that a list gives it; its function says what it does and takes.
+EXPERIMENTS: dict[str, Experiment] = {**IMPACTS, **BEDS, **STEPS, **ROLLOUTS}
 
 
-@dataclass(frozen=True)
-class Task:
-    """A case and the model that it is for.
+def perform(kind: str, parameters: Mapping[str, Any], checkpoint: str, shared: str) -> Outcome:
+    """Carry out an experiment; any error is an outcome, never the end of the list.
 
-    Attributes:
+    Args:
         kind: of the experiment.
         parameters: of the experiment.
         checkpoint: model file, or empty.
-        shared: folder of what cases share.
+        shared: folder of what cases share; messages do not name it, for it exists only while the list runs.
     """
-
-    kind: str
-    parameters: dict[str, Any]
-    checkpoint: str
-    shared: str
-
-
-def perform(task: Task) -> Outcome:
-    """Do it; any error is an outcome, never the end of the list."""
-    shared = Path(task.shared)
-    shared.mkdir(parents=True, exist_ok=True)
+    Path(shared).mkdir(parents=True, exist_ok=True)
     try:
-        subject = _subject(task.checkpoint) if task.checkpoint else None
-        seen = EXPERIMENTS[task.kind].run(Bench(shared, subject), **task.parameters)
-        return replace(seen, flags=tuple(_without(flag, shared) for flag in seen.flags))
+        model = _model(checkpoint) if checkpoint else None
+        seen = EXPERIMENTS[kind].run(Bench(Path(shared), model), **parameters)
+        return replace(seen, flags=tuple(flag.replace(shared, "…") for flag in seen.flags))
     except Exception as error:
-        return Failure(type(error).__name__, _without(str(error), shared))
+        return Failure(type(error).__name__, str(error).replace(shared, "…"))
 
 
-def _without(text: str, folder: Path) -> str:
-    """A message without the name of a folder that exists only while the list runs."""
-    return text.replace(str(folder), "…")
-
-
-def model_file(checkpoint: str) -> Path:
-    """The file that a ``checkpoint`` key names."""
-    return shipped_model() if checkpoint == SHIPPED else Path(checkpoint)
+def outcome_of(document: Mapping[str, Any]) -> Outcome:
+    """The outcome that plain data (`asdict`) describe."""
+    if "error" in document:
+        return Failure(**document)
+    return Observation(**document | {"flags": tuple(document["flags"])})
 
 
 def model_words(path: Path) -> tuple[str, str]:
@@ -74,8 +69,10 @@ def model_words(path: Path) -> tuple[str, str]:
 
 
 @functools.lru_cache(maxsize=2)
-def _subject(checkpoint: str) -> Subject:
-    path = Path(checkpoint)
-    name, label = model_words(path)
-    model, card = load_model(path)
-    return Subject(label, name, model, card.scene["filling"]["diameter"])
+def _model(checkpoint: str) -> Surrogate:
+    return load_model(checkpoint)[0]
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    serve(lambda task: asdict(perform(**task)))

@@ -1,8 +1,9 @@
-"""A surrogate far from what it was trained on; whatever it does wrong is counted, timed and bounded."""
+"""A surrogate far from what it was trained on, and what must not change its answer: what it does wrong is counted."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -11,43 +12,29 @@ import torch
 from gran_bench.compose import checked_config, compose
 from gran_bench.config import BoundaryConfig, TrainConfig
 from gran_bench.config.reading import read_config
-from gran_bench.metrics.outside import count_failures, distance_outside
+from gran_bench.metrics.outside import distance_outside
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import FloatArray, ParticleState
-from gran_bench.stress.beds import bed_in_place, energy_scale, escapes, kinetic_energy, settled_bed
+from gran_bench.stress.beds import BED_UNITS, bed_in_place, farthest, image, seen_of
 from gran_bench.stress.expectation import Observation
-from gran_bench.stress.experiment import Bench, Experiment, Subject
+from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.stress.impacts import with_nan
 from gran_bench.surrogate.build import build_model
-from gran_bench.surrogate.rollout import Rollout, rollout
+from gran_bench.surrogate.rollout import Rollout, rollout, step_frames
 from gran_bench.surrogate.step import FrameState, Surrogate
 
 WILD = 2.0  # M (g D + ½ ω² R²): more kinetic energy than falling and turning can give, with room for a model's errors
-UNITS = {
-    "time_to_failure": "s", "horizon": "s", "outside": "% of sphere states", "outside_5mm": "% of sphere states",
-    "energy": "M(gD+½ω²R²)", "failed_frame": "frames", "non_finite": "states", "frames": "frames",
-}  # fmt: skip
+UNITS = BED_UNITS | {"time_to_failure": "s", "horizon": "s", "failed_frame": "frames"}
 
 
 def model_rollout(
-    bench: Bench,
-    scene: str = "drum",
-    changes: dict[str, Any] | None = None,
-    then: dict[str, Any] | None = None,
-    speed_rpm: float | None = 30.0,
-    frames: int = 400,
-) -> Observation:
-    """Roll the model out from a settled bed of the DEM.
-
-    Args:
-        scene: shipped one.
-        changes: of its keys before the bed settles.
-        then: further changes of its keys after that.
-        speed_rpm: constant speed; null for the scene's own motion.
-        frames: to compute.
-    """
-    place, bed = bed_in_place(bench, scene, changes, then, speed_rpm)
-    return observed(rollout(bench.model.model, place, bed, frames + 1), place, bed)
+    bench: Bench, scene: str = "drum", changes: dict | None = None, then: dict | None = None,
+    speed_rpm: float | None = 30.0, frames: int = 400,
+) -> Observation:  # fmt: skip
+    """Roll the model out from a settled bed of the DEM (`bed_in_place`), for a number of frames."""
+    place, bed = bed_in_place(bench, scene, speed_rpm, changes, then)
+    return observed(rollout(bench.model, place, bed, frames + 1), place, bed)
 
 
 def observed(result: Rollout, scene: Scene, start: ParticleState) -> Observation:
@@ -56,86 +43,46 @@ def observed(result: Rollout, scene: Scene, start: ParticleState) -> Observation
     It fails at the first state that is not finite, has a centre outside by more than a radius, or has more kinetic
     energy than falling and turning can give. Bounds hold for the finite states.
     """
-    trajectory = result.trajectory
-    frames = trajectory.frame_count
-    place = replace(scene, end_time=scene.start_time + max(frames - 1, 1) * scene.frame_interval)
-    count = count_failures(trajectory, place)
-    energy = kinetic_energy(trajectory, place)
-    scale = energy_scale(place, start)
-    share = energy / scale if scale else energy
+    trajectory, frames = result.trajectory, result.trajectory.frame_count
+    figures, flags, share = seen_of(trajectory, scene, start)
     with np.errstate(invalid="ignore"):
-        outside = np.array([_farthest(frame, trajectory.radius, place) for frame in trajectory.position])
+        outside = np.array([_farthest_out(frame, trajectory.radius, scene) for frame in trajectory.position])
         failed = ~np.isfinite(share) | (share > WILD) | (outside > 0.0)
-    first = int(np.argmax(failed)) if failed.any() else None
-    finite = share[np.isfinite(share)]
-    flags = [*escapes(count)]
     if result.failed_frame is not None:
-        flags.insert(0, f"failed at frame {result.failed_frame}: not finite")
-    if len(finite) and finite.max() > WILD:
-        flags.append(f"kinetic energy up to {finite.max():.3g} M(gD+½ω²R²)")
-    seconds = place.frame_interval * (frames - 1)
+        flags = (f"failed at frame {result.failed_frame}: not finite", *flags)
+    if figures["energy"] > WILD:
+        flags = (*flags, f"kinetic energy up to {figures['energy']:.3g} M(gD+½ω²R²)")
     # A state that is not finite must lie at or after the frame that the rollout itself calls failed.
     told = frames if result.failed_frame is None else result.failed_frame
-    hidden = int((~np.isfinite(share[:told])).sum())
-    return Observation(
-        {
-            "time_to_failure": seconds if first is None else place.frame_interval * first,
-            "horizon": seconds,
-            "outside": count.share(count.outside_radius),
-            "outside_5mm": count.share(count.outside_tolerated),
-            "energy": float(finite.max()) if len(finite) else 0.0,
-            "failed_frame": float(frames if result.failed_frame is None else result.failed_frame),
-            "non_finite": float(count.non_finite_states),
-            "frames": float(frames),
-        },
-        tuple(flags),
-        {
-            "speed_rpm": [place.rotation.speeds_rpm[-1]],
-            "time_to_failure": [seconds if first is None else place.frame_interval * first],
-            "survived": [float(first is None)],
-            "horizon": [seconds],
-        },
-        hidden,
-    )  # fmt: skip
+    horizon = scene.frame_interval * (frames - 1)
+    until = scene.frame_interval * int(np.argmax(failed)) if failed.any() else horizon
+    figures |= {"time_to_failure": until, "horizon": horizon, "failed_frame": float(told)}
+    curves = {"speed_rpm": [scene.rotation.speeds_rpm[-1]], "time_to_failure": [until], "horizon": [horizon]}
+    curves["survived"] = [float(not failed.any())]
+    return Observation(figures, flags, curves, int((~np.isfinite(share[:told])).sum()))
 
 
-def _farthest(position: FloatArray, radius: FloatArray, scene: Scene) -> float:
+def _farthest_out(position: FloatArray, radius: FloatArray, scene: Scene) -> float:
     """How far beyond its radius the farthest centre is outside, m; negative where none is."""
     beyond = distance_outside(position.astype(np.float64), radius, scene) - radius
     return float(beyond[np.isfinite(beyond)].max(initial=-np.inf))
 
 
 def untrained_rollout(
-    bench: Bench, model: str, scene: str = "drum_small", speed_rpm: float = 40.0, frames: int = 100, seed: int = 0
+    bench: Bench, model: str, scene: str = "drum_small", speed_rpm: float = 40.0, frames: int = 100
 ) -> Observation:
-    """Roll out a model with random weights, which must fail: whether its failure is seen is what is tested.
+    """Roll out a model of the default configuration with random weights, which must fail: whether it is seen is tested.
 
-    Args:
-        model: ``contact``, ``radial`` or ``ccnn``.
-        scene: shipped one.
-        speed_rpm: of the drum.
-        frames: to compute.
-        seed: of the weights.
+    ``model`` is ``contact``, ``radial`` or ``ccnn``.
     """
-    subject = untrained(model, shipped_scene(scene), seed)
-    return model_rollout(replace(bench, subject=subject), scene, speed_rpm=speed_rpm, frames=frames)
-
-
-def untrained(name: str, scene: Scene, seed: int) -> Subject:
-    """A model of the default configuration with its first weights."""
-    config = checked_config(compose("train", [f"model={name}"]), TrainConfig)
-    torch.manual_seed(seed)
-    model = build_model(config.model, read_config(BoundaryConfig, vars(config.boundary)), scene).eval()
-    return Subject(f"{name}, untrained", name, model, scene.filling.diameter)
+    config = checked_config(compose("train", [f"model={model}"]), TrainConfig)
+    torch.manual_seed(0)
+    built = build_model(config.model, read_config(BoundaryConfig, vars(config.boundary)), shipped_scene(scene)).eval()
+    return model_rollout(replace(bench, model=built), scene, speed_rpm=speed_rpm, frames=frames)
 
 
 class Poisoned(Surrogate):
-    """A model whose input has a NaN in one sphere's position at one frame.
-
-    Args:
-        model: to poison.
-        frame: whose input it is.
-    """
+    """A model whose input has a NaN in one sphere's position at one frame."""
 
     def __init__(self, model: Surrogate, frame: int) -> None:
         super().__init__()
@@ -156,32 +103,53 @@ class Poisoned(Surrogate):
         return self.model(state, scene, time)
 
 
-def model_nan(bench: Bench, frame: int, frames: int = 20, scene: str = "drum_small") -> Observation:
-    """A NaN in the state that the model is given at a frame: it must show from the next one on, and not be cured.
+def model_nan(bench: Bench, frame: int) -> Observation:
+    """A NaN in the state that the model is given at a frame of twenty: it must show from the next one on, for good."""
+    return model_rollout(replace(bench, model=Poisoned(bench.model, frame)), "drum_small", frames=20)
+
+
+def model_start(bench: Bench, field: str) -> Observation:
+    """A start state with a NaN in one of its fields."""
+    place, bed = bed_in_place(bench, "drum_small", 30.0)
+    return observed(rollout(bench.model, place, with_nan(bed, field, 0), 3), place, bed)
+
+
+def model_symmetry(bench: Bench, what: str) -> Observation:
+    """Transform the state, step a frame, transform back: where is a sphere that should be where it was?
+
+    Twenty frames of the model come before, so that the bed moves; a memory, if it has one, begins anew after them.
 
     Args:
-        frame: whose state it is in.
-        frames: to compute.
-        scene: shipped one.
+        what: ``renumbered``, ``turned`` or ``mirrored`` as in `image`.
     """
-    place = shipped_scene(scene).at_speed(30.0)
-    bed = settled_bed(place, bench.shared)
-    return observed(rollout(Poisoned(bench.model.model, frame), place, bed, frames + 1), place, bed)
+    if what not in ("renumbered", "turned", "mirrored"):
+        raise ValueError(f"with.what={what} is unknown; choose renumbered, turned or mirrored")
+    place, bed = bed_in_place(bench, "drum_small", 40.0)
+    motion = rollout(bench.model, place, bed, 21).trajectory
+    spin = np.zeros_like(motion.position) if motion.angular_velocity is None else motion.angular_velocity
+    last = (np.asarray(values[-1], np.float64) for values in (motion.position, motion.velocity, spin))
+    state = ParticleState(*last, bed.radius, time=float(motion.time[-1]))
+    there, changed, back = image(what, place, state)
+
+    def ahead(scene: Scene, start: ParticleState) -> FloatArray:
+        _, frame = islice(step_frames(bench.model, scene, start), 2)
+        return frame.position.cpu().numpy().astype(np.float64)
+
+    one, other = ahead(place, state), back(ahead(there, changed))
+    return Observation({"position_off": farthest(one, other), "moved": farthest(state.position, one)})
 
 
-def model_start(bench: Bench, field: str, scene: str = "drum_small") -> Observation:
-    """A start state with a NaN.
-
-    Args:
-        field: of the state.
-        scene: shipped one.
-    """
-    place = shipped_scene(scene).at_speed(30.0)
-    bed = settled_bed(place, bench.shared)
-    values = np.array(getattr(bed, field))
-    values[0] = np.nan
-    broken = replace(bed, **{field: values})
-    return observed(rollout(bench.model.model, place, broken, 3), place, bed)
+def model_threads(bench: Bench) -> Observation:
+    """One, two and four threads of torch: how many numbers of a rollout over twenty frames differ."""
+    (place, bed), before, runs = bed_in_place(bench, "drum_small", 40.0), torch.get_num_threads(), []
+    try:
+        for number in (1, 2, 4):
+            torch.set_num_threads(number)
+            runs.append(rollout(bench.model, place, bed, 21).trajectory.position)
+    finally:
+        torch.set_num_threads(before)
+    off = float(sum((run != runs[0]).sum() for run in runs[1:]))
+    return Observation({"differing": off, "moved": farthest(runs[0][0], runs[0][-1])})
 
 
 ROLLOUTS = {
@@ -189,4 +157,6 @@ ROLLOUTS = {
     "untrained_rollout": Experiment(untrained_rollout, UNITS),
     "model_nan": Experiment(model_nan, UNITS, of_model=True),
     "model_start": Experiment(model_start, UNITS, of_model=True),
+    "model_symmetry": Experiment(model_symmetry, {"position_off": "m", "moved": "m"}, of_model=True),
+    "model_threads": Experiment(model_threads, {"differing": "numbers", "moved": "m"}, of_model=True),
 }

@@ -1,6 +1,11 @@
 """Verification of the DEM: experiments with known answers, and theory that shares no code with the solver."""
 
-from gran_bench.verification.case import Case, Check, Findings, Outcome
-from gran_bench.verification.suite import CASES, run_case
+from gran_bench.verification import bouncing, chung_ooi, cluster, contact_memory, convergence, impacts, rolling
+from gran_bench.verification.case import Case, Check, Outcome, run_case
 
-__all__ = ["CASES", "Case", "Check", "Findings", "Outcome", "run_case"]
+CASES = (
+    *(*impacts.CASES, *contact_memory.CASES, *chung_ooi.CASES, *bouncing.CASES, *rolling.CASES),
+    *(*convergence.CASES, *cluster.CASES),
+)
+
+__all__ = ["CASES", "Case", "Check", "Outcome", "run_case"]

@@ -1,13 +1,16 @@
-"""The vocabulary of the suite: a case runs experiments, a check holds what they found against what must come out."""
+"""The vocabulary of the suite: a case is an experiment that yields checks, found against expected, and curves."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from gran_bench.state import FloatArray
+
+Curves = dict[str, FloatArray]  # arrays by name, for a figure
 
 
 @dataclass(frozen=True)
@@ -37,13 +40,12 @@ class Check:
     at: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        expected, found = np.atleast_1d(np.asarray(self.expected, float)), np.atleast_1d(np.asarray(self.found, float))
+        expected, found = (np.atleast_1d(np.asarray(a, float)) for a in (self.expected, self.found))
         scale = np.abs(expected) if self.scale is None else np.asarray(self.scale, float)
-        object.__setattr__(self, "expected", expected)
-        object.__setattr__(self, "found", found)
-        object.__setattr__(self, "scale", np.broadcast_to(scale, expected.shape).copy())
         if found.shape != expected.shape or (len(self.at) or 1) != len(expected):
             raise ValueError(f"{self.quantity}: {len(expected)} expected, {len(found)} found, {len(self.at)} named")
+        for name, values in (("expected", expected), ("found", found), ("scale", scale)):
+            object.__setattr__(self, name, np.broadcast_to(values, expected.shape).copy())
 
     @property
     def error(self) -> FloatArray:
@@ -54,27 +56,9 @@ class Check:
         return np.where(np.isfinite(self.found) & np.isfinite(error), error, np.inf)
 
     @property
-    def worst(self) -> int:
-        """Index of the point with the largest error."""
-        return int(np.argmax(self.error))
-
-    @property
     def met(self) -> bool:
         """Whether every point is within the tolerance."""
         return bool((self.error <= self.tolerance).all())
-
-
-@dataclass(frozen=True)
-class Findings:
-    """What a case brings back.
-
-    Attributes:
-        checks: at least one.
-        curves: arrays by name, for a figure.
-    """
-
-    checks: tuple[Check, ...]
-    curves: dict[str, FloatArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -84,34 +68,50 @@ class Case:
     Attributes:
         name: as ``--case`` takes it.
         title: what is verified, in a line.
-        run: does the experiments.
+        run: does the experiments and yields what they give.
         quick: whether ``--quick`` runs it too.
     """
 
     name: str
     title: str
-    run: Callable[[], Findings]
+    run: Callable[[], Iterable[Check | Curves]]
     quick: bool = True
 
 
-@dataclass(frozen=True)
+@dataclass
 class Outcome:
     """A case that was run.
 
     Attributes:
         case: which.
-        findings: what came out; empty where the case stopped with an error.
+        checks: what it checked; as far as it came, where it stopped with an error.
+        curves: arrays by name, for a figure.
         seconds: s of wall time.
         failure: the error that stopped it, in a line; None where it ran to its end.
     """
 
     case: Case
-    findings: Findings
-    seconds: float
+    checks: list[Check] = field(default_factory=list)
+    curves: Curves = field(default_factory=dict)
+    seconds: float = 0.0
     failure: str | None = None
 
     @property
     def met(self) -> bool:
         """Whether the case ran to its end, checked something and met every tolerance."""
-        checks = self.findings.checks
-        return self.failure is None and bool(checks) and all(check.met for check in checks)
+        return self.failure is None and bool(self.checks) and all(check.met for check in self.checks)
+
+
+def run_case(case: Case) -> Outcome:
+    """Run a case; an error that stops it is a failure with its words, not a case that is missing."""
+    started, outcome = time.perf_counter(), Outcome(case)
+    try:
+        for found in case.run():
+            if isinstance(found, Check):
+                outcome.checks.append(found)
+            else:
+                outcome.curves |= found
+    except Exception as error:
+        outcome.failure = f"{type(error).__name__}: {error}"
+    outcome.seconds = time.perf_counter() - started
+    return outcome

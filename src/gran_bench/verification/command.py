@@ -11,21 +11,22 @@ from pathlib import Path
 from tqdm import tqdm
 
 from gran_bench.provenance import program, provenance
-from gran_bench.verification.case import Case, Outcome
+from gran_bench.verification import CASES
+from gran_bench.verification.case import Case, Outcome, run_case
 from gran_bench.verification.report import table, verdict, write_report
-from gran_bench.verification.suite import CASES, run_case
 
 MET, FAILED, REFUSED, INTERRUPTED = 0, 1, 2, 130
 FOLDER = Path("results/verification")
 
-Draw = Callable[[Sequence[Outcome], Path], Sequence[str]]
+
+Draw = Callable[[Sequence[Outcome], Path], object]
 
 
 def run(draw: Draw, words: Sequence[str] | None = None, cases: Sequence[Case] = CASES) -> int:
-    """Verifies the DEM; prints a table with the worst point of each quantity, and writes a page.
+    """Verify the DEM; print a table with the worst point of each quantity, and write a page.
 
     Args:
-        draw: draws the figures of outcomes into a folder and returns their names.
+        draw: draws the figures of outcomes into a folder.
         words: the command line; this process's own where None.
         cases: of the suite.
 
@@ -33,8 +34,7 @@ def run(draw: Draw, words: Sequence[str] | None = None, cases: Sequence[Case] = 
         0 where every quantity of every case is within its tolerance, 1 where one is not or a case stopped with an
         error, 2 for a bad argument, 130 after Ctrl-C.
     """
-    parser = _parser()
-    arguments = parser.parse_args(words)
+    arguments = _parser().parse_args(words)
     if arguments.list:
         width = max(len(case.name) for case in cases)
         print("\n".join(f"{case.name:{width}}  {'quick' if case.quick else '     '}  {case.title}" for case in cases))
@@ -43,34 +43,33 @@ def run(draw: Draw, words: Sequence[str] | None = None, cases: Sequence[Case] = 
     for name in arguments.case:
         if name not in names:
             near = difflib.get_close_matches(name, names, 1)
-            print(
-                f"error: --case {name} is unknown; "
-                + (f"did you mean {near[0]}?" if near else "--list shows the names"),
-                file=sys.stderr,
-            )
-            return REFUSED
+            remedy = f"did you mean {near[0]}?" if near else "--list shows the names"
+            return _refused(f"--case {name} is unknown; {remedy}")
     chosen = [c for c in cases if (c.name in arguments.case or not arguments.case) and (c.quick or not arguments.quick)]
     if not chosen:
-        print("error: --quick leaves out the cases that --case names; give one of the two", file=sys.stderr)
-        return REFUSED
+        return _refused("--quick leaves out the cases that --case names; give one of the two")
     whole = not (arguments.case or arguments.quick)
     # A part of the suite does not replace the page of the whole, unless it is told to.
     folder = arguments.output or (FOLDER if whole else None)
+    outcomes = []
     try:
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
-        outcomes = _run_with_bar(chosen)
+        # None: silent where stderr is no terminal.
+        with tqdm(chosen, unit=" cases", leave=False, disable=None) as bar:
+            for case in bar:
+                bar.set_description(case.name)
+                outcomes.append(run_case(case))
         print(table(outcomes))
         if folder is not None:
-            subset = "" if whole else f"Of the whole suite's {len(cases)} cases these are {len(chosen)}."
             draw(outcomes, folder)
+            subset = "" if whole else f"Of the whole suite's {len(cases)} cases these are {len(chosen)}."
             write_report(outcomes, folder, provenance(), subset)
             print(f"\nthe page is in {folder}")
     except BrokenPipeError:
         raise
     except OSError as error:
-        print(f"error: {error}; choose a folder for --output that can be written", file=sys.stderr)
-        return REFUSED
+        return _refused(f"{error}; choose a folder for --output that can be written")
     except KeyboardInterrupt:
         print("interrupted; nothing was written", file=sys.stderr)
         return INTERRUPTED
@@ -78,26 +77,19 @@ def run(draw: Draw, words: Sequence[str] | None = None, cases: Sequence[Case] = 
     return MET if all(outcome.met for outcome in outcomes) else FAILED
 
 
+def _refused(message: str) -> int:
+    print(f"error: {message}", file=sys.stderr)
+    return REFUSED
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=" ".join(program()),
         description="Verify the DEM against theory; exit code 0 where all is within tolerance, 1 where it is not.",
     )
-    parser.add_argument(
-        "--output", type=Path, metavar="FOLDER",
-        help=f"where the page goes; {FOLDER} for the whole suite, nowhere for a part of it",
-    )  # fmt: skip
+    page = f"where the page goes; {FOLDER} for the whole suite, nowhere for a part of it"
+    parser.add_argument("--output", type=Path, metavar="FOLDER", help=page)
     parser.add_argument("--quick", action="store_true", help="leave out what takes long")
     parser.add_argument("--case", action="append", default=[], metavar="NAME", help="this case alone; may be repeated")
     parser.add_argument("--list", action="store_true", help="name the cases and end")
     return parser
-
-
-def _run_with_bar(cases: Sequence[Case]) -> list[Outcome]:
-    outcomes = []
-    # None: silent where stderr is no terminal.
-    with tqdm(cases, unit=" cases", leave=False, disable=None) as bar:
-        for case in bar:
-            bar.set_description(case.name)
-            outcomes.append(run_case(case))
-    return outcomes

@@ -10,13 +10,14 @@ import numpy as np
 from gran_bench.config import DemConfig
 from gran_bench.dem.simulate import SimulationResult, simulate
 from gran_bench.scene import Filling, Material, PairCoefficients, Plane, Rotation, Scene, Wall
-from gran_bench.state import FloatArray, ParticleState
+from gran_bench.state import FloatArray, ParticleState, Trajectory
 from gran_bench.verification.theory import Body, Contact
 
 FLOOR = Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), turns=False)
 RIGID = 1e6  # a rigid wall is so many times as stiff as the sphere; 1e-6 of E* is what it gives
 RADIUS = 0.025  # m
 GRAVITY = 9.81  # m/s²
+DOWN = (0.0, 0.0, -GRAVITY)
 SOFT, STIFF = 1e7, 7e10  # Pa
 STEPS_PER_CONTACT = 200  # Δt = t_c / 200 in an impact, unless a case says otherwise
 
@@ -28,41 +29,48 @@ def sphere_material(
     return Material(youngs_modulus, 0.3, 2500.0, restitution, friction, rolling_friction)
 
 
-def rigid(material: Material) -> Material:
-    """A wall that a sphere of ``material`` does not dent."""
-    return replace(material, youngs_modulus=RIGID * material.youngs_modulus)
+def on_wall(material: Material, radius: float = RADIUS) -> Contact:
+    """A sphere on a wall of its own material."""
+    return Contact(Body(material, radius), Body(material, math.inf))
+
+
+def on_rigid_wall(material: Material, radius: float = RADIUS) -> Contact:
+    """A sphere on a wall that does not yield."""
+    rigid = replace(material, youngs_modulus=RIGID * material.youngs_modulus)
+    return Contact(Body(material, radius), Body(rigid, math.inf))
+
+
+def on_sphere(
+    material: Material, radius: float = RADIUS, second_radius: float | None = None, second: Material | None = None
+) -> Contact:
+    """A sphere on another, of the same size and material unless told."""
+    return Contact(Body(material, radius), Body(second or material, second_radius or radius))
 
 
 def laboratory(
-    material: Material,
-    walls: tuple[Wall, ...] = (),
-    *,
-    wall_material: Material | None = None,
-    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    rotation: Rotation | None = None,
-    radius: float = RADIUS,
-    second_material: Material | None = None,
-) -> Scene:
-    """A scene with these walls and nothing else; ``radius`` is of the smallest sphere, m.
+    material: Material, walls: tuple[Wall, ...] = (), *, wall_material: Material | None = None,
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0), rpm: float | None = None, radius: float = RADIUS,
+    second: Material | None = None,
+) -> Scene:  # fmt: skip
+    """A scene with these walls and nothing else.
 
-    Where there is a ``second_material`` of spheres, its e, μ and μ_r count where it meets the first.
+    Args:
+        material: of the spheres.
+        walls: turning with ``rpm`` about y, where they turn.
+        wall_material: the spheres' where None.
+        gravity: m/s².
+        rpm: of the walls; None for no motion.
+        radius: of the smallest sphere, m.
+        second: material of further spheres, whose e, μ and μ_r count where they meet the first.
     """
-    second, pair = second_material, ()
-    if second is not None:
-        pair = (PairCoefficients(0, 1, second.restitution, second.friction, second.rolling_friction),)
+    pair = () if second is None else (
+        PairCoefficients(0, 1, second.restitution, second.friction, second.rolling_friction),
+    )  # fmt: skip
     return Scene(
-        "laboratory",
-        walls,
-        Filling(1, 2.0 * radius),
-        material,
-        wall_material or material,
-        gravity=gravity,
-        rotation=rotation or Rotation(),
-        start_time=0.0,
-        end_time=1.0,
-        more_materials=() if second is None else (second,),
-        pair_coefficients=pair,
-    )
+        "laboratory", walls, Filling(1, 2.0 * radius), material, wall_material or material, gravity=gravity,
+        rotation=Rotation() if rpm is None else Rotation((0.0,), (rpm,)), start_time=0.0, end_time=1.0,
+        more_materials=() if second is None else (second,), pair_coefficients=pair,
+    )  # fmt: skip
 
 
 def spheres(
@@ -74,21 +82,33 @@ def spheres(
     return ParticleState(position, *moving, np.broadcast_to(np.asarray(radius, float), len(position)).copy())
 
 
+def mass_of(radius: FloatArray, density: float | FloatArray = 2500.0) -> FloatArray:
+    """m = 4/3 π ρ R³ of each sphere, ``(N,)`` kg."""
+    return 4.0 / 3.0 * np.pi * density * radius**3
+
+
 def run(
     scene: Scene, state: ParticleState, time_step: float, steps: int, stride: int | None = None, engine: str = "numba"
 ) -> SimulationResult:
-    """Runs ``steps`` steps of ``time_step``, with a frame every ``stride`` steps (at the end alone where None)."""
+    """Run ``steps`` steps of ``time_step``, with a frame every ``stride`` steps (at the end alone where None)."""
     stride = stride or steps
     scene = replace(scene, frame_interval=stride * time_step)
     dem = DemConfig(engine=engine, time_step=time_step, allow_unsafe_step=True)
     return simulate(scene, state, state.time + steps // stride * scene.frame_interval, dem=dem)
 
 
-@dataclass(frozen=True)
+def watch(scene: Scene, state: ParticleState, time_step: float, duration: float, interval: float) -> Trajectory:
+    """Run for at least ``duration`` (s) with a frame about every ``interval`` (s)."""
+    stride = max(1, round(interval / time_step))
+    return run(scene, state, time_step, math.ceil(duration / time_step / stride) * stride, stride).trajectory
+
+
+@dataclass
 class Impacts:
     """P impacts of a sphere on a wall or on another sphere, each in the x–z plane with its spins about y.
 
-    The first body hits the second one, which lies under it (−z) or, where it is a sphere, is at rest there.
+    The first body hits the second one, which lies under it (−z) or, where it is a sphere, is at rest there. Numbers
+    are broadcast to as many impacts as the longest array has.
 
     Attributes:
         contact: the bodies.
@@ -99,22 +119,15 @@ class Impacts:
 
     contact: Contact
     normal: FloatArray
-    tangential: FloatArray
-    first_spin: FloatArray
-    second_spin: FloatArray
+    tangential: FloatArray | float = 0.0
+    first_spin: FloatArray | float = 0.0
+    second_spin: FloatArray | float = 0.0
 
-    @classmethod
-    def of(
-        cls,
-        contact: Contact,
-        normal: object,
-        tangential: object = 0.0,
-        first_spin: object = 0.0,
-        second_spin: object = 0.0,
-    ) -> Impacts:
-        """Broadcasts numbers to as many impacts as the longest array has."""
-        arrays = np.broadcast_arrays(*(np.atleast_1d(a) for a in (normal, tangential, first_spin, second_spin)))
-        return cls(contact, *(np.array(a, float) for a in arrays))
+    def __post_init__(self) -> None:
+        names = ("normal", "tangential", "first_spin", "second_spin")
+        arrays = np.broadcast_arrays(*(np.atleast_1d(getattr(self, name)) for name in names))
+        for name, values in zip(names, arrays, strict=True):
+            setattr(self, name, np.array(values, float))
 
 
 @dataclass(frozen=True)
@@ -127,7 +140,7 @@ class Rebounds:
         first_spin, second_spin: ``(P,)`` rad/s.
         energy: ``(P,)`` kinetic energy over that before, in the frame in which the second body rested, −.
         overlap: largest overlap of any impact, m.
-        trajectory: of all bodies, the first P being the first bodies.
+        result: of all bodies, the first P being the first bodies.
     """
 
     normal: FloatArray
@@ -140,21 +153,16 @@ class Rebounds:
 
 
 def collide(
-    impacts: Impacts,
-    *,
-    steps_per_contact: float = STEPS_PER_CONTACT,
-    phase: FloatArray | float = 0.0,
+    impacts: Impacts, *, steps_per_contact: float = STEPS_PER_CONTACT, phase: FloatArray | float = 0.0,
     stride: int | None = None,
-    engine: str = "numba",
-) -> Rebounds:
-    """Lets all impacts happen side by side in one run, long enough for the slowest to part.
+) -> Rebounds:  # fmt: skip
+    """Let all impacts happen side by side in one run, long enough for the slowest to part.
 
     Args:
         impacts: what hits what.
         steps_per_contact: the step is the shortest elastic contact time over this.
         phase: ``(P,)`` of a step, between the last state apart and the first touch.
         stride: steps between two frames; None keeps the end alone.
-        engine: which.
     """
     contact, count = impacts.contact, len(impacts.normal)
     first, second = contact.first, contact.second
@@ -172,8 +180,7 @@ def collide(
     height = first.radius + early * impacts.normal + (0.0 if second.is_wall else second.radius)
     position = np.stack((-early * impacts.tangential, line, height), axis=1)
     velocity = np.stack((impacts.tangential, zero, -impacts.normal), axis=1)
-    spin = np.stack((zero, impacts.first_spin, zero), axis=1)
-    radius = np.full(count, first.radius)
+    spin, radius = np.stack((zero, impacts.first_spin, zero), axis=1), np.full(count, first.radius)
     if not second.is_wall:
         position = np.concatenate((position, np.stack((zero, line, zero), axis=1)))
         velocity = np.concatenate((velocity, np.zeros_like(velocity)))
@@ -181,53 +188,23 @@ def collide(
         radius = np.concatenate((radius, np.full(count, second.radius)))
     two = not second.is_wall and second.material != first.material
     scene = laboratory(
-        first.material,
-        (FLOOR,) if second.is_wall else (),
-        wall_material=second.material,
-        radius=float(radius.min()),
-        second_material=second.material if two else None,
-    )
+        first.material, (FLOOR,) if second.is_wall else (), wall_material=second.material,
+        radius=float(radius.min()), second=second.material if two else None,
+    )  # fmt: skip
     kind = np.repeat(np.arange(len(radius) // count, dtype=np.uint8), count) * np.uint8(two)
     state = replace(spheres(position, velocity, spin, radius), material=kind)
-    result = run(scene, state, time_step, steps, stride or steps, engine)
-    density = np.array([material.density for material in scene.materials])[kind]
-    before, after = (_kinetic_energy(density, s, count) for s in (state, result.final))
+    result = run(scene, state, time_step, steps, stride)
+    mass = mass_of(radius, np.array([material.density for material in scene.materials])[kind])
+
+    def energy(state: ParticleState) -> FloatArray:
+        moving = 0.5 * mass * np.square(state.velocity).sum(axis=1)
+        moving += 0.2 * mass * state.radius**2 * np.square(state.angular_velocity).sum(axis=1)
+        return moving.reshape(-1, count).sum(axis=0)
+
     v, w = result.final.velocity, result.final.angular_velocity[:, 1]
     relative = v if second.is_wall else v[:count] - v[count:]
+    deepest = max(result.trajectory.diagnostics[name].max() for name in ("overlap_max", "wall_overlap_max"))
     return Rebounds(
-        normal=relative[:, 2],
-        tangential=relative[:, 0],
-        first_spin=w[:count],
-        second_spin=zero if second.is_wall else w[count:],
-        energy=after / before,
-        overlap=float(max(result.trajectory.diagnostics[name].max() for name in ("overlap_max", "wall_overlap_max"))),
-        result=result,
-    )
-
-
-def _kinetic_energy(density: FloatArray, state: ParticleState, count: int) -> FloatArray:
-    """Of each impact's bodies together, ``(P,)`` J."""
-    mass = 4.0 / 3.0 * np.pi * density * state.radius**3
-    energy = 0.5 * mass * np.square(state.velocity).sum(axis=1)
-    energy += 0.2 * mass * state.radius**2 * np.square(state.angular_velocity).sum(axis=1)
-    return energy.reshape(-1, count).sum(axis=0)
-
-
-def on_rigid_wall(material: Material, radius: float = RADIUS) -> Contact:
-    """A sphere on a wall that does not yield."""
-    return Contact(Body(material, radius), Body(rigid(material), math.inf))
-
-
-def on_wall(material: Material, radius: float = RADIUS) -> Contact:
-    """A sphere on a wall of its own material."""
-    return Contact(Body(material, radius), Body(material, math.inf))
-
-
-def on_sphere(
-    material: Material,
-    radius: float = RADIUS,
-    second_radius: float | None = None,
-    second_material: Material | None = None,
-) -> Contact:
-    """A sphere on another, of the same size and material unless told."""
-    return Contact(Body(material, radius), Body(second_material or material, second_radius or radius))
+        relative[:, 2], relative[:, 0], w[:count], zero if second.is_wall else w[count:],
+        energy(result.final) / energy(state), float(deepest), result,
+    )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from gran_bench.files import write_part, write_text
 from gran_bench.provenance import stamp
-from gran_bench.verification.case import Check, Outcome
+from gran_bench.verification.case import Outcome
 
 JSON, PAGE = "verification.json", "README.md"
 HEADS = ("case", "quantity", "points", "expected", "found", "error", "tolerance", "source", "")
@@ -25,40 +25,30 @@ FIGURES = {
 
 def rows(outcome: Outcome) -> Iterator[tuple[str, ...]]:
     """A row for each quantity of a case, at the point with the largest error; one for the error that stopped it."""
-    if outcome.failure is not None:
-        yield (outcome.case.name, outcome.failure, "", "", "", "", "", "", "FAILED")
-    elif not outcome.findings.checks:
-        yield (outcome.case.name, "nothing was checked", "", "", "", "", "", "", "FAILED")
-    for check in outcome.findings.checks:
-        k = check.worst
+    name = outcome.case.name
+    if outcome.failure is not None or not outcome.checks:
+        yield (name, outcome.failure or "nothing was checked", *[""] * 6, "FAILED")
+    for check in outcome.checks:
+        k = int(np.argmax(check.error))
+        numbers = (str(len(check.expected)), f"{check.expected[k]:.6g}", f"{check.found[k]:.6g}")
+        error = (f"{check.error[k]:.1e} {check.unit}", f"{check.tolerance:.2g}", check.source)
         where = f" at {check.at[k]}" if check.at else ""
-        yield (
-            outcome.case.name,
-            check.quantity + where,
-            str(len(check.expected)),
-            f"{check.expected[k]:.6g}",
-            f"{check.found[k]:.6g}",
-            f"{check.error[k]:.1e} {check.unit}",
-            f"{check.tolerance:.2g}",
-            check.source,
-            "met" if check.met else "FAILED",
-        )
+        yield (name, check.quantity + where, *numbers, *error, "met" if check.met else "FAILED")
 
 
 def table(outcomes: Sequence[Outcome]) -> str:
     """All rows, in columns; the worst point of each quantity."""
     lines = [HEADS, *(row for outcome in outcomes for row in rows(outcome))]
-    widths = [max(len(line[c]) for line in lines) for c in range(len(HEADS))]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
 
 
 def verdict(outcomes: Sequence[Outcome]) -> str:
     """How many cases, quantities and points there were, and which cases failed, in a line."""
-    checks = [check for outcome in outcomes for check in outcome.findings.checks]
+    checks = [check for outcome in outcomes for check in outcome.checks]
     points, failed = sum(len(check.expected) for check in checks), [o.case.name for o in outcomes if not o.met]
-    counted = (
-        f"{len(outcomes)} cases, {len(checks)} quantities, {points} points, {sum(o.seconds for o in outcomes):.0f} s: "
-    )
+    seconds = sum(outcome.seconds for outcome in outcomes)
+    counted = f"{len(outcomes)} cases, {len(checks)} quantities, {points} points, {seconds:.0f} s: "
     return counted + (f"{len(failed)} FAILED: {', '.join(failed)}" if failed else "all within tolerance")
 
 
@@ -71,13 +61,8 @@ def write_report(outcomes: Sequence[Outcome], folder: Path, provenance: dict[str
         provenance: where the result comes from.
         subset: what was left out, in words; empty for the whole suite.
     """
-    record = {
-        "provenance": provenance,
-        "verdict": verdict(outcomes),
-        "met": all(outcome.met for outcome in outcomes),
-        "subset": subset,
-        "cases": [_record(outcome) for outcome in outcomes],
-    }
+    record = {"provenance": provenance, "verdict": verdict(outcomes), "met": all(o.met for o in outcomes)}
+    record |= {"subset": subset, "cases": [_record(outcome) for outcome in outcomes]}
     write_text(folder / JSON, json.dumps(record, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n")
     write_page(folder)
 
@@ -89,29 +74,14 @@ def write_page(folder: Path) -> None:
 
 
 def _record(outcome: Outcome) -> dict[str, Any]:
-    return {
-        "name": outcome.case.name,
-        "title": outcome.case.title,
-        "met": outcome.met,
-        "failure": outcome.failure,
-        "seconds": round(outcome.seconds, 3),
-        "checks": [_check_record(check) for check in outcome.findings.checks],
-        "curves": {name: _numbers(values, 6) for name, values in outcome.findings.curves.items()},
-    }
-
-
-def _check_record(check: Check) -> dict[str, Any]:
-    return {
-        "quantity": check.quantity,
-        "met": check.met,
-        "tolerance": check.tolerance,
-        "unit": check.unit,
-        "source": check.source,
-        "at": list(check.at),
-        "expected": _numbers(check.expected, 10),
-        "found": _numbers(check.found, 10),
-        "error": _numbers(check.error, 4),
-    }
+    found = {"name": outcome.case.name, "title": outcome.case.title, "met": outcome.met}
+    found |= {"failure": outcome.failure, "seconds": round(outcome.seconds, 3), "checks": []}
+    for check in outcome.checks:
+        words = {name: getattr(check, name) for name in ("quantity", "met", "tolerance", "unit", "source")}
+        digits = {"expected": 10, "found": 10, "error": 4}
+        numbers = {name: _numbers(getattr(check, name), count) for name, count in digits.items()}
+        found["checks"].append(words | {"at": list(check.at)} | numbers)
+    return found | {"curves": {name: _numbers(values, 6) for name, values in outcome.curves.items()}}
 
 
 def _numbers(values: np.ndarray, digits: int) -> list[float | str]:
@@ -119,36 +89,29 @@ def _numbers(values: np.ndarray, digits: int) -> list[float | str]:
     return [float(f"{v:.{digits}g}") if math.isfinite(v) else str(v) for v in np.asarray(values, float)]
 
 
-def _page(record: dict[str, Any], folder: Path) -> Iterator[str]:
+def _page(record: Mapping[str, Any], folder: Path) -> Iterator[str]:
     """The verdict, a row a case, every quantity that is not within its tolerance, and figures."""
     yield f"**{record['verdict']}.**" + (f" {record['subset']}" if record["subset"] else "")
-    yield ""
-    yield "| case | what is verified | quantities | points | largest error / tolerance | |"
+    yield "\n| case | what is verified | quantities | points | largest error / tolerance | |"
     yield "|---|---|---:|---:|---:|---|"
+    missed = []
     for case in record["cases"]:
-        checks, word = case["checks"], "met" if case["met"] else "FAILED"
-        points, share = sum(len(check["expected"]) for check in checks), max(map(_share, checks), default=math.nan)
-        numbers = f"{len(checks)} | {points} | {share:.2g}"
-        yield f"| {case['name']} | {case['title']} | {numbers} | {word} |"
-    yield ""
-    for case in record["cases"]:
-        if case["failure"] is not None:
-            yield f"- {case['name']}: {case['failure']}"
-        for check in case["checks"]:
+        checks, shares = case["checks"], [_share(check) for check in case["checks"]]
+        numbers = (
+            f"{len(checks)} | {sum(len(check['expected']) for check in checks)} | {max(shares, default=math.nan):.2g}"
+        )
+        yield f"| {case['name']} | {case['title']} | {numbers} | {'met' if case['met'] else 'FAILED'} |"
+        missed += [f"- {case['name']}: {case['failure']}"] if case["failure"] is not None else []
+        for check, share in zip(checks, shares, strict=True):
             if not check["met"]:
-                share = f"{_share(check):.3g} times its tolerance of {check['tolerance']}"
-                yield f"- {case['name']}, {check['quantity']}: {share}"
-    for name, caption in FIGURES.items():
-        if (folder / name).exists():
-            yield f"![{caption}]({name})"
-            yield ""
+                times = f"{share:.3g} times its tolerance of {check['tolerance']}"
+                missed.append(f"- {case['name']}, {check['quantity']}: {times}")
+    yield from ["", *missed]
+    yield from (f"![{caption}]({name})\n" for name, caption in FIGURES.items() if (folder / name).exists())
     yield f"Every point, and the source of each expected value: [`{JSON}`]({JSON}). {stamp(record['provenance'])}"
 
 
-def _share(check: dict[str, Any]) -> float:
+def _share(check: Mapping[str, Any]) -> float:
     """The largest error of a quantity in units of its tolerance; infinite where one is not finite."""
-    errors = [float(value) for value in check["error"]]
-    if not all(map(math.isfinite, errors)):
-        return math.inf
-    largest, tolerance = max(errors, default=0.0), check["tolerance"]
-    return largest / tolerance if tolerance else (0.0 if largest == 0.0 else math.inf)
+    largest = max(map(float, check["error"]), default=0.0)
+    return largest / check["tolerance"] if check["tolerance"] else (math.inf if largest else 0.0)

@@ -18,12 +18,7 @@ SLIDING = "rigid-body sliding, closed form (Chung & Ooi 2011)"
 
 @dataclass(frozen=True)
 class Body:
-    """A sphere, or a wall.
-
-    Attributes:
-        material: elastic constants and density.
-        radius: m; infinite for a flat wall, which never moves.
-    """
+    """A sphere of a radius in m, or a flat wall, which never moves, of an infinite one."""
 
     material: Material
     radius: float
@@ -41,11 +36,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Contact:
-    """The constants of a Hertz–Mindlin contact between two bodies; the second one's e and μ count.
-
-    Attributes:
-        first, second: the bodies; only the second may be a wall.
-    """
+    """The constants of a Hertz–Mindlin contact; only the second body may be a wall, and its e and μ count."""
 
     first: Body
     second: Body
@@ -69,10 +60,8 @@ class Contact:
     @property
     def effective_shear_modulus(self) -> float:
         """G* = [(2 − ν₁)/G₁ + (2 − ν₂)/G₂]⁻¹ with G = E/2(1 + ν), Pa (Johnson 1985, eq. 7.42)."""
-        compliance = 0.0
-        for m in (self.first.material, self.second.material):
-            compliance += (2 - m.poisson_ratio) * 2 * (1 + m.poisson_ratio) / m.youngs_modulus
-        return 1.0 / compliance
+        both = self.first.material, self.second.material
+        return 1.0 / sum((2 - m.poisson_ratio) * 2 * (1 + m.poisson_ratio) / m.youngs_modulus for m in both)
 
     @property
     def stiffness(self) -> float:
@@ -100,9 +89,14 @@ class Contact:
         """δ at which the contact carries a load, (F/K)^{2/3}, m."""
         return (load / self.stiffness) ** (2.0 / 3.0)
 
+    def bobbing_period(self, load: float) -> float:
+        """Period of a sphere that bobs on its contact under a load, 2π √(m/k), k = 3/2 K √δ: its fastest motion, s."""
+        overlap = self.resting_overlap(load)
+        return 2.0 * math.pi * math.sqrt(self.first.mass / (1.5 * self.stiffness * math.sqrt(overlap)))
+
 
 def restitution(damping: float) -> float:
-    """Coefficient of restitution of x″ + α x^{1/4} x′ + x^{3/2} = 0 when the attractive tail is cut off.
+    """Coefficient of restitution of x″ + α x^{1/4} x′ + x^{3/2} = 0 when the attractive tail is cut off, α ≥ 0.
 
     With y = 4/5 x^{5/4}, x′ dx′/dy + α x′ + 5/4 y = 0 is a linear oscillator of ω₀² = 5/4 and β = α/2, and
     the force vanishes where the linear one does. So e is the linear dashpot's:
@@ -110,20 +104,14 @@ def restitution(damping: float) -> float:
         e = exp[−β/ω (π − atan2(2βω, ω² − β²))],  ω² = ω₀² − β²;  for β > ω₀ with Ω² = β² − ω₀²
         e = exp[−β/Ω ln((β + Ω)/(β − Ω))]
 
-    Args:
-        damping: α ≥ 0, −.
-
     Source: the map is Antypov & Elliott's (2011, EPL 94, 50004); the linear e Schwager & Pöschel's (2007, Granular
         Matter 9, 465).
     """
     beta, square = 0.5 * damping, 1.25 - 0.25 * damping**2
+    omega = math.sqrt(abs(square))
     if square > 0:
-        omega = math.sqrt(square)
         return math.exp(-beta / omega * (math.pi - math.atan2(2 * beta * omega, omega**2 - beta**2)))
-    if square == 0:
-        return math.exp(-2.0)
-    omega = math.sqrt(-square)
-    return math.exp(-beta / omega * math.log((beta + omega) / (beta - omega)))
+    return math.exp(-beta / omega * math.log((beta + omega) / (beta - omega)) if omega else -2.0)
 
 
 def damping(e: float) -> float:
@@ -142,8 +130,7 @@ def sliding_rebound(
         contact: of the sphere with a wall (m* = m) or another sphere.
         normal: approach v_n > 0, ``(P,)`` m/s.
         tangential: relative v_t, ``(P,)`` m/s.
-        arm: a, the lever arm of the friction, m: R of a rigid sphere; a soft one's is shorter by the overlap, averaged
-            with the normal force over the contact.
+        arm: a, the lever arm of the friction, m: R of a rigid sphere.
 
     Source: Chung & Ooi (2011), Granular Matter 13, 643, eqs. for gross sliding; Kharaz et al. (2001).
     """

@@ -1,0 +1,100 @@
+"""Processes that answer a line of JSON with one: one that crashes, or hangs, costs its own task and no other."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from gran_bench.processes import ONE_THREAD, kill_group, start_module
+
+SHUTDOWN = 10.0  # s that a process is given to end, once it has closed its pipe
+
+
+class Worker:
+    """A process of a module that serves; started when it is asked, and anew after its end.
+
+    Args:
+        module: full name; it calls `serve`.
+        environment: beside that of this process.
+    """
+
+    def __init__(self, module: str, environment: Mapping[str, str] = ONE_THREAD) -> None:
+        self._module, self._environment = module, environment
+        self._process: subprocess.Popen[str] | None = None
+        self._complaints: Any = None
+
+    def ask(self, request: Mapping[str, Any], patience: float) -> dict[str, Any]:
+        """The answer to a request; ``died`` with why, and whether it was ``late``, where none came.
+
+        Args:
+            request: plain data.
+            patience: s; a process that takes longer is ended.
+        """
+        process, late, line = self._running(), threading.Event(), ""
+        clock = threading.Timer(patience, lambda: (late.set(), kill_group(process)))
+        clock.daemon = True  # an interrupted command does not wait for it
+        clock.start()
+        try:
+            process.stdin.write(json.dumps(request) + "\n")
+            process.stdin.flush()
+            line = process.stdout.readline()
+        except BrokenPipeError:
+            pass
+        finally:
+            clock.cancel()
+        why = f"no end within {patience:g} s"
+        if not late.is_set():
+            if line.endswith("\n"):
+                with suppress(ValueError):
+                    return json.loads(line)
+            why = f"its answer is no line of JSON: {line.strip()[:80]}" if line.endswith("\n") else self._last_words()
+        self.end()  # whatever it says next would be taken for the answer to another request
+        return {"died": why, "late": late.is_set()}
+
+    def end(self) -> None:
+        """End the process, whatever it does."""
+        if self._process is not None:
+            kill_group(self._process)
+            with suppress(BrokenPipeError):
+                self._process.stdin.close()
+            self._process.stdout.close()
+            self._complaints.close()
+            self._process = None
+
+    def _running(self) -> subprocess.Popen[str]:
+        if self._process is None or self._process.poll() is not None:
+            self.end()
+            self._complaints = tempfile.TemporaryFile()  # noqa: SIM115 (lives as long as the process)
+            pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": self._complaints, "text": True}
+            self._process = start_module(self._module, environment=self._environment, **pipes)
+        return self._process
+
+    def _last_words(self) -> str:
+        """How a process ended that closed its pipe, with a part of an answer or none."""
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(SHUTDOWN)
+        kill_group(self._process)
+        if self._process.returncode < 0:
+            return f"its process was ended by signal {-self._process.returncode}"
+        self._complaints.seek(0)
+        words = self._complaints.read().decode(errors="replace").strip().splitlines()
+        return words[-1] if words else f"its process ended with status {self._process.returncode}"
+
+
+def serve(answer: Callable[[dict[str, Any]], Mapping[str, Any]]) -> None:
+    """Answer requests until the parent closes the pipe or is gone."""
+    # Whatever a library prints must not get between the lines of JSON.
+    channel = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)
+    try:
+        for line in sys.stdin:
+            channel.write(json.dumps(answer(json.loads(line))) + "\n")
+    except BrokenPipeError:
+        os._exit(1)  # the parent is gone; closing the channel would fail once more
