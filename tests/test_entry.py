@@ -97,6 +97,7 @@ def refuse(monkeypatch, capsys, tmp_path):
         ("dem.time_step=0.01", ["dem.time_step=0.01", "largest safe step"]),
         ("scene.filling.count=9999", ["scene.filling.count=9999", "do not fit"]),
         ("scene.container.kind=none", ["no container"]),
+        ("scene.container.lifters=4", ["the keys of scene.container are kind, diameter, length, periodic_axis\n"]),
         ("model=cnn", ["model=cnn", "did you mean ccnn?", "radial"]),
         ("optim=adam", ["optim=adam", "choose ccnn or contact or paper or radial"]),
         ("+experiment=holdout3", ["experiment=holdout3", "did you mean holdout30rpm?", "smoke"]),

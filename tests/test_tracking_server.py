@@ -163,7 +163,7 @@ def test_a_sweep_has_its_parent_children_and_report_on_the_server(
     folder = Path(config.root) / "sweeps" / "first"
     SweepFile("first", "first key", "train", config.experiment, []).write(folder)
     (folder / "runs.csv").write_text("a table")
-    report = SweepReport("", [folder / "runs.csv"], {"best": 1.0}, {}, [], [])
+    report = SweepReport("", [folder / "runs.csv"], {"best": 1.0}, {}, [])
     assert report_to_parent(folder, report)
     assert runs(server, config)["first"].data.metrics == {"best": 1.0}
 

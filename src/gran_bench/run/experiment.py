@@ -86,10 +86,12 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
     folder = Path(config.tracking.root) / "evaluations" / f"{path.resolve().parent.name}-{key[:8]}"
     identity = RunIdentity(folder, key, judged_by(plan), card.origin["data_digest"])
     record = RunRecord(identity, config, scene.name, Clock())
+
+    def work(run: tracking.Run) -> dict[str, Any]:
+        return judge_stage(record, model, plan, card.model, card.origin, run)
+
     with stop_on_signals():
-        return record.carry_out(
-            lambda run: judge_stage(record, model, plan, card.model, card.origin, run), lambda finished: False
-        )
+        return record.carry_out(work, lambda finished: False)
 
 
 def _compile_ahead(model: str) -> None:

@@ -104,10 +104,7 @@ def rollout_warnings(summary: Mapping[str, Any]) -> list[str]:
 
 
 def flat_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
-    """Every defined figure of a summary for the tracking store, as ``headline/name`` or ``packing/kind/name``.
-
-    The UI draws a group for each first word, in the order of the alphabet: the headline figures come first.
-    """
+    """Every defined figure of a summary for the tracking store, as ``headline/name`` or ``packing/kind/name``."""
     metrics: dict[str, Any] = {tracking.HEADLINE + name: value for name, value in headline(summary).items()}
     for packing, judged in summary["judged"].items():
         for name, row in judged["errors"].items():
