@@ -121,7 +121,7 @@ def test_an_impact_on_a_seam_comes_back_with_the_materials_restitution(advance, 
 
 
 @ENGINES
-@pytest.mark.parametrize("speed", [0.2, 2.0, 50.0])
+@pytest.mark.parametrize("speed", [1.0, 50.0])
 def test_a_sphere_that_rolls_over_a_seam_feels_nothing_of_it(advance, speed):
     """Position, spin, and the elastic force that the contact remembers are those of a floor of one piece."""
     step, steps = 1e-4, round(0.1 / speed / 1e-4) if speed < 50.0 else 15  # of a fifth of a radius
@@ -224,7 +224,7 @@ def test_a_lid_that_opens_leaves_the_ring_its_edge(advance):
     scene = scene_with(FILL, RING, gravity=(0.0, 0.0, -9.81))
     opening = replace(scene, walls=(replace(FILL, opens=0.05), RING))
     state = one_sphere((0.1 - 1e-3, 0, R - 1e-5))
-    held, falls = (after(advance, s, state, 2000, 2e-4) for s in (scene, opening))
+    held, falls = (after(advance, s, state, 1000, 2e-4) for s in (scene, opening))
     assert held.position[0, 2] == pytest.approx(R, abs=2e-4)
     assert falls.position[0, 2] < -0.05
 

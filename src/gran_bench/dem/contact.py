@@ -34,10 +34,9 @@ from gran_bench.config.rules import checked
 from gran_bench.scene import Material
 from gran_bench.state import FloatArray
 
-# A step knows velocities of its middle. The damping of a contact counts in what the velocity still gains until the
-# step's end, times max(0, 1 − PREDICTION_FADE γ Δt / m*), where γ is the drag of the contact. A predicted velocity
-# halves the step up to which damping is stable: so the prediction fades out as γΔt/m* nears a third, which three and
-# more contacts of a sphere in a bed make one.
+# The damping of a contact counts in what the velocity still gains until the step's end, times
+# max(0, 1 − PREDICTION_FADE γ Δt / m*), γ the drag of the contact. A prediction halves the step up to which damping is
+# stable: so it fades out as γΔt/m* nears a third, which three and more contacts of a sphere in a bed make one.
 PREDICTION_FADE = 3.0
 # Contact time of an elastic Hertzian impact in units of δmax/v: 2.94 in every textbook, 4/5 √π Γ(2/5)/Γ(9/10) exactly.
 CONTACT_TIME_FACTOR = 0.8 * math.sqrt(math.pi) * math.gamma(0.4) / math.gamma(0.9)
@@ -107,27 +106,16 @@ class ContactForce:
 
 
 def contact_force(
-    law: ContactLaw,
-    *,
-    normal: FloatArray,
-    overlap: FloatArray,
-    effective_radius: FloatArray,
-    effective_mass: FloatArray,
-    velocity: FloatArray,
-    velocity_gain: FloatArray,
-    surface_spin: FloatArray,
-    history: FloatArray,
-    overlap_before: FloatArray,
-    time_step: float,
-) -> ContactForce:
+    law: ContactLaw, *, normal: FloatArray, overlap: FloatArray, effective_radius: FloatArray,
+    effective_mass: FloatArray, velocity: FloatArray, velocity_gain: FloatArray, surface_spin: FloatArray,
+    history: FloatArray, overlap_before: FloatArray, time_step: float,
+) -> ContactForce:  # fmt: skip
     """Forces of M touching contacts by the law at the head of this file, vectorised.
 
     Args:
         law: constants.
         normal: ``(M, 3)`` unit vectors from the first to the second.
-        overlap: ``(M,)`` δ > 0, m.
-        effective_radius: ``(M,)`` R*, m.
-        effective_mass: ``(M,)`` m*, kg.
+        overlap, effective_radius, effective_mass: ``(M,)`` δ > 0 and R*, m, and m*, kg.
         velocity: ``(M, 3)`` of the first centre relative to the second centre (or to the wall's point), m/s.
         velocity_gain: ``(M, 3)`` what that velocity still gains until the end of the step, m/s; the damping of the
             normal force counts it in.
@@ -214,16 +202,9 @@ def hertz_impact(
 ) -> tuple[float, float, float]:
     """Largest overlap, largest force and duration of an elastic head-on impact.
 
-    δmax = (5 m* v² / 4 K)^{2/5},  Fmax = K δmax^{3/2},  t_c = 2.943275 δmax / v,  K = 4/3 E* √R*.
+    δmax = (5 m* v² / 4 K)^{2/5},  Fmax = K δmax^{3/2},  t_c = 2.943275 δmax / v,  K = 4/3 E* √R*
 
-    Args:
-        effective_modulus: E*, Pa.
-        effective_radius: R*, m.
-        effective_mass: m*, kg.
-        speed: relative speed v > 0, m/s.
-
-    Returns:
-        δmax in m, Fmax in N, t_c in s.
+    in m, N and s, of E* in Pa, R* in m, m* in kg, and a relative speed v > 0 in m/s.
 
     Source: Johnson (1985), Contact Mechanics, §11.4.
     """

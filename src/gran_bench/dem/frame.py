@@ -1,9 +1,8 @@
 """A run between its frames: stretches of an engine, the walls' poses, who has left, and what may have gone wrong.
 
-What changes a run happens on a grid of steps that is counted from the run's start: every 10 ms spheres beyond the
-outlet leave and whoever came through a wall stops the run, every 50 ms particles are sorted anew. Frames are copies,
-wherever they are, so they change no bit; and the last one comes with what another run needs to go on
-(``ParticleState.continuation``): the forces that move it next, the order in which they are summed, the run's clock.
+What changes a run happens on a grid of steps counted from its start: every 10 ms spheres beyond the outlet leave and
+whoever came through a wall stops the run, every 50 ms particles are sorted anew. Frames are copies, so they change no
+bit; the last one comes with what another run needs to go on (``ParticleState.continuation``).
 """
 
 from __future__ import annotations

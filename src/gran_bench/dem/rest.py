@@ -8,10 +8,9 @@ container: a sphere that rolls in a trough as wide as the container is high,
 
 with H the height that a sphere can fall. A free sphere falls by 3.5 H in that time, far more than any overlap.
 
-Slow means that the root mean square of the speeds lies below v = ``filling.settled_speed`` (of equal spheres: a kinetic
-energy of translation below ½ M v²), and that no sphere is faster than a few tens of v, which many spheres at rest would
-hide. Spin does not count: nothing brakes a sphere that spins about its contact's normal. Nor do spheres beyond the
-outlet.
+Slow means that the root mean square of the speeds lies below v = ``filling.settled_speed``, and that none is faster
+than a few tens of v, which many at rest would hide. Spin does not count: nothing brakes a sphere that spins about its
+contact's normal. Nor do spheres beyond the outlet.
 """
 
 from __future__ import annotations

@@ -48,13 +48,9 @@ def wall_touching(
 
 
 def one_contact_each(
-    shapes: FloatArray,
-    surfaces: Sequence[float],
-    position: FloatArray,
-    radius: FloatArray,
-    reached: Sequence[tuple[FloatArray, FloatArray]],
-    touches: Sequence[np.ndarray],
-) -> tuple[list[np.ndarray], list[tuple[int, int, np.ndarray]]]:
+    shapes: FloatArray, surfaces: Sequence[float], position: FloatArray, radius: FloatArray,
+    reached: Sequence[tuple[FloatArray, FloatArray]], touches: Sequence[np.ndarray],
+) -> tuple[list[np.ndarray], list[tuple[int, int, np.ndarray]]]:  # fmt: skip
     """Which spheres each of W walls answers, where a surface answers a sphere once, and what goes over.
 
     Args:

@@ -59,25 +59,21 @@ class SimulationResult:
 
 
 def simulate(
-    scene: Scene,
-    state: ParticleState,
-    end_time: float,
-    *,
-    dem: DemConfig | None = None,
-    progress: bool | Callable[[float], None] = False,
-) -> SimulationResult:
+    scene: Scene, state: ParticleState, end_time: float, *,
+    dem: DemConfig | None = None, progress: bool | Callable[[float], None] = False,
+) -> SimulationResult:  # fmt: skip
     """Runs ``state`` in ``scene`` until ``end_time``, with a frame every ``scene.frame_interval``.
 
-    The first frame is the state itself. Frames change no bit: runs with the same step and other intervals agree at
-    common times. A run that starts from another's final state goes on bit for bit as the first would have.
+    The first frame is the state itself. Frames change no bit, and a run that starts from another's final state goes on
+    bit for bit as the first would have.
 
     Args:
         scene: walls, motion, materials, gravity.
         state: start, with its contact history.
         end_time: s in the scene's clock; a whole number of frames after the start.
         dem: engine, time step, precision, and what is else chosen by the clock: skin and threads.
-        progress: whether to show a bar (simulated time, steps a second, time left); silent without a terminal. A
-            function is called with the simulated time in s at each frame instead.
+        progress: whether to show a bar, silent without a terminal; or a function that is called with the simulated
+            time, s, at each frame.
 
     Raises:
         ConfigError: an argument of a wrong type, or settings that contradict each other.
@@ -130,25 +126,18 @@ def simulate(
 
 
 def settle(
-    scene: Scene,
-    seed: int,
-    *,
-    dem: DemConfig | None = None,
-    progress: bool | Callable[[float], None] = False,
+    scene: Scene, seed: int, *, dem: DemConfig | None = None, progress: bool | Callable[[float], None] = False,
     warn: Callable[[str], None] = warnings.warn,
-) -> ParticleState:
+) -> ParticleState:  # fmt: skip
     """Fills the container, lets the spheres fall and come to rest between walls that stand still.
 
-    Where ``filling.settles`` is false, the filling is what the scene starts with. At rest means that it stays: slower
-    than ``filling.settled_speed`` for as long as the slowest swing could hide (rest.py). The bed settles at least
-    until ``start_time``, if that is positive, and is then labelled ``start_time``, however long it took. The contact
-    history is kept.
+    Where ``filling.settles`` is false, the filling is what the scene starts with. At rest means staying so (rest.py).
+    The bed settles at least until ``start_time`` and is then labelled ``start_time``, however long it took.
 
     Args:
-        scene: to fill.
-        seed: of the filling.
+        scene, seed: what is filled, and how.
         dem: engine, time step and skin.
-        progress: whether to show a bar, or a function that is called with the simulated time in s.
+        progress: as of :func:`simulate`.
         warn: is called with what a reader of the bed must know: an impact on the way that was too deep for Hertz's
             law, or too short for the step.
 

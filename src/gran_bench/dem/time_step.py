@@ -98,16 +98,13 @@ def contact_times(scene: Scene, radius: float | None = None, speed: float | None
 def choose_time_step(
     scene: Scene, requested: float | None = None, allow_unsafe: bool = False, radius: float | None = None
 ) -> tuple[float, tuple[str, ...]]:
-    """The largest step that is safe and of which the frame interval is a whole multiple, and its warnings.
+    """The largest step, s, that is safe and of which the frame interval is a whole multiple, and its warnings.
 
     Args:
         scene: materials, walls, motion and frame interval.
         requested: step to use instead of the automatic one, s; shortened to divide the frame interval.
         allow_unsafe: turns the error of a step beyond 0.2 t_c into a warning.
         radius: of the smallest sphere, m; the filling's where None.
-
-    Returns:
-        The step in s, and what a reader of the results must know of it.
 
     Raises:
         ConfigError: a step that is not positive and finite.
@@ -165,11 +162,7 @@ def unresolved(scene: Scene, radius: float, time_step: float, speed: float) -> t
 def check_closing_speed(
     scene: Scene, radius: float, time_step: float, speed: float, allow_unsafe: bool
 ) -> tuple[str, ...]:
-    """What is wrong with a step for the speed at which the spheres of a first state close in; nothing, or a warning.
-
-    Args:
-        scene, radius, time_step, speed: of :func:`unresolved`.
-        allow_unsafe: turns the error into a warning.
+    """What is :func:`unresolved` at the speed at which the spheres of a first state close in; nothing, or a warning.
 
     Raises:
         TimeStepError: a step beyond 0.2 t_c that is not allowed.

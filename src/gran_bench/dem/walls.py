@@ -74,12 +74,7 @@ def _drawn(wall: Wall) -> FloatArray:
 
 
 def _moved(
-    wall: Wall,
-    drawn: FloatArray,
-    motion: Rotation | Motion | None,
-    end: FloatArray,
-    middle: FloatArray,
-    time_step: float,
+    wall: Wall, drawn: FloatArray, motion: Motion | None, end: FloatArray, middle: FloatArray, time_step: float
 ) -> FloatArray:
     """Rows of one wall, ``(1, 22)`` where all are equal, else ``(steps + 1, 22)``."""
     if isinstance(motion, Rotation):

@@ -226,9 +226,7 @@ class Scene:
     def fresh_filling(self, seed: int) -> ParticleState:
         """N spheres in the container without overlap, at time 0: on a jittered lattice, or where they are placed.
 
-        Args:
-            seed: of the jitter, of the choice among the topmost sites, and of which sphere has which size and
-                material.
+        The seed is of the jitter, the choice among the topmost sites, and which sphere has which size and material.
 
         Raises:
             SceneError: more spheres than sites, or a seed that is no whole number ≥ 0.

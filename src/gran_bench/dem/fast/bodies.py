@@ -79,15 +79,9 @@ class Bodies(NamedTuple):
 
 
 def bodies_in_order(
-    position: FloatArray,
-    velocity: FloatArray,
-    spin: FloatArray,
-    radius: FloatArray,
-    material: np.ndarray,
-    density: FloatArray,
-    period: float,
-    order: np.ndarray | None = None,
-) -> Bodies:
+    position: FloatArray, velocity: FloatArray, spin: FloatArray, radius: FloatArray, material: np.ndarray,
+    density: FloatArray, period: float, order: np.ndarray | None = None,
+) -> Bodies:  # fmt: skip
     """Particles cell by cell, slab after slab along the longest axis, as rows; or in an order that is given.
 
     Two spare bodies that just touch follow.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
@@ -19,7 +19,13 @@ from gran_bench.neighbors import list_pairs
 NEAR, NEAR_I, NEAR_J, NEAR_MEMORY = range(4)
 
 
-class Lists(NamedTuple):
+_FIELDS = (
+    "pair_i pair_j start memory slot moment wall_i wall_w wall_memory wall_start wall_slot wall_moment margin "
+    "inverse_square searched_at pruned_at inner_list touching wall_touching geometry near_start buffer wall_buffer"
+)
+
+
+class Lists(namedtuple("Lists", _FIELDS)):
     """Pairs and walls that a thread's spheres may touch, and what they remember, as `stretch.march` takes them.
 
     Attributes:
@@ -42,30 +48,6 @@ class Lists(NamedTuple):
         buffer, wall_buffer: of :func:`contact_blocks.block_buffer`.
     """
 
-    pair_i: np.ndarray
-    pair_j: np.ndarray
-    start: np.ndarray
-    memory: np.ndarray
-    slot: np.ndarray
-    moment: np.ndarray
-    wall_i: np.ndarray
-    wall_w: np.ndarray
-    wall_memory: np.ndarray
-    wall_start: np.ndarray
-    wall_slot: np.ndarray
-    wall_moment: np.ndarray
-    margin: np.ndarray
-    inverse_square: np.ndarray
-    searched_at: np.ndarray
-    pruned_at: np.ndarray
-    inner_list: np.ndarray
-    touching: np.ndarray
-    wall_touching: np.ndarray
-    geometry: np.ndarray
-    near_start: np.ndarray
-    buffer: np.ndarray
-    wall_buffer: np.ndarray
-
     def known(self, half: int, pairs: int, walls: int) -> tuple[Known, Known]:
         """What the even or the odd evaluation found touching, so many pairs and walls less one, and its memory."""
         near, on_walls = self.touching[half, 1:pairs], self.wall_touching[half, 1:walls]
@@ -80,16 +62,9 @@ class Lists(NamedTuple):
 
 
 def search(
-    bodies: Bodies,
-    bounds: np.ndarray,
-    chunk: int,
-    stop: int,
-    walls: np.ndarray,
-    row: int,
-    last: int,
-    physics: Physics,
-    known: tuple[Known, Known],
-) -> Lists:
+    bodies: Bodies, bounds: np.ndarray, chunk: int, stop: int, walls: np.ndarray, row: int, last: int,
+    physics: Physics, known: tuple[Known, Known],
+) -> Lists:  # fmt: skip
     """Lists of the pairs and walls that spheres of ``chunk … stop − 1`` may touch, with what they remember.
 
     Args:
