@@ -62,17 +62,17 @@ class ContactLaw:
 
     @classmethod
     def between(cls, first: Material, second: Material) -> ContactLaw:
-        """The law of a contact of ``first`` with ``second``, whose restitution and friction coefficients count.
-
-        1/E* = (1 − ν₁²)/E₁ + (1 − ν₂²)/E₂ and 1/G* = (2 − ν₁)/G₁ + (2 − ν₂)/G₂ (Johnson 1985, eqs. 4.20 and 7.42).
-        """
+        """The law of a contact of ``first`` with ``second``, whose restitution and friction coefficients count."""
         return cls.of(first, second, second.restitution, second.friction, second.rolling_friction)
 
     @classmethod
     def of(
         cls, first: Material, second: Material, restitution: float, friction: float, rolling_friction: float
     ) -> ContactLaw:
-        """The law of a contact between two materials that has these coefficients."""
+        """The law of a contact between two materials that has these coefficients.
+
+        1/E* = (1 − ν₁²)/E₁ + (1 − ν₂²)/E₂ and 1/G* = (2 − ν₁)/G₁ + (2 − ν₂)/G₂ (Johnson 1985, eqs. 4.20 and 7.42).
+        """
         normal = sum((1.0 - m.poisson_ratio**2) / m.youngs_modulus for m in (first, second))
         shear = sum((2.0 - m.poisson_ratio) / m.shear_modulus for m in (first, second))
         return cls(1.0 / normal, 1.0 / shear, damping_coefficient(restitution), friction, rolling_friction)

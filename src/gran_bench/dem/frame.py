@@ -39,15 +39,10 @@ def steps_between_looks(time_step: float) -> int:
 
 
 class Run:
-    """A state on its way.
+    """A state, in float64, on its way; it goes on from its continuation where that holds for this scene and step.
 
-    Args:
-        engine: module with a ``Stretch``.
-        state: start, in float64; it goes on from its continuation where that holds for this scene and step.
-        scene: walls, motion, outlet.
-        time_step: s.
-        tuner: gives the physics of each stretch.
-        failed: makes frames of a time and positions, velocities and spins that a run ended with.
+    ``engine`` is a module with a ``Stretch``, whose physics ``tuner`` gives; ``failed`` makes frames of a time, s, and
+    positions, velocities and spins that a run ended with.
     """
 
     def __init__(

@@ -100,7 +100,7 @@ def simulate(
     names, substeps = ("position", "velocity", "angular_velocity", "radius"), round(scene.frame_interval / time_step)
     state = replace(state, **{name: np.array(getattr(state, name), np.float64) for name in names})
     record = FrameRecord(scene, state.radius)
-    tuner = Tuner(_physics(scene, largest, dem), count, dem.skin is not None, dem.threads)
+    tuner = _tuner(scene, largest, count, dem)
     run = Run(ENGINES[dem.engine], state, scene, time_step, tuner, lambda *frame: record.trajectory(tuple(frame)))
     state = replace(state, history=run.state().history)  # of the contacts that touch
     record.add(state, state.time, run.take_peaks())
@@ -158,7 +158,7 @@ def settle(
     time_step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
     rest = Rest(still)
     substeps = min(steps_between_looks(time_step), max(1, round(rest.look_interval / time_step)))
-    tuner = Tuner(_physics(still, filling.largest_radius, dem), state.count, dem.skin is not None, dem.threads)
+    tuner = _tuner(still, filling.largest_radius, state.count, dem)
 
     def one_frame(time: float, *frame: FloatArray) -> Trajectory:
         return Trajectory(np.array([time]), *(array[None] for array in frame), state.radius)
@@ -184,13 +184,11 @@ def settle(
     return replace(state, time=scene.start_time, history=_sorted_history(state.history))
 
 
-def _physics(scene: Scene, largest_radius: float, dem: DemConfig) -> Physics:
-    return replace(
-        Physics.of(scene, largest_radius, dem.skin),
-        threads=dem.threads or 1,
-        single_precision=dem.precision == "float32",
-        full_radius=dem.slip == "full_radius",
-    )
+def _tuner(scene: Scene, largest_radius: float, count: int, dem: DemConfig) -> Tuner:
+    single, full = dem.precision == "float32", dem.slip == "full_radius"
+    physics = Physics.of(scene, largest_radius, dem.skin)
+    physics = replace(physics, threads=dem.threads or 1, single_precision=single, full_radius=full)
+    return Tuner(physics, count, dem.skin is not None, dem.threads)
 
 
 def _frame_times(scene: Scene, start: float, end: float) -> list[float]:

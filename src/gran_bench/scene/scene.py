@@ -15,8 +15,8 @@ from gran_bench.scene.errors import SceneError, hold, scene_errors
 from gran_bench.scene.filling import Filling, Room, drum_sites, open_sites, room_sites
 from gran_bench.scene.material import Material, PairCoefficients
 from gran_bench.scene.motion import RADIANS_PER_SECOND_PER_RPM, Motion, Rotation
-from gran_bench.scene.seams import SAME_POINT, surfaces
-from gran_bench.scene.walls import Outlet, Plane, Wall, turns_into_itself
+from gran_bench.scene.seams import SAME_POINT, surfaces, travels
+from gran_bench.scene.walls import Outlet, Plane, Wall
 from gran_bench.state import FloatArray, ParticleState
 
 
@@ -156,7 +156,7 @@ class Scene:
             rolling=rolling > 0 and friction > 0,
             walls=bool(self.walls),
             wall_motion=any(self.motion_of(wall) is not None for wall in self.walls),
-            wall_geometry=any(self._moves_geometry(wall) for wall in self.walls),
+            wall_geometry=any(w.opens is not None or travels(w, self.motion_of(w)) for w in self.walls),
             wall_seams=any(self.surfaces),
             end_caps=self.drum_radius is not None and any(isinstance(w, Plane) for w in self.walls),
             periodic=self.periodic_axis,
@@ -176,12 +176,6 @@ class Scene:
         """Number of the surface that each wall is a piece of, from 1; 0 for a wall that meets no other."""
         motions = tuple(map(self.motion_of, self.walls))
         return surfaces(self.walls, motions, SAME_POINT * self.filling.largest_radius)
-
-    def _moves_geometry(self, wall: Wall) -> bool:
-        motion = self.motion_of(wall)
-        if motion is None or wall.opens is not None:
-            return wall.opens is not None
-        return not isinstance(motion, Rotation) or not turns_into_itself(wall, motion.axis, motion.point)
 
     @property
     def critical_speed_rpm(self) -> float:

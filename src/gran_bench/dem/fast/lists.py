@@ -67,11 +67,7 @@ def search(
 ) -> Lists:  # fmt: skip
     """Lists of the pairs and walls that spheres of ``chunk … stop − 1`` may touch, with what they remember.
 
-    Args:
-        bodies: of all chunks, whose first particles ``bounds`` has.
-        walls: ``(steps + 1, W, 22)`` poses, of which ``row`` belongs to these positions.
-        last: step of the last evaluation, these positions' own or the one before.
-        known: pairs and walls by row that touched in it.
+    ``row`` of the poses belongs to these positions; ``known`` touched in evaluation ``last``.
     """
     sphere, velocity, rolling = bodies.sphere, bodies.velocity, physics.rolling
     count, begin, end = len(sphere) - 2, int(bounds[chunk]), int(bounds[stop])
