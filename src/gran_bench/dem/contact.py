@@ -44,21 +44,13 @@ CONTACT_TIME_FACTOR = 0.8 * math.sqrt(math.pi) * math.gamma(0.4) / math.gamma(0.
 
 @dataclass(frozen=True)
 class ContactLaw:
-    """The constants of contacts between two materials; sizes enter through R* and m* of each contact.
+    """The constants of contacts between two materials; sizes enter through R* and m* of each contact."""
 
-    Attributes:
-        effective_modulus: E*, Pa.
-        effective_shear_modulus: G*, Pa.
-        damping: α, −.
-        friction: μ, −.
-        rolling_friction: μ_r, −.
-    """
-
-    effective_modulus: float
-    effective_shear_modulus: float
-    damping: float
-    friction: float
-    rolling_friction: float
+    effective_modulus: float  # E*, Pa
+    effective_shear_modulus: float  # G*, Pa
+    damping: float  # α, −
+    friction: float  # μ, −
+    rolling_friction: float  # μ_r, −
 
     @classmethod
     def between(cls, first: Material, second: Material) -> ContactLaw:
@@ -92,17 +84,11 @@ class ContactLaw:
 
 @dataclass(frozen=True)
 class ContactForce:
-    """What M contacts do.
+    """What M contacts do."""
 
-    Attributes:
-        force: ``(M, 3)`` on the first, N.
-        twist: ``(M, 3)`` n × f_t, N; times each lever arm it is the torque on either particle.
-        history: ``(M, 3)`` new elastic tangential force on the first, N.
-    """
-
-    force: FloatArray
-    twist: FloatArray
-    history: FloatArray
+    force: FloatArray  # ``(M, 3)`` on the first, N
+    twist: FloatArray  # ``(M, 3)`` n × f_t, N; times each lever arm it is the torque on either particle
+    history: FloatArray  # ``(M, 3)`` new elastic tangential force on the first, N
 
 
 def contact_force(

@@ -87,31 +87,19 @@ class Physics:
     """A scene as the engines read it.
 
     A law is (4/3 E*, 8 G*, α, μ, μ_r) in SI.
-
-    Attributes:
-        pair_laws: ``(S, S, 5)`` between particles of S materials.
-        wall_laws: ``(S, W, 5)`` between particles and walls.
-        density: ``(S,)`` of the materials, kg/m³.
-        gravity: ``(3,)`` m/s².
-        period: length of the periodic y axis, m; 0 for none.
-        skin: m by which the neighbour list reaches beyond contact for the two fastest particles (contact_list.py).
-        tangential, rolling: whether friction, and with it spin, and the rolling model are computed.
-        threads: how many work together, where there are particles enough; changes no bit of the result.
-        single_precision: whether the contact laws, never positions and velocities, are computed in float32.
-        full_radius: whether slip is measured with full radii instead of at the contact point (contact.py).
     """
 
-    pair_laws: FloatArray
-    wall_laws: FloatArray
-    density: FloatArray
-    gravity: FloatArray
-    period: float
-    skin: float
-    tangential: bool
+    pair_laws: FloatArray  # ``(S, S, 5)`` between particles of S materials
+    wall_laws: FloatArray  # ``(S, W, 5)`` between particles and walls
+    density: FloatArray  # ``(S,)`` of the materials, kg/m³
+    gravity: FloatArray  # ``(3,)`` m/s²
+    period: float  # length of the periodic y axis, m; 0 for none
+    skin: float  # m by which the neighbour list reaches beyond contact for the two fastest particles (contact_list.py).
+    tangential: bool  # and rolling: whether friction, and with it spin, and the rolling model are computed
     rolling: bool
-    threads: int = 1
-    single_precision: bool = False
-    full_radius: bool = False
+    threads: int = 1  # how many work together, where there are particles enough; changes no bit of the result
+    single_precision: bool = False  # whether the contact laws, never positions and velocities, are computed in float32
+    full_radius: bool = False  # whether slip is measured with full radii instead of at the contact point (contact.py).
 
     @classmethod
     def of(cls, scene: Scene, largest_radius: float, skin: float | None = None) -> Physics:

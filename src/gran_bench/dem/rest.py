@@ -37,19 +37,9 @@ class Rest:
     def __init__(self, scene: Scene) -> None:
         self._scene, self._slow_since = scene, math.inf
         self.speed, self._fastest, self._fastest_speed = math.inf, 0, math.inf
-
-    @property
-    def window(self) -> float:
-        """How long a bed must be slow, s."""
-        gravity = self._scene.gravity_strength
-        if gravity == 0.0:
-            return WEIGHTLESS
-        return math.pi * math.sqrt(0.7 * (self._scene.fall_height or NOMINAL_FALL) / gravity)
-
-    @property
-    def look_interval(self) -> float:
-        """Longest time between two looks, s."""
-        return self.window / LOOKS
+        fall, gravity = scene.fall_height or NOMINAL_FALL, scene.gravity_strength
+        self.window = math.pi * math.sqrt(0.7 * fall / gravity) if gravity else WEIGHTLESS  # how long it must be slow, s
+        self.look_interval = self.window / LOOKS  # longest time between two looks, s
 
     def look(self, state: ParticleState) -> bool:
         """Whether the bed has been slow for long enough, as often as it was looked at."""

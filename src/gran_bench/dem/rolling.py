@@ -15,9 +15,8 @@ the limit, M and M_k are cut together, as the friction force is (contact.py).
 C_r damps critically a sphere that rolls about its contact point with a wall: one that rolling friction has stopped does
 not rock. What is left of its speed decays with √(I_r/k_r); what it loses while it rolls is the limit's alone.
 
-Source: Ai, Chen, Rotter & Ooi (2011), Powder Technology 206, 269–282, model C, at the damping ratio η_r = 1. There the
-dashpot adds to the limit or is off beyond it; one limit for the sum is continuous (Luding 2008, Granular Matter 10,
-235). The limit's load is the elastic one, so that a collision's damping does not resist rolling.
+Source: Ai, Chen, Rotter & Ooi (2011), Powder Technology 206, 269–282, model C, at the damping ratio η_r = 1, with one
+limit for the sum (Luding 2008, Granular Matter 10, 235) by the elastic load, so that damping does not resist rolling.
 """
 
 from __future__ import annotations

@@ -36,25 +36,15 @@ ENGINES: dict[str, ModuleType] = {"numba": engine_numba, "numpy": engine_numpy}
 
 @dataclass(frozen=True)
 class SimulationResult:
-    """A finished run.
+    """A finished run."""
 
-    Attributes:
-        trajectory: ``(F, N, 3)`` float64 frames with the engine's diagnostics.
-        final: the last state with its contact history and its continuation, for an exact restart.
-        time_step: s.
-        steps: number of steps.
-        wall_seconds: s of wall time, compilation excluded.
-        warnings: what a reader of the results must know.
-        skin, threads: m and number that were fastest at the end; they change no bit of the result.
-    """
-
-    trajectory: Trajectory
-    final: ParticleState
-    time_step: float
-    steps: int
-    wall_seconds: float
-    warnings: tuple[str, ...]
-    skin: float
+    trajectory: Trajectory  # ``(F, N, 3)`` float64 frames with the engine's diagnostics
+    final: ParticleState  # the last state with its contact history and its continuation, for an exact restart
+    time_step: float  # s
+    steps: int  # number of steps
+    wall_seconds: float  # s of wall time, compilation excluded
+    warnings: tuple[str, ...]  # what a reader of the results must know
+    skin: float  # and threads: m and number that were fastest at the end; they change no bit of the result
     threads: int
 
 

@@ -45,45 +45,27 @@ class Needs:
 
 @dataclass(frozen=True)
 class Scene:
-    """A container, its motion, a filling, materials, gravity and a span of time.
+    """A container, its motion, a filling, materials, gravity and a span of time."""
 
-    Attributes:
-        name: of the shipped or the user's scene.
-        walls: analytic walls; ``wall -1 - second`` of a contact history indexes this tuple.
-        filling: the spheres.
-        material: of the particles, of the first kind.
-        wall_material: of the walls.
-        gravity: m/s².
-        rotation: schedule in the scene's clock.
-        start_time: label of the settled state, s.
-        end_time: s.
-        frame_interval: Δt between stored states, s.
-        drum_radius: inner radius of the drum, m; None where there is no drum.
-        length: along y, m (between the caps, or the period).
-        periodic_axis: whether y wraps around.
-        more_materials: of further kinds of particles; ``ParticleState.material`` indexes ``materials``.
-        pair_coefficients: of two different particle materials, where the geometric mean is not wanted.
-        room: where the first lattice stands in a container that is no drum; None for open space.
-        outlet: where spheres leave; None where none do.
-    """
-
-    name: str
-    walls: tuple[Wall, ...]
-    filling: Filling
-    material: Material
-    wall_material: Material
-    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    rotation: Rotation = field(default_factory=Rotation)
-    start_time: float = 1.5
-    end_time: float = 5.5
-    frame_interval: float = 0.01
-    drum_radius: float | None = None
-    length: float | None = None
-    periodic_axis: bool = False
+    name: str  # of the shipped or the user's scene
+    walls: tuple[Wall, ...]  # analytic walls; ``wall -1 - second`` of a contact history indexes this tuple
+    filling: Filling  # the spheres
+    material: Material  # of the particles, of the first kind
+    wall_material: Material  # of the walls
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # m/s²
+    rotation: Rotation = field(default_factory=Rotation)  # schedule in the scene's clock
+    start_time: float = 1.5  # label of the settled state, s
+    end_time: float = 5.5  # s
+    frame_interval: float = 0.01  # Δt between stored states, s
+    drum_radius: float | None = None  # inner radius of the drum, m; None where there is no drum
+    length: float | None = None  # along y, m (between the caps, or the period)
+    periodic_axis: bool = False  # whether y wraps around
+    # of further kinds of particles; ``ParticleState.material`` indexes ``materials``.
     more_materials: tuple[Material, ...] = ()
+    # of two different particle materials, where the geometric mean is not wanted
     pair_coefficients: tuple[PairCoefficients, ...] = ()
-    room: Room | None = None
-    outlet: Outlet | None = None
+    room: Room | None = None  # where the first lattice stands in a container that is no drum; None for open space
+    outlet: Outlet | None = None  # where spheres leave; None where none do
 
     def __post_init__(self) -> None:
         # A config's name becomes a folder; a scene made in Python is called as its author likes.

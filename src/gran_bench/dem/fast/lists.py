@@ -29,9 +29,8 @@ class Lists(namedtuple("Lists", _FIELDS)):
     """Pairs and walls that a thread's spheres may touch, and what they remember, as `stretch.march` takes them.
 
     Attributes:
-        pair_i, pair_j: ``(M,)`` pairs, first < second, in the order of (first, second).
+        pair_i, pair_j, memory: ``(M,)`` pairs in the order of (first, second), first < second; row of history, or 0.
         start: ``(n + 2,)`` place of the first pair of each of n firsts, and of the end of the last.
-        memory: ``(M,)`` row of history of each pair; 0 for none.
         slot, moment: ``(2, ≥ M + 5, 4)`` histories of even and odd evaluations: elastic tangential force and overlap,
             rolling moment (one row where there is no rolling).
         wall_i, wall_w, wall_memory: ``(≥ M + 1,)`` particle and wall, ``(M + 1,)`` row of history of each wall contact;
@@ -41,11 +40,9 @@ class Lists(namedtuple("Lists", _FIELDS)):
         margin, inverse_square: ``(N,)`` how far each particle may move until new lists are needed, m, and 1/m².
         searched_at, pruned_at: ``(N, 4)`` rows of the positions that the lists were made for, and room for others.
         inner_list: ``(4, ≥ M + 2)`` room, but for place 0, which is the spare pair.
-        touching: ``(2, ≥ M + 5)`` room for the places of touching pairs in even and odd evaluations.
-        wall_touching: alike for wall contacts; the places of those that remember something are there.
-        geometry: ``(≥ M + 5, 4)`` room.
-        near_start: ``(chunks + 1,)`` ones.
-        buffer, wall_buffer: of :func:`contact_blocks.block_buffer`.
+        touching, wall_touching: ``(2, ≥ M + 5)`` room for the places of touching pairs and walls in even and odd
+            evaluations; those of walls that remember something are there.
+        geometry, near_start, buffer, wall_buffer: ``(≥ M + 5, 4)`` room, ``(chunks + 1,)`` ones, `block_buffer`.
     """
 
     def known(self, half: int, pairs: int, walls: int) -> tuple[Known, Known]:
