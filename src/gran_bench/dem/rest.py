@@ -38,7 +38,7 @@ class Rest:
         self._scene, self._slow_since = scene, math.inf
         self.speed, self._fastest, self._fastest_speed = math.inf, 0, math.inf
         fall, gravity = scene.fall_height or NOMINAL_FALL, scene.gravity_strength
-        self.window = math.pi * math.sqrt(0.7 * fall / gravity) if gravity else WEIGHTLESS  # how long it must be slow, s
+        self.window = math.pi * math.sqrt(0.7 * fall / gravity) if gravity else WEIGHTLESS  # of slowness, s
         self.look_interval = self.window / LOOKS  # longest time between two looks, s
 
     def look(self, state: ParticleState) -> bool:
