@@ -13,10 +13,9 @@ where the elastic part h is the history. It is turned with the contact plane at 
 mean over the step: with the last value alone, the spin that a sticking impact gives is wrong by 2 % at t_c/200. When
 f_t slips, h and f_t are rescaled together.
 
-v_t counts the spins in with the lever arms that the torque has, so that it is the slip of the contact points. Some
-codes measure it with the full radii R (LAMMPS `granular`: GRANULAR/granular_model.cpp, 22 Jul 2025), and give a torque
-at a wall the arm R as well. ``dem.slip=full_radius`` does so too, for comparison with them: a bed that turns as one
-body at ω then slips at each contact by ω δ, and work and torque do not quite belong together.
+v_t counts the spins in with the lever arms that the torque has: it is the slip of the contact points. LAMMPS `granular`
+(granular_model.cpp, 22 Jul 2025) measures it with the full radii R, as ``dem.slip=full_radius`` does for comparison;
+a bed that turns as one body at ω then slips at each contact by ω δ.
 """
 
 from __future__ import annotations
@@ -135,13 +134,10 @@ def contact_force(
 
 
 def restitution_of(damping: float) -> float:
-    """Coefficient of restitution that a damping α gives.
+    """Coefficient of restitution that a damping α ≥ 0 gives.
 
     Integrates the dimensionless head-on impact x″ + α x^{1/4} x′ + x^{3/2} = 0 from x = 0, x′ = 1 until the force
     vanishes. The attractive tail that would follow is cut off, so the spheres part there with speed e = −x′.
-
-    Args:
-        damping: α ≥ 0, −.
 
     Source: Antypov & Elliott (2011), EPL 94, 50004, eq. 8, whose closed form of α(e) holds with the tail.
     """
@@ -166,10 +162,7 @@ def restitution_of(damping: float) -> float:
 
 @lru_cache(maxsize=256)
 def damping_coefficient(restitution: float) -> float:
-    """The damping α that makes the restitution that was set the one that comes out, at any impact speed.
-
-    Args:
-        restitution: e in (0, 1], −.
+    """The damping α that makes the restitution e that was set the one that comes out, at any impact speed.
 
     Raises:
         ConfigError: a restitution outside (0, 1].

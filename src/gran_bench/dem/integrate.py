@@ -33,12 +33,9 @@ LEAST_SKIN_DIAMETERS = 0.05
 
 
 class Divergence(ArithmeticError):
-    """A particle that crosses a quarter of the smallest radius in one step, or whose speed is not finite.
+    """A particle, by index, that crosses a quarter of the smallest radius in one step, or whose speed is not finite.
 
-    Args:
-        particle: its index.
-        steps: completed steps of the stretch.
-        position, velocity, angular_velocity: ``(N, 3)`` as they were found; may hold non-finite values.
+    Positions, velocities and spins are as they were found after so many steps of the stretch, finite or not.
     """
 
     def __init__(

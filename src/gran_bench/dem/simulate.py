@@ -58,8 +58,7 @@ def simulate(
     bit for bit as the first would have.
 
     Args:
-        scene: walls, motion, materials, gravity.
-        state: start, with its contact history.
+        scene, state: walls, motion, materials, gravity; start, with its contact history.
         end_time: s in the scene's clock; a whole number of frames after the start.
         dem: engine, time step, precision, and what is else chosen by the clock: skin and threads.
         progress: whether to show a bar, silent without a terminal; or a function that is called with the simulated
@@ -126,8 +125,7 @@ def settle(
 
     Args:
         scene, seed: what is filled, and how.
-        dem: engine, time step and skin.
-        progress: as of :func:`simulate`.
+        dem, progress: as of :func:`simulate`.
         warn: is called with what a reader of the bed must know: an impact on the way that was too deep for Hertz's
             law, or too short for the step.
 

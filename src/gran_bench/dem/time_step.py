@@ -66,10 +66,7 @@ def contact_times(scene: Scene, radius: float | None = None, speed: float | None
     I* = 2/5 m* r², what two spheres turn against each other with. Of all pairs of materials and walls the shortest,
     s; inf at speed 0.
 
-    Args:
-        scene: materials, walls and motion.
-        radius: of the smallest sphere, m; the filling's where None.
-        speed: of the impact, m/s; :func:`impact_speed` where None.
+    The radius of the smallest sphere, m, is the filling's where None; the speed, m/s, that of :func:`impact_speed`.
     """
     speed = impact_speed(scene) if speed is None else speed
     r = scene.filling.smallest_radius if radius is None else radius

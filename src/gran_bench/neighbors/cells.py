@@ -99,8 +99,7 @@ def list_pairs(
     """Half list of the pairs whose surfaces are closer than ``margin``: two ``(M,)`` arrays, first < second.
 
     Args:
-        sphere: ``(N, 4)`` x, y, z and radius, m; radius 0 makes ``margin`` the distance of centres.
-        margin: m.
+        sphere, margin: ``(N, 4)`` x, y, z and radius, m; radius 0 makes ``margin`` the distance of centres, m.
         period: length of the periodic y axis, m; 0 for none.
         begin, end: only pairs whose first is in ``begin … end − 1``; all where ``end`` is negative.
 

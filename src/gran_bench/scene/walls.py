@@ -142,11 +142,9 @@ def _length_of_cross(a: Vector, b: Vector) -> float:
 
 
 def box(lower: Vector, upper: Vector, **common: object) -> tuple[Plane, ...]:
-    """The six planes of a box, at −x, +x, −y, +y, −z, +z.
+    """The six planes of a box between two corners, m, at −x, +x, −y, +y, −z, +z.
 
-    Args:
-        lower, upper: corners, m.
-        common: what all six have: ``turns``, ``motion``, ``opens``.
+    All six have in ``common``: ``turns``, ``motion``, ``opens``.
 
     Raises:
         SceneError: a box without room.
@@ -165,8 +163,7 @@ def surface_of_revolution(
     """Thin walls whose meridian is a polyline: a cone for each of its segments, a disc or ring for a level one.
 
     Args:
-        point: where the axis has s = 0, m.
-        axis: unit vector.
+        point, axis: where the axis has s = 0, m, and unit vector along it.
         profile: (ρ, s) of each corner, m: distance from the axis, and height along it.
         common: what all pieces have: ``turns``, ``motion``, ``opens``.
 

@@ -46,8 +46,7 @@ class Stretch:
 
     Args:
         state: where it starts; at least one particle.
-        physics: laws and gravity; skin, threads and precision.
-        time_step: Δt, s.
+        physics, time_step: laws, gravity, skin, threads and precision; Δt, s.
         walls: ``(steps + 1, W, 22)`` poses of the walls at each force evaluation (walls.py).
         held: forces and order that the state comes with; None where both are its own. Then forces load no history.
 
