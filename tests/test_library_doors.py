@@ -65,10 +65,9 @@ from gran_bench.scene import (
 )
 from gran_bench.shipped import shipped_model, shipped_scene
 from gran_bench.state import ContactHistory, ParticleState, Trajectory
-from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import ModelCard, load_model, save_model
 from gran_bench.surrogate.rollout import rollout, step_frames
-from gran_bench.surrogate.step import Surrogate
+from gran_bench.surrogate.step import Surrogate, build_model
 
 UP, ORIGIN = (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 GLASS = Material(1e7, 0.3, 2500.0, 0.5, 0.3)

@@ -18,9 +18,8 @@ from gran_bench.state import FloatArray, ParticleState
 from gran_bench.stress.beds import bed_in_place, energy_scale, escapes, kinetic_energy, settled_bed
 from gran_bench.stress.expectation import Observation
 from gran_bench.stress.experiment import Bench, Experiment, Subject
-from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.rollout import Rollout, rollout
-from gran_bench.surrogate.step import FrameState, Surrogate
+from gran_bench.surrogate.step import FrameState, Surrogate, build_model
 
 WILD = 2.0  # M (g D + ½ ω² R²): more kinetic energy than falling and turning can give, with room for a model's errors
 UNITS = {
