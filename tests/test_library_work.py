@@ -53,9 +53,9 @@ from gran_bench.scene import (
 )
 from gran_bench.shipped import shipped_model
 from gran_bench.state import Trajectory
-from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import ModelCard, load_model, save_model
 from gran_bench.surrogate.rollout import rollout, step_frames
+from gran_bench.surrogate.step import build_model
 
 # ---- running -------------------------------------------------------------------------------------------------
 
