@@ -25,27 +25,17 @@ Study = dict[str, list[tuple[float, "Method"]]]  # by label: an abscissa, and th
 
 @dataclass(frozen=True)
 class Method:
-    """A method on a scene.
+    """A method on a scene."""
 
-    Attributes:
-        name: for people, unique among those that are compared.
-        kind: ``dem``, ``surrogate`` or ``baseline``.
-        job: what a worker does, as plain data (`jobs.prepare`); empty where the method does not fit the scene.
-        seconds: of the scene that one run of the job covers.
-        data_seconds: wall time of the data that it was made from, s.
-        training_seconds: wall time of its training, s.
-        judged: whether a run covers the whole scene, so that its error is known.
-        unfit_because: why it cannot answer for this scene; empty where it can.
-    """
-
-    name: str
-    kind: str
+    name: str  # for people, unique among those that are compared
+    kind: str  # ``dem``, ``surrogate`` or ``baseline``
+    # What a worker does, as plain data (`jobs.prepare`); empty where the method does not fit the scene
     job: dict[str, Any]
-    seconds: float
-    data_seconds: float = 0.0
-    training_seconds: float = 0.0
-    judged: bool = True
-    unfit_because: str = ""
+    seconds: float  # of the scene that one run of the job covers
+    data_seconds: float = 0.0  # wall time of the data that it was made from, s
+    training_seconds: float = 0.0  # wall time of its training, s
+    judged: bool = True  # whether a run covers the whole scene, so that its error is known
+    unfit_because: str = ""  # why it cannot answer for this scene; empty where it can
 
     def key(self, *conditions: str) -> str:
         """A readable name of the method's files, with a hash of the job, how long it is, and under which conditions.
