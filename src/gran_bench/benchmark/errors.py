@@ -52,12 +52,7 @@ class Scored:
 
 
 class Reference:
-    """The replicas that all methods are held against.
-
-    Args:
-        scene: with its motion.
-        cases: the replicas.
-    """
+    """The replicas, as cases of the scene with its motion, that all methods are held against."""
 
     def __init__(self, scene: Scene, cases: Sequence[Case]) -> None:
         self.scene, self.digest = scene, "-".join(case.digest[:8] for case in cases)

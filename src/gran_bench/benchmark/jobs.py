@@ -47,11 +47,7 @@ Run = Callable[[int, int], Outcome]
 
 
 def prepare(job: dict[str, Any]) -> Run:
-    """Load whatever a method needs, so that a run of it is nothing but its own work.
-
-    Args:
-        job: ``does`` names the method; the rest is what it needs, as plain data.
-    """
+    """Load whatever the method of a job (plain data) needs, so that a run of it is nothing but its own work."""
     if job["does"] == "interpolation":
         training = training_summaries(job)
         return lambda frames, seed: _interpolated(job["rpm"], training)
