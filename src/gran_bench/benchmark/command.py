@@ -118,11 +118,7 @@ def _cost_lines(study: dict[str, list[dict[str, Any]]], names: dict[str, str]) -
 
 
 def measured_under(seed: int) -> list[str]:
-    """Whatever else than its job decides what is measured of a method: a change of any measures anew.
-
-    Args:
-        seed: of the nudges that rounds start from, and of their order.
-    """
+    """Whatever else than its job decides what is measured of a method: a change of any measures anew."""
     return [comparing_code(), library_versions(), hardware(), f"format {kept.FORMAT}", f"seed {seed}"]
 
 

@@ -16,29 +16,17 @@ GRAVITY = 9.81  # m/s²
 
 @dataclass(frozen=True)
 class HopperDischarge:
-    """Flows out of hoppers that differ in their orifice alone.
+    """Flows out of hoppers that differ in their orifice alone."""
 
-    Attributes:
-        orifice: ``(K,)`` D, m.
-        flow: ``(K,)`` W, kg/s.
-        flow_error: ``(K,)`` standard error of W from the scatter of blocks of time, kg/s.
-        exponent: of D − k d, by least squares of the logarithms.
-        exponent_error: its standard error: of the straight line or of the flows, whichever is larger.
-        factor: C of the law with exponent 5/2, −, with the bulk density of the settled bed.
-        diameter: d, m.
-        bulk_density: ρ_b, kg/m³.
-        rim: k, −.
-    """
-
-    orifice: FloatArray
-    flow: FloatArray
-    flow_error: FloatArray
-    exponent: float
-    exponent_error: float
-    factor: float
-    diameter: float
-    bulk_density: float
-    rim: float
+    orifice: FloatArray  # ``(K,)`` D, m
+    flow: FloatArray  # ``(K,)`` W, kg/s
+    flow_error: FloatArray  # ``(K,)`` standard error of W from the scatter of blocks of time, kg/s
+    exponent: float  # of D − k d, by least squares of the logarithms
+    exponent_error: float  # its standard error: of the straight line or of the flows, whichever is larger
+    factor: float  # C of the law with exponent 5/2, −, with the bulk density of the settled bed
+    diameter: float  # d, m
+    bulk_density: float  # ρ_b, kg/m³
+    rim: float  # k, −
 
     @property
     def opening(self) -> FloatArray:

@@ -131,12 +131,10 @@ def farthest(one: FloatArray, other: FloatArray) -> float:
 
 
 def bit_identical(bench: Bench, what: str, scene: str = "drum_small") -> Observation:
-    """Two ways to say the same, which must give the same to the last bit after ten frames.
+    """Two ways to say the same, which must give the same to the last bit after ten frames of a shipped scene.
 
-    Args:
-        what: ``threads`` (1, 2 and 4), ``rest`` (0 rpm beside no motion), ``weightless`` (a bed that settles without
-            gravity stays where it is put), ``restart`` (from a frame in the middle), ``skin`` (2 and 20 mm).
-        scene: shipped one.
+    ``what`` is ``threads`` (1, 2 and 4), ``rest`` (0 rpm beside no motion), ``weightless`` (a bed that settles without
+    gravity stays where it is put), ``restart`` (from a frame in the middle) or ``skin`` (2 and 20 mm).
     """
     still = shipped_scene(scene)
     if what == "weightless":
@@ -201,9 +199,8 @@ def image(
 def alike(bench: Bench, what: str) -> Observation:
     """Two ways that must agree to a stated rounding: positions after five frames of ``drum_small``.
 
-    Args:
-        what: ``backwards``, ``turned`` or ``renumbered`` as in `image`, ``float32`` (of the contact forces),
-            ``engines`` (numpy beside numba).
+    ``what`` is ``backwards``, ``turned`` or ``renumbered`` as in `image`, ``float32`` (of the contact forces) or
+    ``engines`` (numpy beside numba).
     """
     place, bed = bed_in_place(bench, "drum_small", 30.0)
     bed = replace(bed, history=ContactHistory.empty())  # both runs begin with contacts that remember nothing
