@@ -208,10 +208,12 @@ def _check_trainable(scene: SceneConfig) -> None:
         )
         if differs
     ]
+    alike = bool(unlike) and unlike[0] in ("filling.sizes.kind", "filling.second_fraction")
     _require(
         not unlike,
-        f"scene.{unlike[0] if unlike else ''} makes spheres that the surrogates cannot tell apart or do not start from "
-        "a settled bed; train on a drum of equal spheres",
+        f"scene.{unlike[0] if unlike else ''} makes "
+        + ("spheres that the surrogates cannot tell apart" if alike else "a start that is no settled bed")
+        + "; train on a drum of equal spheres that settle",
     )
 
 

@@ -102,6 +102,11 @@ def unknown_key(key: str, value: Any, schema: type, present: list[str] | None = 
         registry, chooser, what, _ = CHOSEN[f"{place}."]
         owners = " or ".join(owner for owner, its in registry.items() if name in hints_of(its.config))
         choice = place if place == what else f"{place}.{chooser}"
+        if present is None:  # Hydra knows the chosen file alone, which may leave out a key of its own section
+            return ConfigError(
+                f"{given}: the file of the chosen {what} has no such key; it belongs to {choice}={owners}; if that is "
+                f"the {what}, write +{given}"
+            )
         return ConfigError(f"{given}: the chosen {what} has no such key; it belongs to {choice}={owners}")
     if place == "loss" and name in ADDED_TERMS:
         return ConfigError(f"{given}: a registered term is added to the chosen loss; write +{given}")
