@@ -130,6 +130,7 @@ def test_a_config_folder_of_ones_own_is_searched_and_held_to_the_same_rules(refu
     (mine / "scene" / "mine.yaml").write_text("defaults: [drum, _self_]\nname: mine\nfriction: 0.1\n")
     assert "scene.friction=0.1" in refuse(f"--config-dir={mine}", "scene=mine")
     assert "did you mean mine?" in refuse(f"--config-dir={mine}", "scene=mines")
+    assert f"--config-dir={mine}s: no such folder" in refuse(f"--config-dir={mine}s", "scene=mine")
 
 
 # ---- jobs ------------------------------------------------------------------------------------------------
