@@ -186,8 +186,8 @@ def test_ovito_reads_a_case_and_its_walls_back(case, tmp_path, monkeypatch):
     np.testing.assert_allclose(np.array(frame.cell)[:, 3], [-0.2, -0.1, -0.2])
     walls = tmp_path / "case.walls.obj"
     assert said == [f"walls as they stand at the first frame: {walls}"]
-    (mesh,) = [found for found in import_file(str(walls)).compute().objects if hasattr(found, "faces")]
-    assert len(mesh.faces) == 4 * 72
+    (mesh,) = import_file(str(walls)).compute().triangle_meshes.values()
+    assert mesh.face_count == 4 * 72
 
 
 def test_numpy_reads_arrays_in_si_units(case, tmp_path):

@@ -35,7 +35,7 @@ ROOMS = [
     *("cache_folders", "files", "config", "provenance", "processes"),
     *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses", "rollout"),
     *("metrics", "baselines", "trainer", "evaluation", "plots", "export", "tracking", "run", "compose", "sweep"),
-    *("shipped", "entry", "benchmark", "stress", "report"),
+    *("shipped", "entry", "import_case", "benchmark", "stress", "report"),
 ]
 ENTRIES = ["train", "generate", "verify", "evaluate", "ui"]
 

@@ -31,7 +31,7 @@ NEUTRAL = (
     *("surrogate/checkpoint", "__init__"),
 )
 # In a run's key by the digest of its data.
-DATA = ("dataset/case_spec", "dataset/progress", "dataset/workers", "dem/simulate")
+DATA = ("dataset/case_spec", "dataset/imported", "dataset/progress", "dataset/workers", "dem/simulate")
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ _HOMES = {
     **dict.fromkeys(("FrameState", "NewtonSurrogate", "Surrogate"), "surrogate.step"),
     **dict.fromkeys(("Measured", "Series"), "metrics.measured"),
     **{"DemConfig": "config", "Trajectory": "state", "FrameAhead": "losses", "judge": "metrics.judge"},
-    **{"load_model": "surrogate.checkpoint", "rollout": "rollout"},
+    **{"import_arrays": "import_case", "load_model": "surrogate.checkpoint", "rollout": "rollout"},
 }
 __all__ = sorted(_HOMES)
 

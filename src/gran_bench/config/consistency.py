@@ -262,6 +262,10 @@ def _check_judge(judge: JudgeConfig, dataset: DatasetConfig) -> None:
 def _check_benchmark(config: BenchmarkConfig) -> None:
     speeds, profile = config.dataset.holdout_speeds_rpm, config.profile
     _require(
+        not config.dataset.files,
+        f"dataset.files={config.dataset.files}: the benchmark times the DEM that makes the data; leave it empty",
+    )
+    _require(
         len(speeds) == 1,
         f"dataset.holdout_speeds_rpm={speeds} is not one speed; methods are compared at one held-out speed",
     )

@@ -9,9 +9,9 @@ from gran_bench.dataset.case_spec import (
     own_case,
     replicas,
     rotation_label,
-    split_cases,
 )
 from gran_bench.dataset.ensure import ensure_case, ensure_cases
+from gran_bench.dataset.imported import case_at, imported_replicas, split_cases
 from gran_bench.dataset.scene_document import from_document, to_document
 from gran_bench.dataset.summary import CaseRow, case_rows, generate, table
 from gran_bench.dataset.windows import Window, Windows, dataset_digest
@@ -24,6 +24,7 @@ __all__ = [
     "Split",
     "Window",
     "Windows",
+    "case_at",
     "case_rows",
     "dataset_digest",
     "ensure_case",
@@ -31,6 +32,7 @@ __all__ = [
     "from_document",
     "generate",
     "half_step",
+    "imported_replicas",
     "own_case",
     "read_attributes",
     "read_case",
