@@ -11,8 +11,8 @@ import pytest
 
 from gran_bench.config import ContainerConfig, FillingConfig, SceneConfig
 from gran_bench.dataset import CaseSpec, ensure_case, read_case
-from gran_bench.export import Exported, exported_case, write_npz, write_vtkhdf, write_xyz
-from gran_bench.export.command import export_command
+from gran_bench.export import Exported, exported_case
+from gran_bench.export.command import FORMATS, export_command
 from gran_bench.export.walls import wall_mesh
 from gran_bench.scene import Vibration, build_scene
 from gran_bench.shipped import shipped_scene
@@ -46,6 +46,11 @@ def still(name: str, *times: float, **changes) -> Exported:
     place = np.broadcast_to([[0.0, 0.0, 0.3], [0.1, 0.0, 0.3]], (len(times), 2, 3)).astype(np.float32)
     motion = Trajectory(np.array(times), place, np.zeros_like(place), None, np.array([0.02, 0.03]))
     return Exported(name, scene, motion, np.zeros(2, np.uint8))
+
+
+def written(exported: Exported, path: Path, tell=print) -> Path:
+    FORMATS[path.suffix[1:]](exported, path, tell)
+    return path
 
 
 # ---- walls ---------------------------------------------------------------------------------------------------
@@ -136,7 +141,7 @@ def vtk_frames(path: Path):
 
 
 def test_vtk_reads_a_case_back_frame_by_frame(case, tmp_path):
-    times, frames = vtk_frames(write_vtkhdf(exported_case(case.path), tmp_path / "case.vtkhdf"))
+    times, frames = vtk_frames(written(exported_case(case.path), tmp_path / "case.vtkhdf"))
     motion = case.trajectory
     np.testing.assert_array_equal(times, motion.time)
     for k, (place, arrays, vertices, polygons) in enumerate(frames):
@@ -156,7 +161,7 @@ def test_vtk_reads_a_case_back_frame_by_frame(case, tmp_path):
 
 def test_vtk_sees_a_lid_go_and_a_rollout_without_spin(tmp_path):
     hopper = still("hopper", 0.0, 0.1, shipped_scene("hopper").start_time, 9.0)
-    _, frames = vtk_frames(write_vtkhdf(hopper, tmp_path / "hopper.vtkhdf"))
+    _, frames = vtk_frames(written(hopper, tmp_path / "hopper.vtkhdf"))
     assert [polygons for *_, polygons in frames] == [5 * 72, 5 * 72, 4 * 72, 4 * 72]
     for place, arrays, *_ in frames:
         np.testing.assert_allclose(place[:2], hopper.trajectory.position[0])
@@ -169,7 +174,7 @@ def test_ovito_reads_a_case_and_its_walls_back(case, tmp_path, monkeypatch):
     from ovito.io import import_file
 
     said: list[str] = []
-    path = write_xyz(exported_case(case.path), tmp_path / "case.xyz", said.append)
+    path = written(exported_case(case.path), tmp_path / "case.xyz", said.append)
     pipeline, motion = import_file(str(path)), case.trajectory
     assert pipeline.source.num_frames == motion.frame_count
     for k in (0, 7, 20):
@@ -191,7 +196,7 @@ def test_ovito_reads_a_case_and_its_walls_back(case, tmp_path, monkeypatch):
 
 
 def test_numpy_reads_arrays_in_si_units(case, tmp_path):
-    with np.load(write_npz(exported_case(case.path), tmp_path / "case.npz")) as found:
+    with np.load(written(exported_case(case.path), tmp_path / "case.npz")) as found:
         for name in ("time", "position", "velocity", "angular_velocity", "radius"):
             np.testing.assert_array_equal(found[name], getattr(case.trajectory, name))
         assert found["wall_point"].shape == (21, len(found["wall_velocity"][0]), 3)
@@ -201,12 +206,12 @@ def test_numpy_reads_arrays_in_si_units(case, tmp_path):
 # ---- the command ---------------------------------------------------------------------------------------------
 
 
-def test_the_command_finds_a_case_by_its_name_and_thins_its_frames(data, case, tmp_path, monkeypatch, capsys):
+def test_the_command_finds_a_case_by_its_name(data, case, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert export_command(["drum_tiny_30rpm", "--to", "npz", "--data", str(data), "--every", "5"]) == 0
-    assert "40 spheres, 5 frames, 0.4 to 0.6 s" in capsys.readouterr().out
+    assert export_command(["drum_tiny_30rpm", "--to", "npz", "--data", str(data)]) == 0
+    assert "40 spheres, 21 frames, 0.4 to 0.6 s" in capsys.readouterr().out
     with np.load(f"{case.path.stem}.npz") as found:
-        np.testing.assert_array_equal(found["time"], case.trajectory.time[::5])
+        np.testing.assert_array_equal(found["time"], case.trajectory.time)
 
 
 def test_the_command_finds_the_judged_rollout_of_a_run_by_folder_name_key_and_id(
@@ -242,7 +247,6 @@ def test_the_command_finds_the_judged_rollout_of_a_run_by_folder_name_key_and_id
     [
         (["nothing", "--to", "npz"], "nothing is no file, no case in data and no run in results"),
         (["{case}", "--to", "npz", "--rollout", "30rpm"], "is a case; a run has rollouts"),
-        (["{case}", "--to", "npz", "--every", "0"], "--every 0 leaves no frame"),
         (["conf.txt", "--to", "npz"], "conf.txt is cut short or damaged"),
     ],
 )

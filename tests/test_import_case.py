@@ -11,13 +11,13 @@ import pytest
 from omegaconf import OmegaConf
 
 import gran_bench
-from gran_bench.compose import compose
+from gran_bench.compose import checked_config, compose
 from gran_bench.config import DatasetConfig, DemConfig, TrainConfig
 from gran_bench.config.reading import read_config
 from gran_bench.dataset import DatasetError, read_case, split_cases
 from gran_bench.dataset.imported import imported_cases
 from gran_bench.dem.simulate import settle, simulate
-from gran_bench.import_case import import_arrays, read_frames
+from gran_bench.import_case import import_arrays, read_trajectory
 from gran_bench.import_case.command import import_command, named_scene
 from gran_bench.run.experiment import run_experiment
 from gran_bench.scene import Scene
@@ -118,9 +118,9 @@ def arrays(run: Trajectory, **changes) -> dict:
 def test_files_of_one_frame_each_are_put_in_order(run, tmp_path):
     blocks = dump(run).split("ITEM: TIMESTEP")[1:]
     paths = [written(tmp_path, "ITEM: TIMESTEP" + block, f"dump{k}.liggghts") for k, block in enumerate(blocks)]
-    frames = read_frames(sorted(paths, key=str), 2e-4)
-    np.testing.assert_allclose(frames.time, run.time)
-    np.testing.assert_allclose(frames.position, run.position, atol=1e-8)
+    frames = read_trajectory(sorted(paths, key=str), 2e-4)
+    np.testing.assert_allclose(frames["time"], run.time)
+    np.testing.assert_allclose(frames["position"], run.position, atol=1e-8)
 
 
 def test_what_is_missing_is_derived_and_said(run, scene_file, tmp_path, capsys):
@@ -140,13 +140,13 @@ def test_a_span_gets_the_clock_of_the_scene(run, scene_file, tmp_path, capsys):
     late = replace(run, time=run.time + 3.0)
     path = written(tmp_path, dump(late))
     words = [str(path), "--scene", scene_file, "--speed", "40", "--time-step", "2e-4"]
-    case = imported([*words, "--from", "4.52", "--until", "4.6"], tmp_path)
+    case = imported([*words, "--from", "4.52"], tmp_path)
     said = capsys.readouterr().out
-    np.testing.assert_allclose(case.trajectory.time, 1.5 + 0.01 * np.arange(9))
+    np.testing.assert_allclose(case.trajectory.time, 1.5 + 0.01 * np.arange(11))
     np.testing.assert_allclose(case.trajectory.position[0], run.position[2], atol=1e-6)
-    assert "9 of 13 frames are in the span" in said
+    assert "11 of 13 frames are from 4.52 s on" in said
     assert "4.52 s of the data is the scene's start_time=1.5 s" in said
-    assert "scene.end_time=1.58" in said
+    assert "scene.end_time=1.6" in said
 
 
 def test_a_periodic_axis_is_wrapped_and_does_not_break_velocities(tmp_path):
@@ -165,15 +165,15 @@ def test_archives_of_gns_and_of_the_export(run, tmp_path):
     pairs[:] = [(position[:4], kinds), (position, kinds)]
     np.savez(tmp_path / "gns.npz", gns_data=pairs)
     with pytest.raises(DatasetError, match="has 2 trajectories; choose one with --trajectory"):
-        read_frames([tmp_path / "gns.npz"])
-    frames = read_frames([tmp_path / "gns.npz"], trajectory=1, types=[6])
-    np.testing.assert_array_equal(frames.position, run.position)
-    assert frames.time is None
+        read_trajectory([tmp_path / "gns.npz"])
+    frames = read_trajectory([tmp_path / "gns.npz"], trajectory=1, types=[6])
+    np.testing.assert_array_equal(frames["position"], run.position)
+    assert "time" not in frames
     np.savez(tmp_path / "old.npz", simulation_trajectory_0=np.array([position[:, :COUNT], np.array(6)], object))
-    np.testing.assert_array_equal(read_frames([tmp_path / "old.npz"]).type, 6)
+    np.testing.assert_array_equal(read_trajectory([tmp_path / "old.npz"])["type"], 6)
     np.savez(tmp_path / "plain.npz", material=np.zeros(COUNT), **arrays(run))
-    found = read_frames([tmp_path / "plain.npz"])
-    np.testing.assert_array_equal(found.angular_velocity, run.angular_velocity)
+    found = read_trajectory([tmp_path / "plain.npz"])
+    np.testing.assert_array_equal(found["angular_velocity"], run.angular_velocity)
 
 
 def test_an_archive_runs_nothing(tmp_path):
@@ -183,7 +183,7 @@ def test_an_archive_runs_nothing(tmp_path):
 
     np.savez(tmp_path / "evil.npz", gns_data=np.array([Evil()], object), allow_pickle=True)
     with pytest.raises(DatasetError, match=r"names posix\.system, which is no array"):
-        read_frames([tmp_path / "evil.npz"])
+        read_trajectory([tmp_path / "evil.npz"])
     assert not (tmp_path / "ran").exists()
     assert pickle.loads  # what would have run it
 
@@ -216,7 +216,10 @@ def spoiled(run: Trajectory, **changes) -> dict:
         ({"velocity": ((4, [7, 8]), np.inf)}, r"frame 4 \(1.54 s\): id 107 and 1 more has a velocity that is not"),
         ({"position": ((12, 3), (0.3, 0.0, 0.0))}, r"frame 12 \(1.62 s\): id 103 has its centre outside the walls"),
         ({"radius": ((9, 2), 0.026)}, r"frame 9 \(1.59 s\): id 102 has another radius than in frame 0"),
-        ({"radius": ((..., 2), 0.04)}, "id 102 has radius 0.04 m and the scene's spheres 0.025 to 0.025 m"),
+        (
+            {"radius": ((..., 2), 0.04)},
+            r"frame 0 \(1.5 s\): id 102 has a radius that is not in the scene's 0.025 to 0.025 m",
+        ),
         ({"radius": ((..., 2), 0.0)}, "id 102 has a radius that is not positive"),
         ({"time": (5, 1.3)}, "out of order: frame 5 at 1.3 s follows frame 4 at 1.54 s"),
         ({"time": (5, 1.5501)}, "not equally spaced: frame 5 at 1.5501 s"),
@@ -261,7 +264,7 @@ def test_arrays_that_are_no_trajectory_are_refused(changes, said, run, tmp_path)
         (lambda text: "Step Temp\n", [], "is no dump of LAMMPS or LIGGGHTS: frame 0 has the line 'Step Temp'"),
         (lambda text: "", [], "has no frame"),
         (lambda text: text, ["--time-step=2e-4", "--type=7"], "has no sphere of type [7]"),
-        (lambda text: text, ["--time-step=2e-4", "--from=9"], "keep 0 of 13 frames, at 1.5 to 1.62 s"),
+        (lambda text: text, ["--time-step=2e-4", "--from=9"], "position has 0 frames of 60 spheres"),
         (lambda text: text, ["--time-step=2e-4", "--scene=hopper", "--speed=3"], "scene 'hopper' keeps its own motion"),
         (lambda text: text, ["--time-step=2e-4", "--scene=drun"], "--scene drun"),
         (lambda text: text, ["--time-step=2e-4", "--scene=none.yaml"], "--scene none.yaml cannot be read"),
@@ -335,9 +338,7 @@ def test_imported_cases_are_split_by_the_speed_of_their_walls(cases):
     with pytest.raises(DatasetError, match=r"scene\.filling\.count is 70"):
         split_cases(replace(scene, filling=replace(scene.filling, count=70)), DemConfig(), config.dataset)
     with pytest.raises(DatasetError, match="is a folder without a case"):
-        split_cases(
-            scene, DemConfig(), DatasetConfig(files=[str(cases / "results" / "..")], training_speeds_rpm=[30.0])
-        )
+        split_cases(scene, DemConfig(), DatasetConfig(files=[str(Path(__file__).parent)]))
 
 
 def test_a_model_is_trained_on_dumps_and_judged_by_them(cases, capsys):
@@ -359,6 +360,17 @@ def test_without_replicas_there_is_no_noise_floor(cases):
     assert errors["value"] > 0
     assert errors["floor"] is None
     assert errors["multiple_of_floor"] is None
+
+
+def test_the_commands_of_the_page_are_understood(capsys):
+    page = (Path(__file__).parents[1] / "docs" / "extending.md").read_text("utf-8")
+    section = page.partition("## Data of another code")[2].partition("\n## ")[0]
+    commands = [line.split()[3:] for line in section.splitlines() if line.startswith("python -m")]
+    for words in commands[:3]:
+        assert import_command(words) == 2
+        assert f"{words[0]} is no file" in capsys.readouterr().err
+    config = checked_config(compose("train", commands[3]), TrainConfig)
+    assert config.dataset.files == ["data/imported"]
 
 
 def test_the_public_face_has_the_library_door():

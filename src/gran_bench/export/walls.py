@@ -14,6 +14,12 @@ from gran_bench.state import FloatArray
 
 AROUND = 72  # points on a circle
 
+Tell = Callable[[str], None]
+
+
+def silent(line: str) -> None:
+    """Tell nobody."""
+
 
 @dataclass(frozen=True)
 class WallMesh:
@@ -54,9 +60,7 @@ class WallMesh:
         return place, velocity, there[self.wall[self.triangle[:, 0]]]
 
 
-def wall_mesh(
-    scene: Scene, lower: FloatArray, upper: FloatArray, tell: Callable[[str], None] = lambda line: None
-) -> WallMesh:
+def wall_mesh(scene: Scene, lower: FloatArray, upper: FloatArray, tell: Tell = silent) -> WallMesh:
     """Triangulate the walls of a scene.
 
     Args:

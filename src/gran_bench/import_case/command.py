@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +20,11 @@ from gran_bench.config.reading import read_config
 from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import DatasetError, read_case
 from gran_bench.import_case.arrays import import_arrays
-from gran_bench.import_case.reading import Frames, read_frames
+from gran_bench.import_case.reading import read_trajectory
 from gran_bench.scene import Scene, SceneError, build_scene
 from gran_bench.state import StateError
 
-REFUSED = 2
+FAILED, REFUSED = 1, 2
 
 
 def import_command(words: Sequence[str] | None = None) -> int:
@@ -37,38 +36,48 @@ def import_command(words: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0; 1 where the case cannot be written; 2 where the data or the scene are refused.
     """
-    chosen = _parser().parse_args(words)
+    parser = argparse.ArgumentParser(
+        "python -m gran_bench.import_case", description="Make a case of a trajectory of another code."
+    )
+    add = parser.add_argument
+    add("files", nargs="+", type=Path, metavar="FILE", help="text dumps of LAMMPS or LIGGGHTS (also .gz), or an .npz")
+    add("--scene", required=True, metavar="YAML", help="a scene's YAML file, or the name of a shipped scene")
+    add("--speed", type=float, metavar="RPM", help="of a drum; default: the scene's rotation")
+    add("--time-step", type=float, metavar="S", help="of a dump that counts steps")
+    add("--frame-interval", type=float, metavar="S", help="of data without times")
+    add("--from", dest="start", type=float, metavar="S", help="in the clock of the data: leave out what is before")
+    add("--type", type=int, nargs="+", default=[], help="of the spheres to import, where there are others")
+    add("--trajectory", type=int, metavar="K", help="of an .npz that has several, from 0")
+    add("--packing", type=int, default=0, metavar="K", help="number of the settled bed it starts from (default: 0)")
+    add("--replica", type=int, default=0, metavar="K", help="number of a nudged run of the same start: a noise floor")
+    add("--name", help="of the case's file; default: scene, speed, packing, replica and a hash")
+    add("--data", type=Path, default=Path("data"), help="data cache (default: data)")
+    chosen = parser.parse_args(words)
     try:
         scene = named_scene(chosen.scene)
-        if chosen.speed is not None:
-            if not scene.takes_speeds:
-                raise SceneError(f"--speed {chosen.speed:g}: scene {scene.name!r} keeps its own motion; leave it out")
-            scene = scene.at_speed(chosen.speed)
-        found = _within(read_frames(chosen.files, chosen.time_step, chosen.type, chosen.trajectory), chosen)
-        path = import_arrays(
-            scene=scene,
-            frame_interval=chosen.frame_interval,
-            packing=chosen.packing,
-            replica=chosen.replica,
-            name=chosen.name,
-            root=chosen.data,
-            source=" ".join(map(str, chosen.files)),
-            seconds=chosen.seconds,
-            **vars(found),
-        )
+        if chosen.speed is not None and not scene.takes_speeds:
+            raise SceneError(f"--speed {chosen.speed:g}: scene {scene.name!r} keeps its own motion; leave it out")
+        scene = scene if chosen.speed is None else scene.at_speed(chosen.speed)
+        found = read_trajectory(chosen.files, chosen.time_step, chosen.type, chosen.trajectory)
+        if chosen.start is not None and "time" in found:
+            kept = found["time"] >= chosen.start - 1e-9
+            print(f"{kept.sum()} of {len(kept)} frames are from {chosen.start:g} s on")
+            found |= {name: found[name][kept] for name in found if name == "time" or np.ndim(found[name]) > 1}
+        options = {name: getattr(chosen, name) for name in ("frame_interval", "packing", "replica", "name")}
+        source = " ".join(map(str, chosen.files))
+        path = import_arrays(scene=scene, root=chosen.data, source=source, **options, **found)
+    except BrokenPipeError:
+        raise
     except (ConfigError, DatasetError, SceneError, StateError) as error:
         print(f"error: {error}", file=sys.stderr)
         return REFUSED
     except OSError as error:
-        if isinstance(error, BrokenPipeError):
-            raise
         print(f"error: {error.filename}: {error.strerror or error}; choose another --data", file=sys.stderr)
-        return 1
-    case = read_case(path)
-    there = case.scene
-    print(f"{there.filling.count} spheres, {there.frame_count} frames every {there.frame_interval:g} s: {path}")
-    keys = {"filling.count": (scene.filling.count, there.filling.count)}
-    keys |= {name: (getattr(scene, name), getattr(there, name)) for name in ("frame_interval", "end_time")}
+        return FAILED
+    case = read_case(path).scene
+    print(f"{case.filling.count} spheres, {case.frame_count} frames every {case.frame_interval:g} s: {path}")
+    keys = {"filling.count": (scene.filling.count, case.filling.count)}
+    keys |= {name: (getattr(scene, name), getattr(case, name)) for name in ("frame_interval", "end_time")}
     changed = "".join(f" scene.{name}={new:.12g}" for name, (old, new) in keys.items() if new != old)
     print(f"to train on it and others of its scene: dataset=imported dataset.files=[{path.parent}]{changed}")
     return 0
@@ -105,52 +114,6 @@ def _values(name: str) -> dict[str, Any]:
     for base in own.pop("defaults", []):
         if base != "_self_":
             beside = path.with_name(f"{base}.yaml")
-            values = _merged(values, _values(str(beside) if beside.is_file() else str(base)))
-    return _merged(values, own)
-
-
-def _merged(values: dict[str, Any], others: dict[str, Any]) -> dict[str, Any]:
-    return OmegaConf.to_container(OmegaConf.merge(values, others))
-
-
-def _within(frames: Frames, chosen: argparse.Namespace) -> Frames:
-    """The frames of the span that the command names, in the clock of the data."""
-    if chosen.start is None and chosen.until is None:
-        return frames
-    if frames.time is None:
-        raise DatasetError("--from and --until need times, which the data lack; leave them out")
-    low, high = (-np.inf if chosen.start is None else chosen.start, np.inf if chosen.until is None else chosen.until)
-    kept = (frames.time >= low - 1e-9) & (frames.time <= high + 1e-9)
-    if kept.sum() < 3:
-        raise DatasetError(f"--from and --until keep {kept.sum()} of {len(kept)} frames, at {frames.time[0]:g} to "
-                           f"{frames.time[-1]:g} s; choose a longer span")  # fmt: skip
-    print(f"{kept.sum()} of {len(kept)} frames are in the span")
-    fields = {name: values for name, values in vars(frames).items() if values is not None}
-    by_frame = {name for name in fields if name == "time" or fields[name].ndim > 1}
-    return replace(frames, **{name: fields[name][kept] for name in by_frame})
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        "python -m gran_bench.import_case", description="Make a case of a trajectory of another code."
-    )
-    add = parser.add_argument
-    add("files", nargs="+", type=Path, metavar="FILE", help="text dumps of LAMMPS or LIGGGHTS (also .gz), or an .npz")
-    add("--scene", required=True, metavar="YAML", help="a scene's YAML file, or the name of a shipped scene")
-    add("--speed", type=float, metavar="RPM", help="of a drum; default: the scene's rotation")
-    add("--time-step", type=float, metavar="S", help="of a dump that counts steps")
-    add("--frame-interval", type=float, metavar="S", help="between frames of data without times")
-    add("--from", dest="start", type=float, metavar="S", help="when the motion starts, in the clock of the data")
-    add("--until", type=float, metavar="S", help="last time to import, in the clock of the data")
-    add("--type", type=int, nargs="+", default=[], help="of the spheres to import, where there are others")
-    add("--trajectory", type=int, metavar="K", help="of an .npz that has several, from 0")
-    add(
-        "--packing", type=int, default=0, metavar="K", help="number of the settled bed that it starts from (default: 0)"
-    )
-    add(
-        "--replica", type=int, default=0, metavar="K", help="number of a nudged run of the same start, for noise floors"
-    )
-    add("--seconds", type=float, default=np.nan, metavar="S", help="wall time that the other code took")
-    add("--name", help="of the case's file; default: scene, speed, packing, replica and a hash")
-    add("--data", type=Path, default=Path("data"), help="data cache (default: data)")
-    return parser
+            more = _values(str(beside) if beside.is_file() else str(base))
+            values = OmegaConf.to_container(OmegaConf.merge(values, more))
+    return OmegaConf.to_container(OmegaConf.merge(values, own))
