@@ -245,7 +245,7 @@ def test_the_command_finds_the_judged_rollout_of_a_run_by_folder_name_key_and_id
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["nothing", "--to", "npz"], "nothing is no file, no case in data and no run in results"),
+        (["nothing", "--to", "npz"], "nothing is no file, no case in data, no run in results"),
         (["{case}", "--to", "npz", "--rollout", "30rpm"], "is a case; a run has rollouts"),
         (["conf.txt", "--to", "npz"], "conf.txt is cut short or damaged"),
     ],

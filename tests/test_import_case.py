@@ -347,7 +347,7 @@ def test_a_model_is_trained_on_dumps_and_judged_by_them(cases, capsys):
     shared = summary["judged"]["shared"]
     assert shared["replicas"] == 2
     assert shared["errors"]["speed_w1"]["floor"] > 0
-    assert "half_step" not in shared["errors"]["speed_w1"]["beside"]
+    assert "floor_half_step" not in shared["errors"]["speed_w1"]
     assert summary["rollouts"]["40rpm"]["dem_ms_per_frame"] is None
     assert set(summary["judged"]) == {"shared"}
     assert "this DEM undefined" in capsys.readouterr().out

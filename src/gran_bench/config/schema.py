@@ -139,9 +139,8 @@ class DemConfig(Section, place="dem"):
 
     engine: str = key("numba", one_of("numba", "numpy"))
     time_step: float | None = key(None, positive("s"))  # null: a stated fraction of min(Rayleigh time, contact time)
-    skin: float | None = key(
-        None, positive("m")
-    )  # Verlet skin; null: chosen by the clock; changes no bit of the result
+    # Verlet skin; null: chosen by the clock; changes no bit of the result
+    skin: float | None = key(None, positive("m"))
     threads: int | None = key(
         None, at_least(1)
     )  # of the numba engine; null: chosen by the clock; changes no bit of the result

@@ -31,7 +31,7 @@ def write_vtkhdf(exported: Exported, path: Path, tell: Tell = silent) -> None:
         tell: gets a line for each wall that cannot be drawn.
     """
     motion, mesh = exported.trajectory, wall_mesh(exported.scene, *exported.bounds, tell)
-    frames, count, walls = *motion.position.shape[:2], len(mesh.point)
+    (frames, count), walls = motion.position.shape[:2], len(mesh.point)
     moved = [mesh.at(float(time)) for time in motion.time]
 
     def both(spheres: FloatArray, k: int) -> FloatArray:
