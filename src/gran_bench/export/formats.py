@@ -47,10 +47,13 @@ def write_vtkhdf(exported: Exported, path: Path, tell: Tell = silent) -> None:
         "type": np.pad(exported.material.astype(np.int32), (0, walls), constant_values=-1),
         "wall": np.concatenate([np.zeros(count, np.int32), 1 + mesh.wall]),
     }
-    # One table of triangles for all frames, unless a wall opens.
+    # One part with the cells of all frames; where a wall opens, a part a frame. VTK 9.3 and 9.7 read a part's offsets
+    # alike only if each kind of cell has as many tables as there are parts.
     opens = not all(there.all() for *_, there in moved)
-    triangles = [mesh.triangle[there] + count for *_, there in (moved if opens else moved[:1])]
-    tables = {"Vertices": [np.arange(count)[:, None]], "Polygons": triangles}
+    parts = frames if opens else 1
+    tables = dict.fromkeys(_CELLS, [np.zeros((0, 1), np.int64)] * parts)
+    tables["Vertices"] = [np.arange(count)[:, None]] * parts
+    tables["Polygons"] = [mesh.triangle[there] + count for *_, there in moved[:parts]]
     # Built in memory, because HDF5 ends the process where a disk is full.
     with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
         file.attrs["scene"] = _scene_text(exported)
@@ -61,21 +64,19 @@ def write_vtkhdf(exported: Exported, path: Path, tell: Tell = silent) -> None:
             frames,
         )
         start = (count + walls) * np.arange(frames)
-        root["Points"], root["NumberOfPoints"] = _flat(both(motion.position, 0)), np.full(frames, count + walls)
+        root["Points"], root["NumberOfPoints"] = _flat(both(motion.position, 0)), np.full(parts, count + walls)
         steps["Values"], steps["PointOffsets"] = motion.time.astype(np.float64), start
-        steps["PartOffsets"], steps["NumberOfParts"] = np.arange(frames), np.ones(frames, np.int64)
+        steps["PartOffsets"], steps["NumberOfParts"] = opens * np.arange(frames), np.ones(frames, np.int64)
         for name, values in {**fixed, **moving}.items():
             root[f"PointData/{name}"] = values if name in fixed else _flat(values)
             steps[f"PointDataOffsets/{name}"] = 0 * start if name in fixed else start
         cells, ids = np.zeros((2, frames, 4), np.int64)
-        for column, name in enumerate(_CELLS):
-            parts = tables.get(name, [np.zeros((0, 1), np.int64)])
-            number, width = np.array([len(part) for part in parts]), parts[0].shape[1]
-            root[f"{name}/Connectivity"] = np.concatenate(parts).ravel()
+        for column, (name, table) in enumerate(tables.items()):
+            number, width = np.array([len(part) for part in table]), table[0].shape[1]
+            root[f"{name}/Connectivity"] = np.concatenate(table).ravel()
             root[f"{name}/Offsets"] = np.concatenate([width * np.arange(n + 1) for n in number])
-            root[f"{name}/NumberOfCells"] = np.broadcast_to(number, frames)
-            root[f"{name}/NumberOfConnectivityIds"] = np.broadcast_to(width * number, frames)
-            cells[:, column] = np.cumsum(number) - number if len(parts) > 1 else 0
+            root[f"{name}/NumberOfCells"], root[f"{name}/NumberOfConnectivityIds"] = number, width * number
+            cells[:, column] = opens * (np.cumsum(number) - number)
             ids[:, column] = width * cells[:, column]
         steps["CellOffsets"], steps["ConnectivityIdOffsets"] = cells, ids
         file.flush()
