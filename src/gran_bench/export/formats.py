@@ -20,10 +20,10 @@ _CELLS = ("Vertices", "Lines", "Polygons", "Strips")  # of VTK's PolyData, in th
 def write_vtkhdf(exported: Exported, path: Path, tell: Tell = silent) -> None:
     """Write one VTKHDF file (format 2.0, PolyData with Steps): spheres as points, walls as triangles.
 
-    Spheres and walls are one data set, because VTK 9.7 does not move the blocks of a composite one in time: its reader
-    gives the points of the first time again. Point arrays: ``radius`` in m (0 for walls, so that a glyph scaled by it
-    draws spheres alone), ``velocity``, ``speed`` in m/s, ``angular_velocity`` in rad/s where there is spin, ``id`` and
-    ``type`` (−1 for walls), ``wall`` (0 for spheres, else the number of the wall from 1).
+    Spheres and walls are one data set: VTK 9.3 (ParaView 5.12) reads no composite one, and the reader of VTK 9.7 gives
+    the points of the first time again at every later one of a composite. Point arrays: ``radius`` in m (0 for walls,
+    so that a glyph scaled by it draws spheres alone), ``velocity``, ``speed`` in m/s, ``angular_velocity`` in rad/s
+    where there is spin, ``id`` and ``type`` (−1 for walls), ``wall`` (0 for spheres, else the wall's number from 1).
 
     Args:
         exported: what to write; m and s.
