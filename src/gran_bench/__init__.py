@@ -23,7 +23,7 @@ _HOMES = {
     **dict.fromkeys(("FrameState", "NewtonSurrogate", "Surrogate"), "surrogate.step"),
     **dict.fromkeys(("Measured", "Series"), "metrics.measured"),
     **{"DemConfig": "config", "Trajectory": "state", "FrameAhead": "losses", "judge": "metrics.judge"},
-    **{"load_model": "surrogate.checkpoint", "rollout": "surrogate.rollout"},
+    **{"import_arrays": "import_case", "load_model": "surrogate.checkpoint", "rollout": "surrogate.rollout"},
 }
 __all__ = sorted(_HOMES)
 

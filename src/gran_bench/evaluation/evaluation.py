@@ -83,7 +83,7 @@ def evaluate(model: Surrogate, plan: Plan, folder: Path, tell: Tell, progress: b
     judgements, candidates, doubles = {}, {}, {}
     for unseen in plan.packings:
         packing = "unseen" if unseen else "shared"
-        tell(f"judging {rollout_name(plan.judged_rpm, unseen)} against {plan.dataset.replicas} replicas")
+        tell(f"judging {rollout_name(plan.judged_rpm, unseen)} against {len(plan.replicas(unseen))} replicas")
         judgements[packing], candidates[packing], doubles[packing] = _judge_packing(plan, rollouts, unseen)
     summary = {
         "judged_rpm": plan.judged_rpm,
@@ -153,15 +153,17 @@ def _judge_packing(
     plan: Plan, rollouts: dict[str, Rollout], unseen: bool
 ) -> tuple[Judgement, TrajectorySummary, list[TrajectorySummary]]:
     """The judged speed from one packing, against its replicas; another packing and half the step beside them."""
-    scene, root = plan.scene.at_speed(plan.judged_rpm), plan.dataset.root
+    scene, root = plan.case(plan.judged_rpm, unseen).scene, plan.dataset.root
     candidate = summarise(rollouts[rollout_name(plan.judged_rpm, unseen)].trajectory, scene)
 
     def summary_of(spec: CaseSpec) -> TrajectorySummary:
         return summarise(read_case(spec.path(root)).trajectory, scene, candidate.velocity_kind)
 
     doubles = [summary_of(spec) for spec in plan.replicas(unseen)]
-    beside = {"other_packing": summary_of(plan.case(plan.judged_rpm, not unseen))}
-    if not unseen:
+    beside = {}
+    if not plan.imported or len(plan.packings) > 1:
+        beside["other_packing"] = summary_of(plan.case(plan.judged_rpm, not unseen))
+    if not unseen and not plan.imported:
         beside["half_step"] = summary_of(plan.finer)
     return judge(candidate, doubles, scene, beside), candidate, doubles
 
@@ -183,13 +185,15 @@ def _baselines(plan: Plan, case: Case, doubles: list[TrajectorySummary]) -> dict
         name = f"statistics interpolated between {low:g} and {high:g} rpm"
         candidates[name] = interpolated_statistics(plan.judged_rpm, training)
         candidates |= {f"{rpm:g} rpm replayed": training[rpm] for rpm in (low, high)}
-    step = f"DEM, steps of {1e3 * plan.coarser.dem.time_step:g} ms"
-    candidates[step] = summary_of(plan.coarser)
+    step = "" if plan.imported else f"DEM, steps of {1e3 * plan.coarser.dem.time_step:g} ms"
+    if step:
+        candidates[step] = summary_of(plan.coarser)
     table = {}
     for name, candidate in candidates.items():
         errors = judge(candidate, doubles, scene).to_dict()["errors"]
         table[name] = {row: errors[row] for row in COMPARED}
-    table[step]["ms_per_frame"] = _dem_ms_per_frame(read_case(plan.coarser.path(root)))
+    if step:
+        table[step]["ms_per_frame"] = _dem_ms_per_frame(read_case(plan.coarser.path(root)))
     return table
 
 
@@ -267,6 +271,7 @@ def _rollout_facts(result: Rollout, case: Case) -> dict[str, Any]:
     }
 
 
-def _dem_ms_per_frame(case: Case) -> float:
-    """Wall time of the DEM for a frame, ms: one core, while another case was made on the other."""
-    return 1e3 * float(case.attributes["wall_seconds"]) / (case.trajectory.frame_count - 1)
+def _dem_ms_per_frame(case: Case) -> float | None:
+    """Wall time of the DEM for a frame, ms: one core, while another case was made on the other; None where unknown."""
+    time = 1e3 * float(case.attributes["wall_seconds"]) / (case.trajectory.frame_count - 1)
+    return time if np.isfinite(time) else None

@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from gran_bench import tracking
@@ -139,7 +140,7 @@ def train_stage(
         "validation_speeds_rpm": list(config.dataset.validation_speeds_rpm),
         "packing_seed": config.dataset.packing_seed,
         "data_digest": windows.digest,
-        "data_seconds": sum(float(case.attributes["wall_seconds"]) for case in windows.cases),
+        "data_seconds": float(np.nansum([case.attributes["wall_seconds"] for case in windows.cases])),
         **provenance(),
     }
     card = ModelCard(asdict(config.model), asdict(config.boundary), asdict(config.scene), training)
