@@ -13,7 +13,7 @@ from pathlib import Path
 from dem_page import PAGE, made_by_this
 
 from gran_bench.files import write_part
-from gran_bench.plots import draw_discharge
+from gran_bench.plots.verification import draw_discharge
 from gran_bench.provenance import stamp
 from gran_bench.verification.hopper_discharge import HopperDischarge, discharge
 

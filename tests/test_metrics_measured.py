@@ -9,7 +9,7 @@ import pytest
 
 from gran_bench.metrics.measured import Measured, Series, UndefinedMetricError, frame_at, mean_of
 from gran_bench.metrics.noise_floor import noise_floor, prediction_interval, score
-from gran_bench.plots.angle import draw_series
+from gran_bench.plots.evaluation import draw_run
 from gran_bench.plots.style import drawing
 
 TIME = 1.5 + 0.01 * np.arange(401)
@@ -113,7 +113,7 @@ def test_a_table_and_a_figure_count_the_invalid_states_of_a_run_alike(tmp_path):
     assert "6 of 401 states invalid" in series(mine).mean().note
     with drawing(tmp_path / "a.png", 3.0, 2.0) as figure:
         axes = figure.subplots()
-        draw_series(axes, series(mine), "model", "black")
+        draw_run(axes, series(mine), "model", "black")
         assert axes.lines[0].get_label() == "model (6 of 401 states invalid)"
 
 

@@ -153,7 +153,7 @@ def test_a_run_that_ends_while_it_is_looked_at_stays_as_it_ended(
     run_id = store.create_run("quick", "quick", None, tags={abandoned.PROCESS_TAG: json.dumps(process)})
     seen = store.running()
     monkeypatch.setattr(Store, "running", lambda self: seen)
-    store.close_run(run_id, "FINISHED")
+    store.client.set_terminated(run_id, "FINISHED")
     the_ui(config)
     assert store.status_of(run_id) == "FINISHED"
 

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from gran_bench.config.registry import HOUSE, METRICS
 from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.measured import Series
 from gran_bench.metrics.summary import TrajectorySummary
@@ -99,10 +100,11 @@ def interpolated_statistics(speed_rpm: float, training: Mapping[float, Trajector
         )
     share = 0.0 if above == below else (speed_rpm - below) / (above - below)
     layers = min(len(low.layer_speed), len(high.layer_speed))
+    house = [name for name in low.series if METRICS.owner(name) == HOUSE]  # those of plugins need particles
     return TrajectorySummary(
         time=low.time,
         velocity_kind=low.velocity_kind,
-        series={name: _between_series(low.series[name], high.series[name], share) for name in low.series},
+        series={name: _between_series(low.series[name], high.series[name], share) for name in house},
         sorted_speed=_between(low.sorted_speed, high.sorted_speed, share),
         sorted_component=_between(low.sorted_component, high.sorted_component, share),
         layer_speed=_between(low.layer_speed[:layers], high.layer_speed[:layers], share),

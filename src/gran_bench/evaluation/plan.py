@@ -18,13 +18,7 @@ class Plan:
     """What is rolled out and what it is held against.
 
     Where the data set has a validation speed, that one is judged, and the held-out speed is neither rolled out nor
-    opened: whoever chooses must not see it.
-
-    Attributes:
-        scene: without a speed of its own.
-        dem: the solver's settings.
-        dataset: speeds, packings, replicas.
-        judge: speeds to roll out.
+    opened: whoever chooses must not see it. The scene has no speed of its own yet.
     """
 
     scene: Scene

@@ -1,18 +1,17 @@
 """Angle of repose of a bed in a drum, by two published definitions, each with its validity.
 
 Both are measured in the plane across the axis, from the horizontal, positive where the bed has climbed with the
-rotation. Up is against gravity; the climbing direction e is axis × gravity, the way in which the bottom of the
-drum moves.
+rotation, along e = axis × gravity.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gran_bench.config.registry import register_metric
 from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.measured import Series
 from gran_bench.scene import Scene
@@ -57,20 +56,8 @@ def why_no_angle(scene: Scene) -> str:
         return "the scene has no gravity"
     if not scene.filling.count:
         return "the scene has no spheres"
-    if not scene.has_angle_of_repose:
-        return f"at or above the critical speed of {scene.critical_speed_rpm:.3g} rpm"
-    return ""
-
-
-def hold_drum(scene: Scene) -> None:
-    """Refuse a scene in which no surface can be looked for.
-
-    Raises:
-        ValueError: a scene without a drum.
-    """
-    check_arguments(scene=(scene, Scene))
-    if scene.drum_radius is None or scene.length is None:
-        raise ValueError(f"scene {scene.name!r} has no drum, so its beds have no surface; choose a drum")
+    critical = f"at or above the critical speed of {scene.critical_speed_rpm:.3g} rpm"
+    return "" if scene.has_angle_of_repose else critical
 
 
 def cross_section_axes(scene: Scene) -> tuple[FloatArray, FloatArray]:
@@ -79,7 +66,6 @@ def cross_section_axes(scene: Scene) -> tuple[FloatArray, FloatArray]:
     Raises:
         ValueError: a scene without gravity.
     """
-    check_arguments(scene=(scene, Scene))
     if not scene.needs.gravity:
         raise ValueError(f"scene {scene.name!r} has no gravity, so nothing is up; choose scene.gravity")
     down = np.asarray(scene.gravity, float) / scene.gravity_strength
@@ -114,24 +100,23 @@ def center_of_mass_angles(position: FloatArray, radius: FloatArray, scene: Scene
 def surface_lines(
     position: FloatArray, radius: FloatArray, scene: Scene, start_angles: FloatArray | None = None
 ) -> list[SurfaceLine]:
-    """The surface of every frame, by `surface_line` from the centre-of-mass angle.
+    """The surface of every frame, by `surface_line` from ``start_angles`` in rad, or else the centre-of-mass angles.
 
     Args:
         position: ``(F, N, 3)`` m.
         radius: ``(N,)`` m.
         scene: a drum.
-        start_angles: ``(F,)`` rad; the centre-of-mass angles where None.
+        start_angles: ``(F,)`` rad.
 
     Raises:
         ValueError: a scene without a drum or without gravity.
     """
-    hold_drum(scene)
-    position, radius = np.asarray(position), np.asarray(radius)
-    climbing, up = cross_section_axes(scene)
+    if scene.drum_radius is None or scene.length is None:
+        raise ValueError(f"scene {scene.name!r} has no drum, so its beds have no surface; choose a drum")
+    position, size = np.asarray(position), np.asarray(radius).astype(np.float64)
+    plane = np.stack(cross_section_axes(scene), axis=1)
     if start_angles is None:
         start_angles = center_of_mass_angles(position, radius, scene)
-    plane = np.stack((climbing, up), axis=1)
-    size = radius.astype(np.float64)
     return [
         surface_line(frame @ plane, size, scene.drum_radius, scene.length, scene.filling.diameter, angle)
         if np.isfinite(frame).all()
@@ -141,12 +126,7 @@ def surface_lines(
 
 
 def surface_line(
-    across: FloatArray,
-    radius: FloatArray,
-    drum_radius: float,
-    length: float,
-    diameter: float,
-    start_angle: float,
+    across: FloatArray, radius: FloatArray, drum_radius: float, length: float, diameter: float, start_angle: float
 ) -> SurfaceLine:
     """The surface of one bed: a least-squares line through the topmost crossings of solid fraction 0.3.
 
@@ -163,18 +143,20 @@ def surface_line(
         start_angle: rad.
     """
     angle, line, seen = float(start_angle), NO_LINE, []
+    bed = (across, radius, drum_radius, length, diameter)
     for _ in range(MOST_ITERATIONS):
-        line, tilt = _fit(across, radius, drum_radius, length, diameter, angle)
+        line, tilt = _fit(*bed, angle)
         if not math.isfinite(tilt):
             return line
         angle = line.angle
         if abs(tilt) <= TOLERANCE:
             return line
-        if any(abs(angle - before) < 1e-12 for before in seen):
+        again = next((k for k, before in enumerate(seen) if abs(angle - before) < 1e-12), None)
+        if again is not None:
             # Spheres that change columns can make the iteration circle through a few angles for ever (in one state
             # of seven, over 0.5° in the mean): the middle of the circle is the answer.
-            middle = float(np.mean(seen[_index_of(seen, angle) :]))
-            line, _ = _fit(across, radius, drum_radius, length, diameter, middle)
+            middle = float(np.mean(seen[again:]))
+            line, _ = _fit(*bed, middle)
             return replace(line, angle=middle)
         seen.append(angle)
     return replace(line, valid=False)
@@ -207,7 +189,8 @@ def solid_fractions(
     first = np.floor(bottom / step)
     slabs = math.ceil(2.0 * size.max(initial=0.0) / step) + 1
     edges = (first + np.arange(1, slabs + 1)[:, None]) * step
-    below = _cap_volume(np.clip(edges - bottom, 0.0, 2.0 * size), size)
+    height = np.clip(edges - bottom, 0.0, 2.0 * size)  # of each slab's upper plane over a sphere's lowest point
+    below = math.pi / 3.0 * height**2 * (3.0 * size - height)  # volume of the cap under it
     slab_volume = np.diff(below, axis=0, prepend=0.0)
     index = column * bins + (first.astype(np.int64) - lowest) + np.arange(slabs)[:, None]
     volume = np.bincount(index.ravel(), slab_volume.ravel(), minlength=columns * bins).reshape(columns, bins)
@@ -225,7 +208,7 @@ def topmost_crossing(fraction: FloatArray, heights: FloatArray) -> FloatArray:
     Returns:
         NaN for a column that never reaches the fraction, or is still above it in its last bin.
     """
-    dense: NDArray[np.bool_] = fraction >= SURFACE_FRACTION
+    dense = fraction >= SURFACE_FRACTION
     last = fraction.shape[1] - 1
     top = last - np.argmax(dense[:, ::-1], axis=1)
     row = np.arange(len(fraction))
@@ -235,26 +218,44 @@ def topmost_crossing(fraction: FloatArray, heights: FloatArray) -> FloatArray:
     return np.where(dense.any(axis=1) & (top < last), height, np.nan)
 
 
-def angle_series(trajectory: Trajectory, scene: Scene) -> tuple[Series, Series, list[SurfaceLine]]:
-    """Surface angle and centre-of-mass angle of every state in degrees, and the surface lines behind the first.
+@dataclass(frozen=True)
+class SurfaceAngle(Series):
+    """The surface angle of every state, and the ``lines`` behind it, valid or not: a depth needs a surface."""
 
-    Where no angle exists the series are undefined; the lines are still fitted wherever there is a drum, because a
-    depth needs a surface.
+    lines: list[SurfaceLine] = field(default_factory=list)
+
+
+@register_metric("angle of repose", "deg")
+def surface_angle(trajectory: Trajectory, scene: Scene) -> Series:
+    """Angle of the bed's surface in every state, by `surface_lines`, degrees.
+
+    Lines are fitted wherever there is a drum and gravity, also where no angle of repose exists.
     """
+    nothing, reason = _without_drum(trajectory, scene)
+    if nothing is not None:
+        return nothing
+    lines = surface_lines(trajectory.position, trajectory.radius, scene)
+    value = np.degrees([line.angle if line.valid else math.nan for line in lines])
+    return SurfaceAngle(trajectory.time, value, "deg", reason, "no straight surface", lines)
+
+
+@register_metric("centre-of-mass angle", "deg")
+def com_angle(trajectory: Trajectory, scene: Scene) -> Series:
+    """Angle of the bed's centre of mass in every state, by `center_of_mass_angles`, degrees."""
+    nothing, reason = _without_drum(trajectory, scene)
+    if nothing is not None:
+        return nothing
+    value = np.degrees(center_of_mass_angles(trajectory.position, trajectory.radius, scene))
+    return Series(trajectory.time, value, "deg", reason, "not finite")
+
+
+def _without_drum(trajectory: Trajectory, scene: Scene) -> tuple[Series | None, str]:
+    """The undefined series of a scene in which nothing can be fitted, and why a scene has no angle."""
     check_arguments(trajectory=(trajectory, Trajectory), scene=(scene, Scene))
     reason = why_no_angle(scene)
-    frames = trajectory.frame_count
-    if scene.drum_radius is None or scene.length is None or not scene.needs.gravity:
-        nothing = Series(trajectory.time, np.full(frames, np.nan), "deg", reason)
-        return nothing, nothing, [NO_LINE] * frames
-    center = center_of_mass_angles(trajectory.position, trajectory.radius, scene)
-    lines = surface_lines(trajectory.position, trajectory.radius, scene, center)
-    surface = np.array([line.angle if line.valid else math.nan for line in lines])
-    return (
-        Series(trajectory.time, np.degrees(surface), "deg", reason, "no straight surface"),
-        Series(trajectory.time, np.degrees(center), "deg", reason, "not finite"),
-        lines,
-    )
+    if scene.drum_radius is not None and scene.length is not None and scene.needs.gravity:
+        return None, reason
+    return Series(trajectory.time, np.full(trajectory.frame_count, np.nan), "deg", reason), reason
 
 
 def _fit(
@@ -262,28 +263,18 @@ def _fit(
 ) -> tuple[SurfaceLine, float]:
     """One fit in the frame turned by ``angle``: the line, its angle included, and by how much it was turned, rad."""
     cosine, sine = math.cos(angle), math.sin(angle)
-    s = across[:, 0] * cosine + across[:, 1] * sine
-    w = across[:, 1] * cosine - across[:, 0] * sine
+    s, w = across[:, 0] * cosine + across[:, 1] * sine, across[:, 1] * cosine - across[:, 0] * sine
     middle, heights, fraction = solid_fractions(s, w, radius, drum_radius, length, diameter)
     height = topmost_crossing(fraction, heights)
     found = np.isfinite(height)
+    filled = float(found.mean())
     if found.sum() < 2:
-        return SurfaceLine(math.nan, math.nan, math.nan, float(found.mean()), False), math.nan
+        return replace(NO_LINE, filled=filled), math.nan
     x, y = middle[found], height[found]
     x_mean, y_mean = x.mean(), y.mean()
     slope = float(((x - x_mean) * (y - y_mean)).sum() / ((x - x_mean) ** 2).sum())
     offset = y_mean - slope * x_mean
     residual = float(np.sqrt(np.mean((y - offset - slope * x) ** 2)))
-    filled = float(found.mean())
     tilt = math.atan(slope)
     valid = residual <= LARGEST_RESIDUAL * diameter and filled >= LEAST_FILLED
     return SurfaceLine(angle + tilt, float(offset * math.cos(tilt)), residual, filled, valid), tilt
-
-
-def _cap_volume(height: FloatArray, radius: FloatArray) -> FloatArray:
-    """Volume of a sphere below a plane at ``height`` over its lowest point, π h² (3r − h)/3, m³."""
-    return math.pi / 3.0 * height**2 * (3.0 * radius - height)
-
-
-def _index_of(angles: list[float], angle: float) -> int:
-    return next(i for i, before in enumerate(angles) if abs(angle - before) < 1e-12)

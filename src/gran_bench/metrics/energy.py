@@ -1,4 +1,4 @@
-"""Kinetic energy of the bed, translational and rotational."""
+"""Kinetic energy of the bed, translational and rotational, and the height of its centre of mass."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ import math
 
 import numpy as np
 
+from gran_bench.config.registry import register_metric
 from gran_bench.metrics.measured import Series
-from gran_bench.state import FloatArray
+from gran_bench.metrics.speeds import velocities
+from gran_bench.scene import Scene
+from gran_bench.state import FloatArray, Trajectory
 
 
 def sphere_masses(radius: FloatArray, density: float) -> FloatArray:
@@ -15,32 +18,33 @@ def sphere_masses(radius: FloatArray, density: float) -> FloatArray:
     return 4.0 / 3.0 * math.pi * density * radius.astype(np.float64) ** 3
 
 
-def translational_energy(time: FloatArray, velocity: FloatArray, mass: FloatArray) -> Series:
-    """Σ ½ m v² of each state, J.
-
-    Args:
-        time: ``(F,)`` s.
-        velocity: ``(F, N, 3)`` m/s.
-        mass: ``(N,)`` kg.
-    """
-    return Series(time, _half_sum(velocity, mass), "J", invalid_because="velocity is not finite")
+@register_metric("translational energy", "J")
+def translational_energy(trajectory: Trajectory, scene: Scene) -> Series:
+    """Σ ½ m v² of each state, J."""
+    mass = sphere_masses(trajectory.radius, scene.material.density)
+    value = _half_sum(velocities(trajectory, trajectory.velocity_kind), mass)
+    return Series(trajectory.time, value, "J", invalid_because="velocity is not finite")
 
 
-def rotational_energy(
-    time: FloatArray, angular_velocity: FloatArray | None, mass: FloatArray, radius: FloatArray
-) -> Series:
-    """Σ ½ (2/5 m r²) ω² of each state, J; undefined where a model has no spin.
+@register_metric("rotational energy", "J")
+def rotational_energy(trajectory: Trajectory, scene: Scene) -> Series:
+    """Σ ½ (2/5 m r²) ω² of each state, J; undefined where a model has no spin."""
+    if trajectory.angular_velocity is None:
+        nothing = np.full(trajectory.frame_count, np.nan)
+        return Series(trajectory.time, nothing, "J", undefined_because="the model has no spin")
+    mass = sphere_masses(trajectory.radius, scene.material.density)
+    inertia = 0.4 * mass * trajectory.radius.astype(np.float64) ** 2
+    value = _half_sum(trajectory.angular_velocity, inertia)
+    return Series(trajectory.time, value, "J", invalid_because="spin is not finite")
 
-    Args:
-        time: ``(F,)`` s.
-        angular_velocity: ``(F, N, 3)`` rad/s, or None.
-        mass: ``(N,)`` kg.
-        radius: ``(N,)`` m.
-    """
-    if angular_velocity is None:
-        return Series(time, np.full(len(time), np.nan), "J", undefined_because="the model has no spin")
-    inertia = 0.4 * mass * radius.astype(np.float64) ** 2
-    return Series(time, _half_sum(angular_velocity, inertia), "J", invalid_because="spin is not finite")
+
+@register_metric("height of the centre of mass", "m")
+def center_height(trajectory: Trajectory, scene: Scene) -> Series:
+    """Σ m z / Σ m of each state, m."""
+    mass = sphere_masses(trajectory.radius, scene.material.density)
+    with np.errstate(invalid="ignore", over="ignore"):
+        height = trajectory.position[..., 2].astype(np.float64) @ (mass / mass.sum())
+    return Series(trajectory.time, np.where(np.isfinite(height), height, np.nan), "m", invalid_because="not finite")
 
 
 def _half_sum(rate: FloatArray, weight: FloatArray) -> FloatArray:

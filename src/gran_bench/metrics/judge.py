@@ -8,25 +8,20 @@ import numpy as np
 
 from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.acceptance import acceptance
-from gran_bench.metrics.comparisons import Figure, comparisons, figures
+from gran_bench.metrics.comparisons import Comparison, comparisons, figures
 from gran_bench.metrics.judgement import ErrorRow, FigureRow, Judgement
 from gran_bench.metrics.measured import Measured, mean_of, shared_states
 from gran_bench.metrics.noise_floor import noise_floor, prediction_interval, score
 from gran_bench.metrics.outside import distance_outside
-from gran_bench.metrics.speeds import sorted_frames, velocities, wasserstein_series
+from gran_bench.metrics.speeds import sorted_frames, speeds, velocities, wasserstein_series
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.scene import Scene
-from gran_bench.state import FloatArray, Trajectory
+from gran_bench.state import Trajectory
 
 Run = Trajectory | TrajectorySummary
 
 
-def judge(
-    candidate: Run,
-    replicas: Sequence[Run],
-    scene: Scene,
-    others: Mapping[str, Run] | None = None,
-) -> Judgement:
+def judge(candidate: Run, replicas: Sequence[Run], scene: Scene, others: Mapping[str, Run] | None = None) -> Judgement:
     """Hold a candidate against the replicas of the DEM.
 
     Velocities are compared by the candidate's definition on both sides. Summaries may be given instead of
@@ -52,27 +47,20 @@ def judge(
     runs = {"candidate": candidate, **{f"replica {i}": run for i, run in enumerate(replicas)}, **others}
     for name, run in runs.items():
         _hold_scene(name, run, scene, is_dem=run is not candidate)
-    summaries = {name: _summary(run, scene, kind) for name, run in runs.items()}
+    summaries = {
+        name: run if isinstance(run, TrajectorySummary) else summarise(run, scene, kind) for name, run in runs.items()
+    }
     mine, *theirs = summaries.values()
     for name, summary in summaries.items():
         _hold_alike(name, summary, mine)
     truth, beside = theirs[: len(replicas)], dict(zip(others, theirs[len(replicas) :], strict=True))
+    failures = [run.failures for run in truth]
     return Judgement(
-        errors=[
-            ErrorRow(
-                row.key,
-                row.label,
-                row.unit,
-                score(row.distance, mine, truth, row.unit),
-                noise_floor(row.distance, truth, row.unit),
-                {name: score(row.distance, run, truth, row.unit) for name, run in beside.items()},
-            )
-            for row in comparisons()
-        ],
+        errors=[_error_row(row, mine, truth, beside) for row in comparisons()],
         figures=[_figure_row(row, mine, truth) for row in figures()],
-        requirements=acceptance(mine, truth),
+        requirements=list(acceptance(mine, truth)),
         failures=mine.failures,
-        dem_outside=_share_outside(truth),
+        dem_outside=None if None in failures else float(np.mean([count.share(count.outside) for count in failures])),
         velocity_kind=kind,
         replicas=len(truth),
     )
@@ -86,24 +74,44 @@ def _hold_scene(name: str, run: Run, scene: Scene, is_dem: bool) -> None:
             f"{name} has a state every {interval:g} s and scene {scene.name!r} every {scene.frame_interval:g} s; give "
             "the scene that it was made for"
         )
-    # The DEM stops where a centre is farther out than its radius; a rollout does not, which is counted.
-    if is_dem and isinstance(run, Trajectory) and _starts_outside(run, scene):
+    if not (is_dem and isinstance(run, Trajectory)):
+        return  # the DEM stops where a centre is farther out than its radius; a rollout does not, which is counted
+    if (distance_outside(run.position[:1].astype(np.float64), run.radius, scene) > run.radius).any():
         raise ValueError(
             f"{name} starts with spheres outside the walls of scene {scene.name!r}; give the scene that it was made for"
         )
 
 
-def _starts_outside(run: Trajectory, scene: Scene) -> bool:
-    return bool((distance_outside(run.position[:1].astype(np.float64), run.radius, scene) > run.radius).any())
-
-
 def _hold_alike(name: str, summary: TrajectorySummary, mine: TrajectorySummary) -> None:
-    """Refuse runs of different spheres or at different times; one that ended early is counted as such."""
+    """Refuse runs of different spheres, times or velocities; one that ended early is counted as such."""
     if summary.count != mine.count:
         raise ValueError(
             f"candidate has {mine.count} spheres and {name} has {summary.count}; compare runs of one scene's spheres"
         )
+    if summary.velocity_kind != mine.velocity_kind:
+        raise ValueError(
+            f"speeds of two definitions ({mine.velocity_kind}, {summary.velocity_kind} of {name}) are not comparable; "
+            "summarise both with one velocity_kind"
+        )
     shared_states(mine.time, summary.time)
+
+
+def _error_row(
+    row: Comparison,
+    mine: TrajectorySummary,
+    truth: Sequence[TrajectorySummary],
+    beside: Mapping[str, TrajectorySummary],
+) -> ErrorRow:
+    error, floor = score(row.distance, mine, truth, row.unit), noise_floor(row.distance, truth, row.unit)
+    further = {name: score(row.distance, run, truth, row.unit) for name, run in beside.items()}
+    return ErrorRow(row.key, row.label, row.unit, error, floor, further)
+
+
+def _figure_row(row: Comparison, mine: TrajectorySummary, truth: Sequence[TrajectorySummary]) -> FigureRow:
+    found = [row.figure(replica) for replica in truth]
+    mean = mean_of(found, row.unit)
+    interval = prediction_interval([figure.number for figure in found]) if mean.defined else None
+    return FigureRow(row.key, row.label, row.unit, row.figure(mine), mean, interval)
 
 
 def nearest_case(
@@ -125,33 +133,13 @@ def nearest_case(
     check_arguments(candidate=(candidate, Trajectory), cases=(cases, Mapping))
     if not cases:
         raise ValueError("no case to compare with; give runs of the DEM by their speed")
-    mine = _sorted_speeds(candidate, candidate.velocity_kind, period)
-    distances = {}
-    for rpm, case in cases.items():
-        theirs = _sorted_speeds(case, candidate.velocity_kind, period)
-        distances[rpm] = wasserstein_series(candidate.time, mine, case.time, theirs).mean()
+    mine, *theirs = (
+        sorted_frames(speeds(velocities(run, candidate.velocity_kind, period))) for run in (candidate, *cases.values())
+    )
+    distances = {
+        rpm: wasserstein_series(candidate.time, mine, case.time, other).mean()
+        for (rpm, case), other in zip(cases.items(), theirs, strict=True)
+    }
     if not all(distance.defined for distance in distances.values()):
         return None, distances
     return min(distances, key=lambda rpm: distances[rpm].number), distances
-
-
-def _summary(run: Run, scene: Scene, kind: str) -> TrajectorySummary:
-    return run if isinstance(run, TrajectorySummary) else summarise(run, scene, kind)
-
-
-def _share_outside(truth: Sequence[TrajectorySummary]) -> float | None:
-    counts = [run.failures for run in truth]
-    return None if None in counts else float(np.mean([count.share(count.outside) for count in counts]))
-
-
-def _figure_row(row: Figure, mine: TrajectorySummary, truth: Sequence[TrajectorySummary]) -> FigureRow:
-    found = [row.measure(replica) for replica in truth]
-    mean = mean_of(found, row.unit)
-    interval = prediction_interval([figure.number for figure in found]) if mean.defined else None
-    return FigureRow(row.key, row.label, row.unit, row.measure(mine), mean, interval)
-
-
-def _sorted_speeds(trajectory: Trajectory, kind: str, period: float) -> FloatArray:
-    velocity = velocities(trajectory, kind, period)
-    with np.errstate(invalid="ignore", over="ignore"):
-        return sorted_frames(np.sqrt(np.einsum("fnk,fnk->fn", velocity, velocity)))

@@ -22,8 +22,7 @@ class Measured:
     """One figure of a metric.
 
     Attributes:
-        value: finite number in ``unit``; None where the metric is undefined.
-        unit: SI, or the exception that it names.
+        value: finite number in ``unit`` (SI, or the exception that it names); None where the metric is undefined.
         note: why it is undefined, or what to know about a defined value (how many states are invalid).
 
     Raises:
@@ -58,24 +57,24 @@ class Measured:
 
     @property
     def number(self) -> float:
-        """The value.
-
-        Raises:
-            UndefinedMetricError: there is none.
-        """
+        """The value; an `UndefinedMetricError` where there is none."""
         if self.value is None:
             raise UndefinedMetricError(f"undefined: {self.note}")
         return self.value
+
+    def difference(self, other: Measured) -> Measured:
+        """Absolute difference; undefined where one of the two is."""
+        for figure in (self, other):
+            if not figure.defined:
+                return figure
+        return Measured(abs(self.number - other.number), self.unit, self.note)
 
     def __str__(self) -> str:
         return f"{self.value:.4g} {self.unit}".rstrip() if self.value is not None else f"undefined ({self.note})"
 
 
 def mean_of(figures: list[Measured], unit: str) -> Measured:
-    """Mean of figures that are all defined; undefined where one is not, because a failure may not drop out.
-
-    Its note is the one that all have, or the first one with how many have such a one.
-    """
+    """Mean of figures that are all defined; undefined where one is not, because a failure may not drop out."""
     if not figures:
         return Measured.undefined(unit, "nothing to average")
     missing = [figure for figure in figures if not figure.defined]
@@ -95,7 +94,6 @@ class Series:
     Attributes:
         time: ``(F,)`` s.
         value: ``(F,)`` in ``unit``; NaN where a state has no valid figure.
-        unit: of the value.
         undefined_because: why no state has one, whatever was computed; empty where states may have one.
         invalid_because: what an invalid single state lacks, for the notes.
     """
@@ -119,19 +117,17 @@ class Series:
 
     def mean(self, start: float = -math.inf, end: float = math.inf) -> Measured:
         """Mean over the valid states with start ≤ t < end, undefined below 90 % of them."""
-        window = within(self.time, start, end)
-        if refusal := self._refusal(window):
+        chosen, refusal, note = self._chosen(start, end)
+        if refusal:
             return Measured.undefined(self.unit, refusal)
-        chosen = window & self.valid
-        return Measured(float(self.value[chosen].mean()), self.unit, self._note(window))
+        return Measured(float(self.value[chosen].mean()), self.unit, note)
 
     def largest(self, start: float = -math.inf, end: float = math.inf) -> tuple[Measured, Measured]:
         """Largest valid value with start ≤ t < end, and when (s); undefined below 90 % valid states."""
-        window = within(self.time, start, end)
-        if refusal := self._refusal(window):
+        chosen, refusal, note = self._chosen(start, end)
+        if refusal:
             return Measured.undefined(self.unit, refusal), Measured.undefined("s", refusal)
-        where = int(np.argmax(np.where(window & self.valid, self.value, -np.inf)))
-        note = self._note(window)
+        where = int(np.argmax(np.where(chosen, self.value, -np.inf)))
         return Measured(float(self.value[where]), self.unit, note), Measured(float(self.time[where]), "s", note)
 
     def at(self, time: float) -> Measured:
@@ -143,7 +139,7 @@ class Series:
             return Measured.undefined(self.unit, self.undefined_because or f"{self.invalid_because} at {time:g} s")
         return Measured(float(self.value[frame]), self.unit)
 
-    def difference(self, other: Series, start: float = -math.inf, end: float = math.inf) -> Measured:
+    def difference(self, other: Series) -> Measured:
         """Mean absolute difference over the states valid in both, undefined below 90 % of the states.
 
         A state that only one of the two has counts as invalid: a rollout that ended early is not a shorter one. The
@@ -152,36 +148,37 @@ class Series:
         Raises:
             ValueError: the two have their states at different times.
         """
-        time, mine, theirs = _aligned(self, other)
+        shared_states(self.time, other.time)
+        time = self.time if len(self.time) >= len(other.time) else other.time
+        values = np.full((2, len(time)), np.nan)
+        values[0, : len(self.value)], values[1, : len(other.value)] = self.value, other.value
         reason = self.undefined_because or other.undefined_because
         cause = self.invalid_because if self.invalid_because == other.invalid_because else "no valid figure in both"
-        gap, own = (Series(time, value, self.unit, reason, cause) for value in (np.abs(mine - theirs), mine))
-        found, window = gap.mean(start, end), within(time, start, end)
-        further = int((window & own.valid & ~gap.valid).sum())
+        gap, own = (Series(time, v, self.unit, reason, cause) for v in (np.abs(values[0] - values[1]), values[0]))
+        found, bad = gap.mean(), int((~own.valid).sum())
+        further = int((own.valid & ~gap.valid).sum())
         if reason or not further:
             return found
-        total, bad = int(window.sum()), int((window & ~own.valid).sum())
-        return replace(found, note=f"{bad} of {total} states invalid, and {further} more of the other run: {cause}")
+        note = f"{bad} of {len(time)} states invalid, and {further} more of the other run: {cause}"
+        return replace(found, note=note)
 
-    def _refusal(self, window: NDArray[np.bool_]) -> str:
+    def _chosen(self, start: float, end: float) -> tuple[NDArray[np.bool_], str, str]:
+        """Valid states of a span; why it has no figure, empty where it has one; the note of a figure."""
+        window = within(self.time, start, end)
+        chosen = window & self.valid
+        total, bad = int(window.sum()), int((window & ~chosen).sum())
         if self.undefined_because:
-            return self.undefined_because
-        total, good = int(window.sum()), int((window & self.valid).sum())
+            return chosen, self.undefined_because, ""
         if total == 0:
-            return "no state in this span of time"
-        if good < LEAST_VALID_SHARE * total:
-            return f"{self.invalid_because} in {total - good} of {total} states"
-        return ""
-
-    def _note(self, window: NDArray[np.bool_]) -> str:
-        total, bad = int(window.sum()), int((window & ~self.valid).sum())
-        return f"{bad} of {total} states invalid: {self.invalid_because}" if bad else ""
+            return chosen, "no state in this span of time", ""
+        if total - bad < LEAST_VALID_SHARE * total:
+            return chosen, f"{self.invalid_because} in {bad} of {total} states", ""
+        return chosen, "", f"{bad} of {total} states invalid: {self.invalid_because}" if bad else ""
 
 
 def within(time: FloatArray, start: float, end: float) -> NDArray[np.bool_]:
     """``(F,)`` states with start ≤ t < end, forgiving a rounding of the clock."""
-    slack = 1e-6
-    return (time >= start - slack) & (time < end - slack)
+    return (time >= start - 1e-6) & (time < end - 1e-6)
 
 
 def frame_at(time: FloatArray, instant: float) -> int | None:
@@ -194,11 +191,7 @@ def frame_at(time: FloatArray, instant: float) -> int | None:
 
 
 def shared_states(a: FloatArray, b: FloatArray) -> int:
-    """How many states two clocks (s) have in common; a trajectory that ended early is shorter.
-
-    Raises:
-        ValueError: states at different times.
-    """
+    """How many states two clocks (s) have in common; a `ValueError` where states lie at different times."""
     shared = min(len(a), len(b))
     apart = ~(np.abs(np.subtract(a[:shared], b[:shared])) <= 1e-4)
     if apart.any():
@@ -208,13 +201,3 @@ def shared_states(a: FloatArray, b: FloatArray) -> int:
             "compare trajectories of one scene and one frame interval"
         )
     return shared
-
-
-def _aligned(a: Series, b: Series) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The longer of two clocks, and both values on it, NaN where one has ended."""
-    shared_states(a.time, b.time)
-    time = a.time if len(a.time) >= len(b.time) else b.time
-    values = np.full((2, len(time)), np.nan)
-    values[0, : len(a.value)] = a.value
-    values[1, : len(b.value)] = b.value
-    return time, values[0], values[1]

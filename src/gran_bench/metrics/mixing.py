@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gran_bench.config.registry import register_metric
 from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.angle_of_repose import cross_section_axes
 from gran_bench.metrics.measured import Series
@@ -13,7 +14,8 @@ from gran_bench.state import Trajectory
 CELL = 2.0  # diameters, edge of a square cell of the cross-section
 
 
-def mixing_entropy(trajectory: Trajectory, scene: Scene) -> Series:
+@register_metric("mixing entropy", "-")
+def mixing(trajectory: Trajectory, scene: Scene) -> Series:
     """Entropy of mixing of every state, 0 (apart) to 1 (mixed), −.
 
     S = −Σ_c n_c (p_c ln p_c + q_c ln q_c) / (N ln 2), p_c and q_c the shares of the two colours among the n_c
@@ -22,18 +24,14 @@ def mixing_entropy(trajectory: Trajectory, scene: Scene) -> Series:
     over the full length, which hold enough spheres to leave little bias from small numbers.
     """
     check_arguments(trajectory=(trajectory, Trajectory), scene=(scene, Scene))
+    value = np.full(trajectory.frame_count, np.nan)
     if not scene.needs.gravity or not len(trajectory.radius):
-        nothing = np.full(trajectory.frame_count, np.nan)
-        return Series(trajectory.time, nothing, "-", undefined_because="the scene has no bed")
-    climbing, up = cross_section_axes(scene)
-    plane = np.stack((climbing, up), axis=1)
-    across = trajectory.position.astype(np.float64) @ plane
+        return Series(trajectory.time, value, "-", undefined_because="the scene has no bed")
+    across = trajectory.position.astype(np.float64) @ np.stack(cross_section_axes(scene), axis=1)
     if not np.isfinite(across[0]).all():
-        nothing = np.full(trajectory.frame_count, np.nan)
-        return Series(trajectory.time, nothing, "-", undefined_because="the first state is not finite")
+        return Series(trajectory.time, value, "-", undefined_because="the first state is not finite")
     coloured = across[0, :, 0] > np.median(across[0, :, 0])
     edge = CELL * scene.filling.diameter
-    value = np.full(trajectory.frame_count, np.nan)
     for frame, centers in enumerate(across):
         if not np.isfinite(centers).all():
             continue

@@ -23,11 +23,9 @@ Predict = Callable[[int, int], FloatArray]
 
 
 def separation(a: FloatArray, b: FloatArray, period: float = 0.0) -> FloatArray:
-    """Mean Euclidean distance of the spheres in each frame, ``(F,)`` m; NaN where a position is not finite.
+    """Mean Euclidean distance of the spheres of two ``(F, N, 3)`` in each frame, ``(F,)`` m; NaN where not finite.
 
-    Args:
-        a, b: ``(F, N, 3)`` m.
-        period: length of the periodic axis y, m; distances are to the nearest image.
+    Distances are to the nearest image along y, whose period is in m.
 
     Raises:
         ValueError: different numbers of frames or spheres.
@@ -56,12 +54,7 @@ def separation_series(
 
 
 def mean_spread(replicas: Sequence[FloatArray], period: float = 0.0) -> FloatArray:
-    """Mean over all pairs of replicas of their distance, ``(F,)`` m: how far the DEM separates from itself.
-
-    Args:
-        replicas: two or more of ``(F, N, 3)`` m.
-        period: m.
-    """
+    """Mean over all pairs of two or more replicas of their `separation`: how far the DEM separates from itself."""
     pairs = [(i, j) for i in range(len(replicas)) for j in range(i)]
     if not pairs:
         raise ValueError(f"{len(replicas)} replica has no spread; give two or more")
@@ -108,15 +101,15 @@ def short_horizon_errors(
         predicted = np.asarray(predict(int(start), longest))
         distance = separation(predicted, truth.position[start + 1 : start + 1 + longest], period)
         error[row] = [distance[horizon - 1] for horizon in horizons]
-    results = {}
-    for column, horizon in enumerate(horizons):
-        broken = np.flatnonzero(~np.isfinite(error[:, column]))
-        if len(broken):
-            reason = f"not finite from {len(broken)} of {len(starts)} starts, first from frame {starts[broken[0]]}"
-            results[horizon] = Measured.undefined("m", reason)
-        else:
-            results[horizon] = Measured(float(error[:, column].mean()), "m", f"{len(starts)} starts")
-    return results
+    return {horizon: _over_starts(error[:, column], starts) for column, horizon in enumerate(horizons)}
+
+
+def _over_starts(error: FloatArray, starts: Sequence[int]) -> Measured:
+    broken = np.flatnonzero(~np.isfinite(error))
+    if len(broken):
+        reason = f"not finite from {len(broken)} of {len(starts)} starts, first from frame {starts[broken[0]]}"
+        return Measured.undefined("m", reason)
+    return Measured(float(error.mean()), "m", f"{len(starts)} starts")
 
 
 def spread_starts(frame_count: int, starts: int, longest: int = max(HORIZONS)) -> list[int]:

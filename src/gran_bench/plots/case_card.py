@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
-from gran_bench.metrics.angle_of_repose import angle_series
+from gran_bench.metrics.angle_of_repose import com_angle, surface_angle
 from gran_bench.metrics.measured import frame_at
 from gran_bench.metrics.summary import PATTERN_TIME
-from gran_bench.plots.flow_pattern import draw_pattern, fastest
-from gran_bench.plots.style import BASELINE, DEM, QUIET, SPEED_MAP, SURROGATE, drawing, say
+from gran_bench.plots.flow import draw_pattern, fastest, finish_patterns
+from gran_bench.plots.style import BASELINE, DEM, QUIET, SURROGATE, drawing, say
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
 
@@ -21,20 +20,16 @@ SHARES = ((5, 95, "#dbe7f1", "5–95 %"), (25, 75, "#a9c8e0", "25–75 %"))  # o
 
 
 def case_card(trajectory: Trajectory, scene: Scene, path: Path | str, title: str = "") -> Path:
-    """Draw a case: three flow patterns above, angle and speeds against time below.
+    """Draw a case of the DEM: three flow patterns above, angle and speeds against time below.
 
     Args:
         trajectory: of the DEM.
         scene: that it was made for.
         path: of the PNG.
         title: over the figure; the scene and its speed where empty.
-
-    Returns:
-        The path.
     """
     speed = np.linalg.norm(trajectory.velocity, axis=2)
-    norm = Normalize(0.0, fastest([speed]))
-    instants = _instants(scene)
+    norm, instants = Normalize(0.0, fastest([speed])), _instants(scene)
     with drawing(path, 10.0, 7.0) as figure:
         upper, lower = figure.subfigures(2, 1, height_ratios=(1.25, 1.0))
         figure.suptitle(title or default_title(scene), x=0.01, ha="left", fontsize=12)
@@ -45,19 +40,8 @@ def case_card(trajectory: Trajectory, scene: Scene, path: Path | str, title: str
             if frame is None:
                 say(axes, f"no state at {time:g} s")
                 continue
-            draw_pattern(axes, trajectory.position[frame], speed[frame], trajectory.radius, scene, norm, pixels=480)
-        panels[0].set_ylabel("height z, m")
-        for axes in panels[1:]:
-            axes.tick_params(left=False)
-        upper.colorbar(
-            ScalarMappable(norm, SPEED_MAP),
-            ax=panels,
-            label="speed, m/s",
-            extend="max",
-            shrink=0.8,
-            pad=0.015,
-            aspect=28,
-        )
+            draw_pattern(axes, trajectory.position[frame], speed[frame], trajectory.radius, scene, norm)
+        finish_patterns(upper, panels, norm, "speed, m/s", shrink=0.8)
         left, right = lower.subplots(1, 2)
         _draw_angles(left, trajectory, scene)
         _draw_speeds(right, trajectory.time, speed)
@@ -82,15 +66,14 @@ def _instants(scene: Scene) -> list[float]:
 
 
 def _draw_angles(axes: Axes, trajectory: Trajectory, scene: Scene) -> None:
-    surface, center, _ = angle_series(trajectory, scene)
-    axes.set_title("Angle of repose")
-    axes.set_xlabel("time, s")
-    axes.set_ylabel("angle, °")
+    axes.set(title="Angle of repose", xlabel="time, s", ylabel="angle, °")
     axes.set_xlim(trajectory.time[0], trajectory.time[-1])
-    if surface.undefined_because:
-        say(axes, f"undefined:\n{surface.undefined_because}")
-        return
-    for series, label, colour in ((surface, "surface", SURROGATE), (center, "centre of mass", BASELINE)):
+    found = ((surface_angle, "surface", SURROGATE), (com_angle, "centre of mass", BASELINE))
+    for measure, label, colour in found:
+        series = measure(trajectory, scene)
+        if series.undefined_because:
+            say(axes, f"undefined:\n{series.undefined_because}")
+            return
         axes.plot(series.time, np.where(series.valid, series.value, np.nan), color=colour, label=label)
     axes.legend(loc="upper right")
 
@@ -102,18 +85,11 @@ def _draw_speeds(axes: Axes, time: FloatArray, speed: FloatArray) -> None:
         return
     finite = np.where(np.isfinite(speed).all(axis=1)[:, None], speed, np.nan)
     for low, high, colour, label in SHARES:
-        axes.fill_between(
-            time,
-            *np.percentile(finite, (low, high), axis=1),
-            color=colour,
-            linewidth=0,
-            label=f"{label} of the spheres",
-        )
+        band = np.percentile(finite, (low, high), axis=1)
+        axes.fill_between(time, *band, color=colour, linewidth=0, label=f"{label} of the spheres")
     axes.plot(time, np.median(finite, axis=1), color=BASELINE, label="median")
     axes.plot(time, finite.mean(axis=1), color=DEM, linewidth=1.1, linestyle=(0, (5, 2)), label="mean")
-    axes.set_xlabel("time, s")
-    axes.set_ylabel("speed, m/s")
-    axes.set_xlim(time[0], time[-1])
+    axes.set(xlabel="time, s", ylabel="speed, m/s", xlim=(time[0], time[-1]))
     axes.set_ylim(bottom=0.0)
     axes.tick_params(color=QUIET)
     axes.legend(loc="upper right", ncols=2)

@@ -18,37 +18,20 @@ from gran_bench.plots.case_card import case_card
 from gran_bench.scene import build_scene
 
 CASE_COLUMNS = (
-    "surface_angle_steady",
-    "surface_angle_peak",
-    "com_angle_steady",
-    "com_angle_peak",
-    "mean_speed_steady",
-    "overlap_max",
-    "wall_overlap_max",
+    *("surface_angle_steady", "surface_angle_peak", "com_angle_steady", "com_angle_peak"),
+    *("mean_speed_steady", "overlap_max", "wall_overlap_max"),
 )
 FLOOR_ROWS = (
-    "surface_angle",
-    "surface_angle_steady",
-    "surface_angle_peak",
-    "com_angle",
-    "speed_w1",
-    "speed_w1_pattern",
-    "speed_w1_steady",
+    *("surface_angle", "surface_angle_steady", "surface_angle_peak", "com_angle"),
+    *("speed_w1", "speed_w1_pattern", "speed_w1_steady"),
 )
 SHOWN_AS = {"m": ("mm", 1e3), "deg": ("°", 1.0)}  # unit of a figure: for people, times
 
 
 def draw_missing_cards(paths: Sequence[Path], progress: bool = True) -> list[Path]:
-    """Draw each case that has no figure yet, to ``figures/`` beside its file.
+    """Draw each case that has no figure yet, to ``figures/`` beside its file; the figure of each.
 
     A case never changes under its name, so neither does its figure.
-
-    Args:
-        paths: files of cases.
-        progress: show a bar; silent without a terminal.
-
-    Returns:
-        The figure of each case.
 
     Raises:
         DatasetError: a file is missing or damaged.
@@ -74,42 +57,36 @@ def print_data_card(config: GenerateConfig) -> None:
     halved = half_step(judged)
     packings = [replace(judged, packing_seed=config.dataset.unseen_packing_seed + k) for k in range(2)]
     ensure_cases([*split.all, *nudged, halved, *packings], root, workers)
-    print("\n".join(case_table(split.all, root)), end="\n\n")
-    print("\n".join(floor_table(nudged, halved, packings, root)))
+
+    def summary_of(spec: CaseSpec) -> TrajectorySummary:
+        case = read_case(spec.path(root))
+        return summarise(case.trajectory, case.scene)
+
+    cases = {rotation_label(spec.scene): summary_of(spec) for spec in split.all}
+    print("\n".join(_case_table(cases)), end="\n\n")
+    truth, others = [summary_of(spec) for spec in nudged], [summary_of(spec) for spec in packings]
+    print("\n".join(_floor_table(truth, summary_of(halved), others)))
 
 
-def case_table(specs: Sequence[CaseSpec], root: Path | str) -> Iterator[str]:
-    """Lines of a Markdown table with a case a row."""
+def _case_table(cases: dict[str, TrajectorySummary]) -> Iterator[str]:
+    """A case a row."""
     figures = [figure for key in CASE_COLUMNS for figure in FIGURES if figure.key == key]
     yield _row("case", *(f"{figure.label}, {_unit(figure.unit)}" for figure in figures))
     yield _row(*["---"] * (1 + len(figures)))
-    for spec in specs:
-        summary = _summary(spec, root)
-        yield _row(rotation_label(spec.scene), *(_shown(figure.measure(summary)) for figure in figures))
+    for label, summary in cases.items():
+        yield _row(label, *(_shown(figure.figure(summary)) for figure in figures))
 
 
-def floor_table(
-    nudged: Sequence[CaseSpec], halved: CaseSpec, packings: Sequence[CaseSpec], root: Path | str
+def _floor_table(
+    truth: Sequence[TrajectorySummary], fine: TrajectorySummary, others: Sequence[TrajectorySummary]
 ) -> Iterator[str]:
-    """Lines of a Markdown table: distances between replicas, to half the time step, to other packings.
-
-    The last two are mean distances to the replicas, of packings the mean over them.
-    """
-    truth, fine = [_summary(spec, root) for spec in nudged], _summary(halved, root)
-    others = [_summary(spec, root) for spec in packings]
+    """Distances between replicas, and mean distances to them of half the time step and of other packings."""
     yield _row("", "between replicas", "half the time step", "other packings")
     yield _row(*["---"] * 4)
-    for comparison in (c for key in FLOOR_ROWS for c in COMPARISONS if c.key == key):
-        metric, unit = comparison.distance, comparison.unit
-        floor = noise_floor(metric, truth, unit)
-        away = [score(metric, other, truth, unit) for other in others]
-        cells = (floor, score(metric, fine, truth, unit), mean_of(away, unit))
-        yield _row(f"{comparison.label}, {_unit(unit)}", *map(_shown, cells))
-
-
-def _summary(spec: CaseSpec, root: Path | str) -> TrajectorySummary:
-    case = read_case(spec.path(root))
-    return summarise(case.trajectory, case.scene)
+    for row in (row for key in FLOOR_ROWS for row in COMPARISONS if row.key == key):
+        halved, *away = (score(row.distance, run, truth, row.unit) for run in (fine, *others))
+        cells = (noise_floor(row.distance, truth, row.unit), halved, mean_of(away, row.unit))
+        yield _row(f"{row.label}, {_unit(row.unit)}", *map(_shown, cells))
 
 
 def _row(*cells: str) -> str:

@@ -27,8 +27,9 @@ FURTHER = ("#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442")
 QUIET = "#8a8a8a"
 BAND = "#c4c4c4"
 SPEED_MAP = "viridis"
+ROUND = tuple(digit * 10.0**power for power in range(-3, 6) for digit in (1, 2, 5))  # numbers for ticks
 
-_LOOK = {
+LOOK = {
     "font.family": "DejaVu Sans",
     "font.size": 10.0,
     "axes.titlesize": 10.5,
@@ -53,11 +54,7 @@ _run_name: ContextVar[str | None] = ContextVar("run_name", default=None)
 
 @contextmanager
 def drawn_for(run_name: str) -> Iterator[None]:
-    """Let every figure of the block carry the name of its run: in small print, and in the file's metadata.
-
-    Args:
-        run_name: that finds the run: the name of its folder.
-    """
+    """Let every figure of the block carry the name of its run's folder: in small print, and in its metadata."""
     token = _run_name.set(run_name)
     try:
         yield
@@ -76,7 +73,7 @@ def drawing(path: Path | str, width: float, height: float) -> Iterator[Figure]:
 
     No global state of matplotlib is touched, so that figures can be drawn in threads and in a user's notebook.
     """
-    with matplotlib.rc_context(_LOOK):
+    with matplotlib.rc_context(LOOK):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
         name = run_drawn_for()

@@ -38,24 +38,19 @@ def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path 
         others: the other swept keys; each combination of their values has a colour.
         path: of the PNG.
         title: of the figure: the sweep, and what it is judged on.
-
-    Returns:
-        The path.
     """
     values = list(dict.fromkeys(runs[axis]))
-    numbers = [_number(value) for value in values]
-    as_numbers = all(number is not None for number in numbers)
+    numbers = pd.to_numeric(pd.Series(values, dtype=object), errors="coerce").tolist()
+    as_numbers = all(math.isfinite(number) for number in numbers)
     place = dict(zip(values, numbers if as_numbers else range(len(values)), strict=True))
-    crowded = not as_numbers or len(values) > CROWDED
+    turned = {} if as_numbers and len(values) <= CROWDED else {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}
     series = list(runs.groupby(list(others), sort=False)) if others else [((), runs)]
     with drawing(path, 13.0, 7.2) as figure:
         figure.suptitle(title, x=0.01, ha="left", fontsize=10.5)
         panels = figure.subplots(2, 3).ravel()
         for axes, (name, label) in zip(panels, PANELS, strict=True):
-            axes.set_ylabel(label)
-            axes.set_xlabel(axis)
+            axes.set(ylabel=label, xlabel=axis)
             _points(axes, series, axis, name, place, joined=as_numbers)
-            turned = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"} if crowded else {}
             axes.set_xticks([place[value] for value in values], values, **turned)
             if not as_numbers:
                 axes.set_xlim(-0.5, len(values) - 0.5)
@@ -63,8 +58,7 @@ def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path 
                 say(axes, "undefined in every run")
                 axes.set_yticks([])
         handles, labels = panels[0].get_legend_handles_labels()
-        if handles:
-            figure.legend(handles, labels, loc="outside lower center", ncols=4)
+        figure.legend(handles, labels, loc="outside lower center", ncols=4)
     return Path(path)
 
 
@@ -73,31 +67,30 @@ def _points(axes: Axes, series: list, axis: str, name: str, place: dict[str, flo
 
     Series stand beside each other over a name, and at their number where they are joined.
     """
-    breadth = 0.0 if joined else BREADTH / len(series)
+    breadth, every = 0.0 if joined else BREADTH / len(series), []
     for number, (values, runs) in enumerate(series):
-        colour = COLOURS[number % len(COLOURS)]
-        style = number // len(COLOURS) % len(MARKERS)
+        colour, style = COLOURS[number % len(COLOURS)], number // len(COLOURS) % len(MARKERS)
         label = ", ".join(values if isinstance(values, tuple) else (values,)) or "mean over seeds"
         beside = breadth * (number - 0.5 * (len(series) - 1))
-        found = runs.assign(x=runs[axis].map(place) + beside)
-        found["y"] = pd.to_numeric(runs[name], errors="coerce").astype(float)
-        good, lost = found[found["y"].notna()], found[found["y"].isna()]
-        axes.plot(good["x"], good["y"], MARKERS[style], color=colour, markersize=4.0, alpha=0.6)
-        means = good.groupby("x")["y"].mean().sort_index()
+        x, y = runs[axis].map(place) + beside, pd.to_numeric(runs[name], errors="coerce").astype(float)
+        good = y.notna()
+        every.append(y[good])
+        axes.plot(x[good], y[good], MARKERS[style], color=colour, markersize=4.0, alpha=0.6)
+        means = y[good].groupby(x[good]).mean().sort_index()
         if joined:
             axes.plot(means.index, means.to_numpy(), color=colour, linestyle=LINES[style], label=label)
         else:
             axes.hlines(means, means.index - 0.45 * breadth, means.index + 0.45 * breadth, color=colour, linewidth=2.0)
             # For the legend: a point of the seeds stands for them and their mean.
             axes.plot([], [], MARKERS[style], color=colour, label=label)
-        if len(lost):
+        if not good.all():
             # At the upper edge of the panel, wherever its scale ends: a failure has no figure and must still be seen.
             axes.plot(
-                lost["x"], [0.985] * len(lost), "x", color=colour, markersize=7.0, markeredgewidth=2.0, clip_on=False,
-                transform=axes.get_xaxis_transform(),
+                x[~good], [0.985] * int((~good).sum()), "x", color=colour, markersize=7.0, markeredgewidth=2.0,
+                clip_on=False, transform=axes.get_xaxis_transform(),
             )  # fmt: skip
     axes.plot([], [], "x", color=QUIET, markersize=7.0, markeredgewidth=2.0, label="failed or undefined")
-    found = pd.to_numeric(pd.concat([runs[name] for _, runs in series]), errors="coerce").dropna()
+    found = pd.concat(every)
     if found.empty:
         return
     if found.min() > 0 and found.max() > LOG_FROM * found.min():
@@ -106,11 +99,3 @@ def _points(axes: Axes, series: list, axis: str, name: str, place: dict[str, flo
         plain_numbers(axes.yaxis)
     else:
         axes.set_ylim(0.0, 1.08 * found.max() if found.max() > 0 else 1.0)
-
-
-def _number(value: object) -> float | None:
-    try:
-        number = float(str(value))
-    except ValueError:
-        return None
-    return number if math.isfinite(number) else None

@@ -51,17 +51,13 @@ def write_page(run: Path, target: Path, title: str) -> Path:
         raise ResultPageError(f"{run} has no {SUMMARY}: the run is not finished; run its command again")
     small = [run / MODEL] if (run / MODEL).exists() and (run / MODEL).stat().st_size <= LARGEST_MODEL else []
     for source in [run / SUMMARY, *small, *sorted((run / "figures").glob("*.[pg][ni][gf]"))]:
-        _copy(source, target / source.relative_to(run))
+        with whole_file(target / source.relative_to(run)) as temporary:
+            shutil.copyfile(source, temporary)
     return renew_page(target, title)
 
 
 def renew_page(folder: Path, title: str = "") -> Path:
-    """Renew what the README of a folder says of its summary.
-
-    Args:
-        folder: with a ``summary.json``.
-        title: of a new page; the experiment's name where it is not given.
-    """
+    """Renew the table of a folder's README from its ``summary.json``; a new page has ``title`` or the experiment's."""
     summary = read_summary(folder)
     text = "\n".join(_lines(summary, folder))
     write_part(folder / PAGE, "judgement", text, title or summary["experiment"])
@@ -77,12 +73,14 @@ def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     yield ""
     yield f"| | {' | '.join(f'{name} packing' for name in packings)} |"
     yield "|---|" + "---:|" * len(packings)
-    for kind, cell in (("requirements", _requirement), ("errors", _error)):
-        for key, row in next(iter(packings.values()))[kind].items():
-            if kind == "requirements" or key in ERRORS:
-                label = row["label"] if kind == "requirements" else f"{row['label']} (noise floors)"
-                yield f"| {label} | {' | '.join(cell(judged[kind][key]) for judged in packings.values())} |"
-    counts = (judged["failures"] for judged in packings.values())
+    every = list(packings.values())
+    for key, row in every[0]["requirements"].items():
+        found = [judged["requirements"][key] for judged in every]
+        yield f"| {row['label']} | {' | '.join(map(_requirement, found))} |"
+    for key in (key for key in every[0]["errors"] if key in ERRORS):
+        found = [judged["errors"][key] for judged in every]
+        yield f"| {found[0]['label']} (noise floors) | {' | '.join(map(_error, found))} |"
+    counts = (judged["failures"] for judged in every)
     yield f"| states not finite; spheres outside by more than r | {' | '.join(map(_failures, counts))} |"
     yield ""
     yield f"| baseline, shared packing | {' | '.join(ERRORS.values())} |"
@@ -121,11 +119,6 @@ def _value(row: dict[str, Any]) -> str:
 
 def _failures(count: dict[str, Any] | None) -> str:
     return "" if count is None else f"{count['non_finite_states']}; {count['outside_spheres']}"
-
-
-def _copy(source: Path, target: Path) -> None:
-    with whole_file(target) as temporary:
-        shutil.copyfile(source, temporary)
 
 
 def main() -> None:

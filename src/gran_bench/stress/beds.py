@@ -68,11 +68,9 @@ def energy_scale(scene: Scene, state: ParticleState) -> float:
 
 def kinetic_energy(trajectory: Trajectory, scene: Scene) -> FloatArray:
     """Translational and, where there is spin, rotational energy of each frame, ``(F,)`` J; NaN where not finite."""
-    mass = sphere_masses(trajectory.radius, scene.material.density)
-    energy = translational_energy(trajectory.time, trajectory.velocity, mass).value
+    energy = translational_energy(trajectory, scene).value
     if trajectory.angular_velocity is not None:
-        spin = trajectory.angular_velocity
-        energy = energy + rotational_energy(trajectory.time, spin, mass, trajectory.radius).value
+        energy = energy + rotational_energy(trajectory, scene).value
     return energy
 
 

@@ -64,7 +64,7 @@ def choice_of(one: SweepRun | SweepJob) -> tuple[object, ...]:
 
 def columns_of(runs: Sequence[SweepRun]) -> tuple[Column, ...]:
     """The house's columns, then one for each registered metric that a run has."""
-    registered = {f"{HEADLINE}{name} floors": metric.label for name, metric in METRICS.items()}
+    registered = {f"{HEADLINE}{name} floors": METRICS[name].label for name in METRICS.added()}
     there = [name for name in registered if any(name in run.figures for run in runs)]
     return COLUMNS + tuple(Column(name, registered[name], "floors", 2) for name in there)
 

@@ -18,10 +18,13 @@ SERVER = "MLFLOW_TRACKING_URI"  # MLflow's own variable
 _LOCK_SECONDS = 20.0  # that a locked database is waited for, as MLflow does
 
 
+def _named() -> str:
+    return os.environ.get(SERVER, "").strip()
+
+
 def server_uri() -> str | None:
     """The server that the environment names; None where it names none."""
-    uri = os.environ.get(SERVER, "").strip()
-    return uri.rstrip("/") if urlsplit(uri).scheme in ("http", "https") else None
+    return _named().rstrip("/") if urlsplit(_named()).scheme in ("http", "https") else None
 
 
 def shown_uri(text: str) -> str:
@@ -36,23 +39,18 @@ def has_store(root: Path) -> bool:
 
 def said_place(config: TrackingConfig) -> str | None:
     """A line that says where runs are recorded, if the environment names a place; None where it names none."""
-    uri, database = os.environ.get(SERVER, "").strip(), Path(config.root).resolve() / DATABASE
-    if uri in ("", f"sqlite:///{database}", database_uri(str(database))):
+    database, shown = Path(config.root).resolve() / DATABASE, shown_uri(_named())
+    if _named() in ("", f"sqlite:///{database}", database_uri(str(database))):
         return None
     if server_uri() is None:
         return (
-            f"{SERVER}={shown_uri(uri)} is not used, for it is no server (http:// or https://); "
-            f"runs are recorded in {database}"
+            f"{SERVER}={shown} is not used, for it is no server (http:// or https://); runs are recorded in {database}"
         )
-    return f"runs are recorded on {shown_uri(uri)}, as {SERVER} says; their files are in {database.parent}"
+    return f"runs are recorded on {shown}, as {SERVER} says; their files are in {database.parent}"
 
 
 def database_uri(path: str) -> str:
-    """The URI of an SQLite database; SQLAlchemy quotes what would end the path, such as ``?``.
-
-    Args:
-        path: absolute.
-    """
+    """The URI of an SQLite database at an absolute path; SQLAlchemy quotes what would end the path, such as ``?``."""
     from sqlalchemy.engine import URL
 
     # With its driver named, MLflow does not take the quoted path for that of a folder to make.
@@ -63,10 +61,6 @@ def follow_folder(database: Path, artifacts_uri: str) -> None:
     """Let a database name the artifacts beside it, where its folder was moved or copied since it was written.
 
     One transaction: any other process sees the old names or the new ones.
-
-    Args:
-        database: with MLflow's tables.
-        artifacts_uri: of the folder beside it.
     """
     moved = (
         "UPDATE experiments SET artifact_location = :here "
