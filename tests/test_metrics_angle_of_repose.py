@@ -92,7 +92,7 @@ def test_slabs_fill_the_bins_with_exactly_the_spheres_volume():
     rng = np.random.default_rng(1)
     radius = rng.uniform(0.01, 0.03, 500)
     s, w = rng.uniform(-0.3, 0.3, 500), rng.uniform(-0.45, 0.45, 500)
-    _, _, fraction = solid_fractions(s, w, radius, drum_radius=0.5, length=1.0, diameter=0.05)
+    _, _, fraction = solid_fractions(s, w, radius, drum())
     assert fraction.shape[0] == 12
     volume = fraction.sum() * 0.05 * 0.0125 * 1.0
     assert volume == pytest.approx(4 / 3 * np.pi * (radius**3).sum(), rel=1e-12)
@@ -100,13 +100,13 @@ def test_slabs_fill_the_bins_with_exactly_the_spheres_volume():
 
 def test_a_sphere_counts_in_the_column_of_its_centre():
     s, w = np.array([0.049]), np.array([0.0])
-    middle, _, fraction = solid_fractions(s, w, np.array([0.025]), 0.5, 1.0, 0.05)
+    middle, _, fraction = solid_fractions(s, w, np.array([0.025]), drum())
     assert middle[fraction.sum(axis=1) > 0] == pytest.approx([0.025])
 
 
 def test_one_slab_of_one_sphere():
     # The lowest quarter of a sphere that starts on an edge: π h² (3r − h)/3 with h = 12.5 mm.
-    _, height, fraction = solid_fractions(np.array([0.01]), np.array([0.025]), np.array([0.025]), 0.5, 1.0, 0.05)
+    _, height, fraction = solid_fractions(np.array([0.01]), np.array([0.025]), np.array([0.025]), drum())
     lowest = fraction[:, np.isclose(height, 0.00625)].max() * 0.05 * 0.0125
     assert lowest == pytest.approx(np.pi * 0.0125**2 * (0.075 - 0.0125) / 3, rel=1e-12)
 

@@ -2,7 +2,7 @@
 
 from gran_bench.metrics.judge import judge, nearest_case
 from gran_bench.metrics.judgement import Judgement
-from gran_bench.metrics.measured import Measured, Series, UndefinedMetricError
+from gran_bench.metrics.measured import Measured, Series
 from gran_bench.metrics.position_error import divergence_horizon, short_horizon_errors, spread_starts
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 
@@ -11,7 +11,6 @@ __all__ = [
     "Measured",
     "Series",
     "TrajectorySummary",
-    "UndefinedMetricError",
     "divergence_horizon",
     "judge",
     "nearest_case",

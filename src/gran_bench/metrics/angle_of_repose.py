@@ -28,21 +28,13 @@ MOST_ITERATIONS = 40
 
 @dataclass(frozen=True)
 class SurfaceLine:
-    """The straight line w = offset + 0·s through a bed's surface, in the frame turned by ``angle``.
+    """The straight line w = offset + 0·s through a bed's surface, in the frame turned by ``angle``."""
 
-    Attributes:
-        angle: rad, NaN where there is no line.
-        offset: height of the line over the axis, along the surface's normal, m.
-        residual: rms distance of the columns' surface points from the line, m.
-        filled: share of the columns that have a surface, −.
-        valid: residual ≤ 0.5 d and filled ≥ 80 %.
-    """
-
-    angle: float
-    offset: float
-    residual: float
-    filled: float
-    valid: bool
+    angle: float  # rad, NaN where there is no line
+    offset: float  # m, height of the line over the axis, along the surface's normal
+    residual: float  # m, rms distance of the columns' surface points from the line
+    filled: float  # share of the columns that have a surface
+    valid: bool  # residual ≤ 0.5 d and filled ≥ 80 %
 
 
 NO_LINE = SurfaceLine(math.nan, math.nan, math.nan, 0.0, False)
@@ -100,13 +92,17 @@ def center_of_mass_angles(position: FloatArray, radius: FloatArray, scene: Scene
 def surface_lines(
     position: FloatArray, radius: FloatArray, scene: Scene, start_angles: FloatArray | None = None
 ) -> list[SurfaceLine]:
-    """The surface of every frame, by `surface_line` from ``start_angles`` in rad, or else the centre-of-mass angles.
+    """The surface of every frame: a least-squares line through the topmost crossings of solid fraction 0.3.
+
+    In the frame turned by the current angle, columns of one diameter cover |s| ≤ 0.6 R along the surface, with
+    bins of d/4 across it. A sphere counts in the column of its centre; a bin's solid fraction is the exact volume
+    of the sphere slabs in it over its own volume. The line's angle is added until it changes by ≤ 1e-4 rad.
 
     Args:
-        position: ``(F, N, 3)`` m.
+        position: ``(F, N, 3)`` m; a frame that is not finite has no line.
         radius: ``(N,)`` m.
         scene: a drum.
-        start_angles: ``(F,)`` rad.
+        start_angles: ``(F,)`` rad; the centre-of-mass angles where None.
 
     Raises:
         ValueError: a scene without a drum or without gravity.
@@ -118,34 +114,16 @@ def surface_lines(
     if start_angles is None:
         start_angles = center_of_mass_angles(position, radius, scene)
     return [
-        surface_line(frame @ plane, size, scene.drum_radius, scene.length, scene.filling.diameter, angle)
-        if np.isfinite(frame).all()
-        else NO_LINE
+        _surface_line(frame @ plane, size, scene, float(angle)) if np.isfinite(frame).all() else NO_LINE
         for frame, angle in zip(position.astype(np.float64), start_angles, strict=True)
     ]
 
 
-def surface_line(
-    across: FloatArray, radius: FloatArray, drum_radius: float, length: float, diameter: float, start_angle: float
-) -> SurfaceLine:
-    """The surface of one bed: a least-squares line through the topmost crossings of solid fraction 0.3.
-
-    In the frame turned by the current angle, columns of one diameter cover |s| ≤ 0.6 R along the surface, with
-    bins of d/4 across it. A sphere counts in the column of its centre; a bin's solid fraction is the exact volume
-    of the sphere slabs in it over its own volume. The line's angle is added until it changes by ≤ 1e-4 rad.
-
-    Args:
-        across: ``(N, 2)`` centres along the climbing direction and up, from the axis, finite, m.
-        radius: ``(N,)`` m.
-        drum_radius: R, m.
-        length: of the drum along its axis, m.
-        diameter: d, m, the unit of columns and bins.
-        start_angle: rad.
-    """
-    angle, line, seen = float(start_angle), NO_LINE, []
-    bed = (across, radius, drum_radius, length, diameter)
+def _surface_line(across: FloatArray, radius: FloatArray, scene: Scene, angle: float) -> SurfaceLine:
+    """Of one bed, whose centres ``(N, 2)`` lie along the climbing direction and up."""
+    line, seen = NO_LINE, []
     for _ in range(MOST_ITERATIONS):
-        line, tilt = _fit(*bed, angle)
+        line, tilt = _fit(across, radius, scene, angle)
         if not math.isfinite(tilt):
             return line
         angle = line.angle
@@ -156,31 +134,27 @@ def surface_line(
             # Spheres that change columns can make the iteration circle through a few angles for ever (in one state
             # of seven, over 0.5° in the mean): the middle of the circle is the answer.
             middle = float(np.mean(seen[again:]))
-            line, _ = _fit(*bed, middle)
-            return replace(line, angle=middle)
+            return replace(_fit(across, radius, scene, middle)[0], angle=middle)
         seen.append(angle)
     return replace(line, valid=False)
 
 
 def solid_fractions(
-    s: FloatArray, w: FloatArray, radius: FloatArray, drum_radius: float, length: float, diameter: float
+    s: FloatArray, w: FloatArray, radius: FloatArray, scene: Scene
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Solid fraction of the bins of d × d/4 over the drum's length, from the exact volumes of sphere slabs.
 
     Args:
-        s: ``(N,)`` centres along the surface, m.
-        w: ``(N,)`` centres along its normal, from the axis, m.
+        s, w: ``(N,)`` centres along the surface, and along its normal from the axis, m.
         radius: ``(N,)`` m.
-        drum_radius: R, m.
-        length: of the drum, m.
-        diameter: d, m.
+        scene: a drum of radius R, its length, and d.
 
     Returns:
         Middles of the C columns along the surface (m), middles of the B bins across it (m), and ``(C, B)`` −.
     """
-    columns = max(2, int(2.0 * HALF_WINDOW * drum_radius / diameter + 1e-9))
+    drum_radius, diameter = scene.drum_radius, scene.filling.diameter
+    columns, step = max(2, int(2.0 * HALF_WINDOW * drum_radius / diameter + 1e-9)), BIN * diameter
     half = 0.5 * columns * diameter
-    step = BIN * diameter
     lowest = -math.ceil((drum_radius + 0.5 * diameter + radius.max(initial=0.0)) / step)
     bins = -2 * lowest
     column = np.floor((s + half) / diameter)
@@ -191,22 +165,18 @@ def solid_fractions(
     edges = (first + np.arange(1, slabs + 1)[:, None]) * step
     height = np.clip(edges - bottom, 0.0, 2.0 * size)  # of each slab's upper plane over a sphere's lowest point
     below = math.pi / 3.0 * height**2 * (3.0 * size - height)  # volume of the cap under it
-    slab_volume = np.diff(below, axis=0, prepend=0.0)
     index = column * bins + (first.astype(np.int64) - lowest) + np.arange(slabs)[:, None]
-    volume = np.bincount(index.ravel(), slab_volume.ravel(), minlength=columns * bins).reshape(columns, bins)
+    slab_volume = np.diff(below, axis=0, prepend=0.0).ravel()
+    volume = np.bincount(index.ravel(), slab_volume, minlength=columns * bins).reshape(columns, bins)
     middles = (np.arange(columns) + 0.5) * diameter - half
-    return middles, (np.arange(bins) + lowest + 0.5) * step, volume / (diameter * step * length)
+    return middles, (np.arange(bins) + lowest + 0.5) * step, volume / (diameter * step * scene.length)
 
 
 def topmost_crossing(fraction: FloatArray, heights: FloatArray) -> FloatArray:
     """Height at which each column falls below solid fraction 0.3 for the last time, ``(C,)`` m, interpolated.
 
-    Args:
-        fraction: ``(C, B)`` solid fractions, −.
-        heights: ``(B,)`` middles of the bins, m.
-
-    Returns:
-        NaN for a column that never reaches the fraction, or is still above it in its last bin.
+    Of ``(C, B)`` solid fractions at ``(B,)`` heights; NaN for a column that never reaches the fraction, or is still
+    above it in its last bin.
     """
     dense = fraction >= SURFACE_FRACTION
     last = fraction.shape[1] - 1
@@ -258,13 +228,11 @@ def _without_drum(trajectory: Trajectory, scene: Scene) -> tuple[Series | None, 
     return Series(trajectory.time, np.full(trajectory.frame_count, np.nan), "deg", reason), reason
 
 
-def _fit(
-    across: FloatArray, radius: FloatArray, drum_radius: float, length: float, diameter: float, angle: float
-) -> tuple[SurfaceLine, float]:
+def _fit(across: FloatArray, radius: FloatArray, scene: Scene, angle: float) -> tuple[SurfaceLine, float]:
     """One fit in the frame turned by ``angle``: the line, its angle included, and by how much it was turned, rad."""
     cosine, sine = math.cos(angle), math.sin(angle)
     s, w = across[:, 0] * cosine + across[:, 1] * sine, across[:, 1] * cosine - across[:, 0] * sine
-    middle, heights, fraction = solid_fractions(s, w, radius, drum_radius, length, diameter)
+    middle, heights, fraction = solid_fractions(s, w, radius, scene)
     height = topmost_crossing(fraction, heights)
     found = np.isfinite(height)
     filled = float(found.mean())
@@ -276,5 +244,5 @@ def _fit(
     offset = y_mean - slope * x_mean
     residual = float(np.sqrt(np.mean((y - offset - slope * x) ** 2)))
     tilt = math.atan(slope)
-    valid = residual <= LARGEST_RESIDUAL * diameter and filled >= LEAST_FILLED
+    valid = residual <= LARGEST_RESIDUAL * scene.filling.diameter and filled >= LEAST_FILLED
     return SurfaceLine(angle + tilt, float(offset * math.cos(tilt)), residual, filled, valid), tilt

@@ -13,10 +13,6 @@ from gran_bench.state import FloatArray
 LEAST_VALID_SHARE = 0.9  # below this share of valid states a figure over a series is undefined
 
 
-class UndefinedMetricError(ValueError):
-    """A number was asked of a metric that has none; the message says why it has none."""
-
-
 @dataclass(frozen=True)
 class Measured:
     """One figure of a metric.
@@ -45,10 +41,9 @@ class Measured:
         return cls(None, unit, reason)
 
     @classmethod
-    def of(cls, value: float, unit: str, reason: str = "the result is not finite", note: str = "") -> Measured:
+    def of(cls, value: float, unit: str, reason: str = "the result is not finite") -> Measured:
         """``value`` where it is finite; undefined because of ``reason`` where it is not."""
-        value = float(value)
-        return cls(value, unit, note) if math.isfinite(value) else cls.undefined(unit, reason)
+        return cls(float(value), unit) if math.isfinite(value) else cls.undefined(unit, reason)
 
     @property
     def defined(self) -> bool:
@@ -57,9 +52,9 @@ class Measured:
 
     @property
     def number(self) -> float:
-        """The value; an `UndefinedMetricError` where there is none."""
+        """The value; a `ValueError` where there is none."""
         if self.value is None:
-            raise UndefinedMetricError(f"undefined: {self.note}")
+            raise ValueError(f"undefined: {self.note}")
         return self.value
 
     def difference(self, other: Measured) -> Measured:
@@ -130,15 +125,6 @@ class Series:
         where = int(np.argmax(np.where(chosen, self.value, -np.inf)))
         return Measured(float(self.value[where]), self.unit, note), Measured(float(self.time[where]), "s", note)
 
-    def at(self, time: float) -> Measured:
-        """The value of the state at ``time`` (s), within half a frame."""
-        frame = frame_at(self.time, time)
-        if frame is None:
-            return Measured.undefined(self.unit, f"no state at {time:g} s")
-        if not self.valid[frame]:
-            return Measured.undefined(self.unit, self.undefined_because or f"{self.invalid_because} at {time:g} s")
-        return Measured(float(self.value[frame]), self.unit)
-
     def difference(self, other: Series) -> Measured:
         """Mean absolute difference over the states valid in both, undefined below 90 % of the states.
 
@@ -148,19 +134,26 @@ class Series:
         Raises:
             ValueError: the two have their states at different times.
         """
-        shared_states(self.time, other.time)
-        time = self.time if len(self.time) >= len(other.time) else other.time
-        values = np.full((2, len(time)), np.nan)
-        values[0, : len(self.value)], values[1, : len(other.value)] = self.value, other.value
         reason = self.undefined_because or other.undefined_because
         cause = self.invalid_because if self.invalid_because == other.invalid_because else "no valid figure in both"
-        gap, own = (Series(time, v, self.unit, reason, cause) for v in (np.abs(values[0] - values[1]), values[0]))
-        found, bad = gap.mean(), int((~own.valid).sum())
-        further = int((own.valid & ~gap.valid).sum())
+        shared = shared_states(self.time, other.time)
+        distance = np.abs(self.value[:shared] - other.value[:shared])
+        gap = Series.of_two(self.time, other.time, distance, self.unit, cause)
+        found, total, good = replace(gap, undefined_because=reason).mean(), len(gap.time), int(self.valid.sum())
+        further = good - int(gap.valid.sum())
         if reason or not further:
             return found
-        note = f"{bad} of {len(time)} states invalid, and {further} more of the other run: {cause}"
-        return replace(found, note=note)
+        return replace(
+            found, note=f"{total - good} of {total} states invalid, and {further} more of the other run: {cause}"
+        )
+
+    @classmethod
+    def of_two(cls, a: FloatArray, b: FloatArray, value: FloatArray, unit: str, invalid_because: str) -> Series:
+        """What was found in the states that two clocks (s) share, on the longer one; the others are invalid."""
+        time = a if len(a) >= len(b) else b
+        padded = np.full(len(time), np.nan)
+        padded[: len(value)] = value
+        return cls(time, padded, unit, invalid_because=invalid_because)
 
     def _chosen(self, start: float, end: float) -> tuple[NDArray[np.bool_], str, str]:
         """Valid states of a span; why it has no figure, empty where it has one; the note of a figure."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import entr
 
 from gran_bench.config.registry import register_metric
 from gran_bench.config.rules import check_arguments
@@ -40,10 +41,5 @@ def mixing(trajectory: Trajectory, scene: Scene) -> Series:
         _, cell = np.unique(column * len(centers) + row, return_inverse=True)
         count = np.bincount(cell)
         share = np.bincount(cell, coloured) / count
-        value[frame] = (count * _binary_entropy(share)).sum() / (count.sum() * np.log(2.0))
+        value[frame] = (count * (entr(share) + entr(1.0 - share))).sum() / (count.sum() * np.log(2.0))
     return Series(trajectory.time, value, "-", invalid_because="position is not finite")
-
-
-def _binary_entropy(share: np.ndarray) -> np.ndarray:
-    """−p ln p − (1 − p) ln(1 − p), with 0 ln 0 = 0."""
-    return -sum(np.where(p > 0, p * np.log(np.where(p > 0, p, 1.0)), 0.0) for p in (share, 1.0 - share))

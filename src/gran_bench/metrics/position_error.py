@@ -1,7 +1,6 @@
 """Distance between a model's spheres and the DEM's, over a short horizon and frame by frame.
 
-Two runs of the DEM itself separate within some 30 frames; beyond that horizon a position error says nothing about
-a model, and only statistics can be compared.
+Two runs of the DEM itself separate within some 30 frames; beyond that, only statistics can be compared.
 """
 
 from __future__ import annotations
@@ -18,8 +17,6 @@ from gran_bench.state import FloatArray, Trajectory
 
 HORIZONS = (1, 3, 10)  # frames
 DIVERGED = 0.1  # of a diameter: mean distance of two replicas beyond which they are no longer one trajectory
-
-Predict = Callable[[int, int], FloatArray]
 
 
 def separation(a: FloatArray, b: FloatArray, period: float = 0.0) -> FloatArray:
@@ -47,10 +44,8 @@ def separation_series(
 ) -> Series:
     """`separation` against time, m; a state that only one of the two has is invalid."""
     shared = shared_states(time_a, time_b)
-    time = time_a if len(time_a) >= len(time_b) else time_b
-    value = np.full(len(time), np.nan)
-    value[:shared] = separation(a[:shared], b[:shared], period)
-    return Series(time, value, "m", invalid_because="position is not finite, or missing,")
+    value = separation(a[:shared], b[:shared], period)
+    return Series.of_two(time_a, time_b, value, "m", "position is not finite, or missing,")
 
 
 def mean_spread(replicas: Sequence[FloatArray], period: float = 0.0) -> FloatArray:
@@ -68,20 +63,22 @@ def divergence_horizon(spread: FloatArray, diameter: float) -> int | None:
 
 
 def short_horizon_errors(
-    predict: Predict, truth: Trajectory, starts: Sequence[int], horizons: Sequence[int] = HORIZONS, period: float = 0.0
+    predict: Callable[[int, int], FloatArray],
+    truth: Trajectory,
+    starts: Sequence[int],
+    horizons: Sequence[int] = HORIZONS,
+    period: float = 0.0,
 ) -> dict[int, Measured]:
     """Mean position error a few frames after a start on the DEM's own trajectory, by horizon in frames, m.
 
+    The mean is over all starts; it is undefined, naming the first start, where any prediction is not finite.
+
     Args:
         predict: ``predict(start, frames)`` gives the ``(frames, N, 3)`` positions (m) of the states that follow
-            frame ``start`` of ``truth``.
-        truth: the DEM's trajectory.
+            frame ``start`` of ``truth``, the DEM's trajectory.
         starts: frames to start from, each at least max(horizons) before the end.
         horizons: frames ahead.
-        period: m.
-
-    Returns:
-        The mean over all starts; undefined, naming the first start, where any prediction is not finite.
+        period: of y, m.
 
     Raises:
         ValueError: no horizon of one frame or more, or a start from which the longest lies beyond the trajectory.

@@ -96,13 +96,8 @@ def wasserstein_series(time_a: FloatArray, a: FloatArray, time_b: FloatArray, b:
         ValueError: the states lie at different times.
     """
     shared = shared_states(time_a, time_b)
-    time = time_a if len(time_a) >= len(time_b) else time_b
-    value = np.full(len(time), np.nan)
-    if a.shape[1] == b.shape[1]:
-        value[:shared] = np.abs(a[:shared] - b[:shared]).mean(axis=1, dtype=np.float64)
-    else:
-        value[:shared] = [wasserstein(x, y) for x, y in zip(a[:shared], b[:shared], strict=True)]
-    return Series(time, value, "m/s", invalid_because="velocity is not finite, or missing,")
+    value = [wasserstein(x, y) for x, y in zip(a[:shared], b[:shared], strict=True)]
+    return Series.of_two(time_a, time_b, np.array(value), "m/s", "velocity is not finite, or missing,")
 
 
 def depth_profile(

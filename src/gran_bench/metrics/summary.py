@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,7 +27,7 @@ class TrajectorySummary:
     """One trajectory, reduced to what is compared.
 
     Attributes:
-        time: ``(F,)`` s.
+        time: ``(F,)`` s; ``diameter`` d, m; ``period`` of the y axis, m.
         velocity_kind: definition of every speed in here.
         series: what each registered metric gave, by its name; of the house's each is a `Series`. Statistics without
             particles have none of plugins.
@@ -36,10 +36,7 @@ class TrajectorySummary:
         layer_speed: ``(K,)`` m/s, mean over the steady part in layers of d under the surface.
         layer_velocity: ``(K,)`` m/s, the same of the velocity along the surface, positive uphill.
         steady_undefined_because: why there is no steady part; empty where there is one.
-        diameter: d, m.
-        period: of the y axis, m.
-        position: ``(F, N, 3)`` m; None for statistics without particles.
-        failures: None for statistics without particles.
+        position, failures: ``(F, N, 3)`` m, and what went wrong; None for statistics without particles.
     """
 
     time: FloatArray
@@ -53,7 +50,7 @@ class TrajectorySummary:
     diameter: float
     period: float
     position: FloatArray | None = None
-    failures: FailureCount | None = field(default=None)
+    failures: FailureCount | None = None
 
     @property
     def count(self) -> int:

@@ -99,7 +99,7 @@ def coloured(things: Iterable[Thing], first: Sequence[str] = (SURROGATE,)) -> It
 
 
 def mark_place(axes: Axes, x: float, text: str, ha: str = "left") -> None:
-    """A dashed line across a panel at ``x``, with words at its foot, to its right or (``ha="right"``) to its left."""
+    """Draw a dashed line at ``x``, with words at its foot, to its right or (``ha="right"``) to its left."""
     axes.axvline(x, color=QUIET, linewidth=0.9, linestyle=(0, (4, 3)))
     axes.annotate(text, (x, 0.03), xycoords=("data", "axes fraction"), xytext=(-5 if ha == "right" else 5, 0),
                   textcoords="offset points", ha=ha, fontsize=8.5, color="#555555", annotation_clip=True)  # fmt: skip

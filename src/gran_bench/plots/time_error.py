@@ -7,11 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.text import Text
+import numpy as np
 from matplotlib.ticker import LogLocator
-from matplotlib.transforms import Bbox
 
 from gran_bench.plots.style import BASELINE, DEM, FURTHER, QUIET, ROUND, SURROGATE, drawing, plain_numbers
 
@@ -21,26 +18,13 @@ KINDS = {
     "baseline": ("baseline", BASELINE, "^"),
 }
 LARGEST_IN_FULL = 1e6  # numbers up to which the measured places are the ticks
-# Where a name may stand, from its mark, points: the first that is free. From farther than FAR a line leads to the mark.
-PLACES = (
-    (9, 0), (-9, 0), (9, 11), (9, -11), (-9, 11), (-9, -11), (0, 18), (0, -18), (9, 24), (9, -24), (-9, 24), (-9, -24),
-    *((side * right, -up) for up, right in ((38, 9), (38, 40), (52, 9), (52, 60)) for side in (1, -1)),
-    *((side * right, up) for up, right in ((38, 40), (52, 60)) for side in (1, -1)),
-)  # fmt: skip
-FAR = 20
 
 
 @dataclass(frozen=True)
 class Contender:
-    """One method in the picture.
+    """One method in the picture: wall time of a simulated second, and error in noise floors, None of a failed run.
 
-    Attributes:
-        name: that stands beside its mark.
-        kind: ``dem``, ``surrogate`` or ``baseline``.
-        seconds: wall time of a simulated second, s.
-        floors: error in noise floors; None for a run that failed.
-        low, high: range of the error, in floors.
-        fast, slow: range of the time, s.
+    ``low`` and ``high`` are the range of the error, ``fast`` and ``slow`` of the time.
     """
 
     name: str
@@ -79,7 +63,10 @@ def time_against_error(
     sound = [c for c in contenders if c.floors is not None]
     highest = max([2.0, *(c.floors for c in sound)])
     lowest = min([0.8, *(c.floors for c in sound)])
-    height = {c.name: 2.0 * highest if c.floors is None else c.floors for c in contenders}
+
+    def height_of(contender: Contender) -> float:
+        return 2.0 * highest if contender.floors is None else contender.floors
+
     times = [c.seconds for c in contenders] or [1.0]
     with drawing(path, 9.6, 6.4) as figure:
         axes = figure.subplots()
@@ -101,7 +88,7 @@ def time_against_error(
                       drawstyle="steps-post", linestyle=(0, (5, 3)), label="nothing is faster and better")  # fmt: skip
         for kind, (label, colour, mark) in KINDS.items():
             for i, c in enumerate([c for c in contenders if c.kind == kind]):
-                y, thin = height[c.name], {"color": colour, "linewidth": 1.0, "alpha": 0.6}
+                y, thin = height_of(c), {"color": colour, "linewidth": 1.0, "alpha": 0.6}
                 if c.low is not None and c.high is not None:
                     axes.plot([c.seconds] * 2, [c.low, c.high], **thin)
                 if c.fast is not None and c.slow is not None:
@@ -111,34 +98,13 @@ def time_against_error(
         if not contenders:
             axes.text(0.5, 0.5, "no method was timed and judged", transform=axes.transAxes, ha="center")
         figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=5)
-        _name_marks(figure, axes, [(c, height[c.name]) for c in contenders])
+        # The names stand in a column, in the order of the errors, each with a line to its mark.
+        for place, c in zip(np.linspace(0.03, 0.97, len(contenders)), sorted(contenders, key=height_of), strict=True):
+            text = c.name if c.floors is not None else f"{c.name} (failed)"
+            leader = {"arrowstyle": "-", "color": QUIET, "linewidth": 0.5, "shrinkA": 0.0, "shrinkB": 4.0}
+            axes.annotate(text, (c.seconds, height_of(c)), xytext=(1.02, place), textcoords="axes fraction", fontsize=9,
+                          va="center", color=KINDS[c.kind][1], arrowprops=leader, annotation_clip=False)  # fmt: skip
     return Path(path)
-
-
-def _name_marks(figure: Figure, axes: Axes, marks: Sequence[tuple[Contender, float]]) -> None:
-    """Write each name beside its mark, where it covers no other name and no mark."""
-    figure.draw_without_rendering()
-    points = axes.transData.transform([(c.seconds, y) for c, y in marks])
-    taken = [Bbox.from_extents(x - 6, y - 6, x + 6, y + 6) for x, y in points]
-    for contender, y in marks:
-        text = contender.name if contender.floors is not None else f"{contender.name} (failed)"
-        for right, up in PLACES:
-            leader = {"arrowstyle": "-", "color": QUIET, "linewidth": 0.6, "shrinkA": 0.0, "shrinkB": 3.0}
-            label = axes.annotate(
-                text, (contender.seconds, y), xytext=(right, up), textcoords="offset points", fontsize=9,
-                ha=("center", "left", "right")[(right > 0) - (right < 0)], va="center", color=KINDS[contender.kind][1],
-                bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6},
-                arrowprops=leader if abs(up) > FAR else None,
-            )  # fmt: skip
-            label.get_window_extent()  # puts the text in its place; its own box leaves out the line
-            box = Text.get_window_extent(label)
-            inside = axes.bbox.containsx(box.x0) and axes.bbox.containsx(box.x1)
-            if inside and not any(box.overlaps(other) for other in taken):
-                break
-            label.remove()
-        else:
-            axes.add_artist(label)
-        taken.append(box)
 
 
 def front(contenders: Sequence[Contender]) -> list[Contender]:
@@ -152,14 +118,9 @@ def front(contenders: Sequence[Contender]) -> list[Contender]:
 
 @dataclass(frozen=True)
 class CostLine:
-    """The cost of one method.
+    """The cost of one method (``dem`` or ``surrogate``): wall time of a simulated second where it was measured, s.
 
-    Attributes:
-        name: in the legend.
-        kind: ``dem`` or ``surrogate``.
-        at: where it was measured; a single place, and no failure: the method costs the same everywhere.
-        seconds: wall time of a simulated second there, s.
-        failed_at: where the method failed.
+    A single place, and no failure: the method costs the same everywhere. ``failed_at`` is where the method failed.
     """
 
     name: str
@@ -172,13 +133,9 @@ class CostLine:
 def cost_against(
     lines: Sequence[CostLine], quantity: str, path: Path | str, level: tuple[str, float] | None = None
 ) -> Path:
-    """Draw costs, both axes logarithmic; a method with a single place becomes a level line.
+    """Draw costs against a quantity, both axes logarithmic; a method with a single place becomes a level line.
 
-    Args:
-        lines: the methods.
-        quantity: label of the abscissa.
-        path: of the PNG.
-        level: name and s of something that costs the same everywhere; None for nothing.
+    ``level`` is the name and the cost in s of something that costs the same everywhere.
     """
     with drawing(path, 7.2, 4.6) as figure:
         axes = figure.subplots()
