@@ -21,14 +21,9 @@ SPEED_WITHIN = 0.08  # m/s
 
 @dataclass(frozen=True)
 class Requirement:
-    """One requirement and how it came out.
+    """One requirement: the largest figure that passes, what was found, and how it came out.
 
-    Attributes:
-        key: for machines.
-        label: for people, the bound included.
-        figure: what was found.
-        bound: largest figure that passes.
-        verdict: ``pass``, ``fail``, or ``undefined`` where the DEM itself has no such figure.
+    The verdict is ``pass``, ``fail``, or ``undefined`` where the DEM itself has no such figure.
     """
 
     key: str
@@ -63,11 +58,7 @@ def _row(key: str, label: str, figure: Measured, bound: float, why: str = "") ->
 
 
 def _angle_row(
-    row: Comparison,
-    label: str,
-    asked: float,
-    candidate: TrajectorySummary,
-    replicas: Sequence[TrajectorySummary],
+    row: Comparison, label: str, asked: float, candidate: TrajectorySummary, replicas: Sequence[TrajectorySummary]
 ) -> Requirement:
     own = [row.figure(replica) for replica in replicas]
     truth = mean_of(own, "deg")

@@ -53,11 +53,7 @@ def why_no_angle(scene: Scene) -> str:
 
 
 def cross_section_axes(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Unit vectors across the drum, ``(3,)`` each: the climbing direction (with the rotation) and up.
-
-    Raises:
-        ValueError: a scene without gravity.
-    """
+    """Unit vectors ``(3,)`` across the drum: climbing (with the rotation) and up; a `ValueError` without gravity."""
     if not scene.needs.gravity:
         raise ValueError(f"scene {scene.name!r} has no gravity, so nothing is up; choose scene.gravity")
     down = np.asarray(scene.gravity, float) / scene.gravity_strength
@@ -67,17 +63,12 @@ def cross_section_axes(scene: Scene) -> tuple[FloatArray, FloatArray]:
 
 
 def center_of_mass_angles(position: FloatArray, radius: FloatArray, scene: Scene) -> FloatArray:
-    """Angle between gravity and the offset of the bed's centre from the axis, ``(F,)`` rad.
-
-    tan θ = (c·e)/(c·g/|g|), with c the centre of mass.
+    """Angle between gravity and the offset of the bed's centre c from the axis, tan θ = (c·e)/(c·g/|g|), ``(F,)`` rad.
 
     Args:
         position: ``(F, N, 3)`` m; a frame that is not finite gives NaN.
         radius: ``(N,)`` m; the spheres have one density.
-        scene: gives the axis, gravity and the sense of rotation.
-
-    Raises:
-        ValueError: a scene without gravity.
+        scene: gives the axis, gravity (a `ValueError` without) and the sense of rotation.
     """
     position, radius = np.asarray(position), np.asarray(radius)
     climbing, up = cross_section_axes(scene)

@@ -19,12 +19,10 @@ Between = Callable[[TrajectorySummary, TrajectorySummary], Measured]
 
 @dataclass(frozen=True)
 class Comparison:
-    """A row of a judgement.
+    """A row of a judgement: for machines, for people, in SI or the exception that it names.
 
-    Attributes:
-        key, label, unit: for machines; for people; SI, or the exception that it names.
-        measure: what one run has; None where only two runs have something.
-        between: distance of two runs where it is not the difference of what each has.
+    ``measure`` is what one run has, if it has something alone; ``between`` is the distance of two runs where it is not
+    the difference of what each has.
     """
 
     key: str
@@ -142,24 +140,22 @@ def _angles(name: str, label: str) -> tuple[Comparison, ...]:
     )
 
 
-def _registered() -> tuple[Comparison, ...]:
-    """A row for each metric of a plugin; statistics without particles have none of them."""
-
-    def measure(name: str, unit: str) -> Measure:
-        return lambda run: run.series.get(name, Measured.undefined(unit, "statistics without particles"))
-
-    added = ((name, METRICS[name]) for name in METRICS.added())
-    return tuple(Comparison(name, one.label, one.unit, measure(name, one.unit)) for name, one in added)
-
-
 def comparisons() -> tuple[Comparison, ...]:
     """Every distance of a judgement: the house's, then one for each metric of a plugin."""
-    return COMPARISONS + _registered()
+    return COMPARISONS + _added()
 
 
 def figures() -> tuple[Comparison, ...]:
     """Every scalar of a judgement: the house's, then one for each metric of a plugin."""
-    return FIGURES + _registered()
+    return FIGURES + _added()
+
+
+def _added() -> tuple[Comparison, ...]:
+    def row(name: str, unit: str) -> Comparison:
+        nothing = Measured.undefined(unit, "statistics without particles")
+        return Comparison(name, METRICS[name].label, unit, lambda run: run.series.get(name, nothing))
+
+    return tuple(row(name, METRICS[name].unit) for name in METRICS.added())
 
 
 SURFACE, CENTER = _angles("surface_angle", "angle of repose"), _angles("com_angle", "centre-of-mass angle")

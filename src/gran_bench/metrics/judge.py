@@ -34,8 +34,7 @@ def judge(candidate: Run, replicas: Sequence[Run], scene: Scene, others: Mapping
         others: further runs of the DEM by name, each a column of its own beside the noise floor.
 
     Raises:
-        ValueError: an argument of a wrong type, no replica, runs of different spheres or at different times, runs of
-            another scene, or definitions of velocity that do not fit.
+        ValueError: no replica, or runs that are not of the scene or not comparable.
     """
     others = {} if others is None else others
     check_arguments(candidate=(candidate, Run), replicas=(replicas, list[Run]), scene=(scene, Scene))
@@ -47,11 +46,10 @@ def judge(candidate: Run, replicas: Sequence[Run], scene: Scene, others: Mapping
     runs = {"candidate": candidate, **{f"replica {i}": run for i, run in enumerate(replicas)}, **others}
     for name, run in runs.items():
         _hold_scene(name, run, scene, is_dem=run is not candidate)
-    summaries = {
-        name: run if isinstance(run, TrajectorySummary) else summarise(run, scene, kind) for name, run in runs.items()
-    }
-    mine, *theirs = summaries.values()
-    for name, summary in summaries.items():
+    mine, *theirs = (
+        run if isinstance(run, TrajectorySummary) else summarise(run, scene, kind) for run in runs.values()
+    )
+    for name, summary in zip(runs, (mine, *theirs), strict=True):
         _hold_alike(name, summary, mine)
     truth, beside = theirs[: len(replicas)], dict(zip(others, theirs[len(replicas) :], strict=True))
     failures = [run.failures for run in truth]
@@ -121,14 +119,11 @@ def nearest_case(
 
     Args:
         candidate: a rollout.
-        cases: runs of the DEM by speed, rpm.
+        cases: runs of the DEM by speed, rpm; a `ValueError` where there is none.
         period: of the y axis, m.
 
     Returns:
         The nearest case's speed in rpm, None where the distance to any case is undefined, and all distances in m/s.
-
-    Raises:
-        ValueError: an argument of a wrong type, no case, or states at different times.
     """
     check_arguments(candidate=(candidate, Trajectory), cases=(cases, Mapping))
     if not cases:
@@ -136,10 +131,8 @@ def nearest_case(
     mine, *theirs = (
         sorted_frames(speeds(velocities(run, candidate.velocity_kind, period))) for run in (candidate, *cases.values())
     )
-    distances = {
-        rpm: wasserstein_series(candidate.time, mine, case.time, other).mean()
-        for (rpm, case), other in zip(cases.items(), theirs, strict=True)
-    }
-    if not all(distance.defined for distance in distances.values()):
-        return None, distances
-    return min(distances, key=lambda rpm: distances[rpm].number), distances
+    distances = {}
+    for (rpm, case), other in zip(cases.items(), theirs, strict=True):
+        distances[rpm] = wasserstein_series(candidate.time, mine, case.time, other).mean()
+    defined = all(distance.defined for distance in distances.values())
+    return min(distances, key=lambda rpm: distances[rpm].number) if defined else None, distances

@@ -15,14 +15,10 @@ LEAST_VALID_SHARE = 0.9  # below this share of valid states a figure over a seri
 
 @dataclass(frozen=True)
 class Measured:
-    """One figure of a metric.
+    """One figure of a metric: a finite number in ``unit`` (SI, or the exception that it names), or None.
 
-    Attributes:
-        value: finite number in ``unit`` (SI, or the exception that it names); None where the metric is undefined.
-        note: why it is undefined, or what to know about a defined value (how many states are invalid).
-
-    Raises:
-        ValueError: a value that is not finite, or no value and no reason.
+    ``note`` says why it is undefined, or what to know about a defined value. A value that is not finite, or no value
+    and no reason, is a `ValueError`.
     """
 
     value: float | None
@@ -128,11 +124,8 @@ class Series:
     def difference(self, other: Series) -> Measured:
         """Mean absolute difference over the states valid in both, undefined below 90 % of the states.
 
-        A state that only one of the two has counts as invalid: a rollout that ended early is not a shorter one. The
-        note counts the invalid states of this series as its own figures do, and those of the other one beside them.
-
-        Raises:
-            ValueError: the two have their states at different times.
+        A state that only one of the two has counts as invalid: a rollout that ended early is not a shorter one. States
+        at different times are a `ValueError`.
         """
         reason = self.undefined_because or other.undefined_because
         cause = self.invalid_because if self.invalid_because == other.invalid_because else "no valid figure in both"

@@ -37,16 +37,11 @@ def noise_floor(metric: Callable[[Run, Run], Measured], replicas: Sequence[Run],
     """Mean over all pairs of replicas of metric(a, b); undefined below two replicas."""
     if len(replicas) < 2:
         return Measured.undefined(unit, "a single replica has no noise floor; make two or more")
-    pairs = [(i, j) for i in range(len(replicas)) for j in range(i)]
-    return mean_of([metric(replicas[i], replicas[j]) for i, j in pairs], unit)
+    return mean_of([metric(replicas[i], replicas[j]) for i in range(len(replicas)) for j in range(i)], unit)
 
 
 def prediction_interval(figures: Sequence[float]) -> Interval | None:
-    """95 % prediction interval of one more figure, mean ± t s √(1 + 1/n), t = 2.78 for five; None below two.
-
-    s is the sample's standard deviation (n − 1) and t the two-sided quantile of Student's distribution with n − 1
-    degrees of freedom.
-    """
+    """95 % prediction interval of one more figure, mean ± t s √(1 + 1/n), t of Student; None below two figures."""
     count = len(figures)
     if count < 2:
         return None

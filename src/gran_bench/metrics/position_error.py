@@ -22,19 +22,15 @@ DIVERGED = 0.1  # of a diameter: mean distance of two replicas beyond which they
 def separation(a: FloatArray, b: FloatArray, period: float = 0.0) -> FloatArray:
     """Mean Euclidean distance of the spheres of two ``(F, N, 3)`` in each frame, ``(F,)`` m; NaN where not finite.
 
-    Distances are to the nearest image along y, whose period is in m.
-
-    Raises:
-        ValueError: different numbers of frames or spheres.
+    Distances are to the nearest image along y, whose period is in m. Different shapes are a `ValueError`.
     """
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     if a.shape != b.shape:
         raise ValueError(f"positions have shapes {a.shape} and {b.shape}; compare the same spheres in the same frames")
     offset = a - b
-    if period > 0:
-        with np.errstate(invalid="ignore"):
-            offset[..., 1] -= period * np.round(offset[..., 1] / period)
     with np.errstate(invalid="ignore", over="ignore"):
+        if period > 0:
+            offset[..., 1] -= period * np.round(offset[..., 1] / period)
         distance = np.sqrt((offset**2).sum(axis=-1)).mean(axis=-1)
     return np.where(np.isfinite(distance), distance, np.nan)
 
@@ -93,12 +89,10 @@ def short_horizon_errors(
             f"starts={late[:5]} leave no {longest} frames in a trajectory of {truth.frame_count}; "
             f"choose frames from 0 to {truth.frame_count - longest - 1}"
         )
-    error = np.empty((len(starts), len(horizons)))
-    for row, start in enumerate(starts):
-        predicted = np.asarray(predict(int(start), longest))
-        distance = separation(predicted, truth.position[start + 1 : start + 1 + longest], period)
-        error[row] = [distance[horizon - 1] for horizon in horizons]
-    return {horizon: _over_starts(error[:, column], starts) for column, horizon in enumerate(horizons)}
+    ahead = (truth.position[start + 1 : start + 1 + longest] for start in starts)
+    pairs = zip(starts, ahead, strict=True)
+    error = np.array([separation(predict(int(start), longest), true, period) for start, true in pairs])
+    return {horizon: _over_starts(error[:, horizon - 1], starts) for horizon in horizons}
 
 
 def _over_starts(error: FloatArray, starts: Sequence[int]) -> Measured:

@@ -1,7 +1,4 @@
-"""Distributions of particle speed: histogram, Wasserstein-1 distance, components, profile under the surface.
-
-Both sides of a comparison use one definition of velocity: the mean over a frame where the model has no other.
-"""
+"""Distributions of particle speed: histogram, Wasserstein-1 distance, components, profile under the surface."""
 
 from __future__ import annotations
 
@@ -90,11 +87,7 @@ def sorted_frames(values: FloatArray) -> FloatArray:
 
 
 def wasserstein_series(time_a: FloatArray, a: FloatArray, time_b: FloatArray, b: FloatArray) -> Series:
-    """Wasserstein-1 distance of each state of two runs, by `sorted_frames`, m/s; what only one has is invalid.
-
-    Raises:
-        ValueError: the states lie at different times.
-    """
+    """Wasserstein-1 distance of each state of two runs, by `sorted_frames`, m/s; what only one has is invalid."""
     shared = shared_states(time_a, time_b)
     value = [wasserstein(x, y) for x, y in zip(a[:shared], b[:shared], strict=True)]
     return Series.of_two(time_a, time_b, np.array(value), "m/s", "velocity is not finite, or missing,")
