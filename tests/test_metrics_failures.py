@@ -9,10 +9,15 @@ import pytest
 from beds import RADIUS, drum, flowing, inclined_bed, resting
 
 from gran_bench.metrics import judge, summarise
-from gran_bench.metrics.energy import rotational_energy, sphere_masses, translational_energy
-from gran_bench.metrics.mixing import mixing
+from gran_bench.metrics.bed import (
+    mixing,
+    overlap_series,
+    pair_overlaps,
+    rotational_energy,
+    sphere_masses,
+    translational_energy,
+)
 from gran_bench.metrics.outside import count_failures
-from gran_bench.metrics.overlap import overlap_series, pair_overlaps
 from gran_bench.metrics.position_error import (
     divergence_horizon,
     mean_spread,

@@ -16,7 +16,7 @@ from PIL import Image
 
 from gran_bench.metrics import Measured, nearest_case, summarise
 from gran_bench.plots import style
-from gran_bench.plots.case_card import case_card, default_title
+from gran_bench.plots.data_card import case_card, default_title
 from gran_bench.plots.evaluation import (
     angle_of_repose,
     diagnostics,
@@ -27,9 +27,9 @@ from gran_bench.plots.evaluation import (
     speed_distribution,
 )
 from gran_bench.plots.flow import draw_pattern, flow_animation, flow_pattern, view_along_axis
-from gran_bench.plots.losses import loss_curves
 from gran_bench.plots.scene_state import scene_state
 from gran_bench.plots.time_error import Contender, time_against_error
+from gran_bench.plots.training import loss_curves
 from gran_bench.plots.verification import draw_discharge, draw_drum_flow
 from gran_bench.shipped import shipped_scene
 from gran_bench.verification.hopper_discharge import HopperDischarge

@@ -35,23 +35,14 @@ COMPARED = ("surface_angle", "com_angle", "speed_w1")
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What judging a model gave.
+    """What judging a model gave; packings are ``shared`` and ``unseen``, names ``30rpm`` or ``30rpm_unseen``."""
 
-    Attributes:
-        judgements: of the held-out speed, by packing (``shared``, ``unseen``).
-        rollouts: by name, such as ``30rpm`` and ``30rpm_unseen``.
-        cases: the DEM's runs of the same names.
-        candidates: the model's rollout of the held-out speed, summarised, by packing.
-        replicas: the DEM's nudged runs of the held-out speed, summarised, by packing.
-        summary: everything as plain values for ``summary.json``.
-    """
-
-    judgements: dict[str, Judgement]
-    rollouts: dict[str, Rollout]
-    cases: dict[str, Case]
-    candidates: dict[str, TrajectorySummary]
-    replicas: dict[str, list[TrajectorySummary]]
-    summary: dict[str, Any]
+    judgements: dict[str, Judgement]  # of the judged speed, by packing
+    rollouts: dict[str, Rollout]  # by name
+    cases: dict[str, Case]  # the DEM's runs of the same names
+    candidates: dict[str, TrajectorySummary]  # the model's rollout of the judged speed, by packing
+    replicas: dict[str, list[TrajectorySummary]]  # the DEM's nudged runs of the judged speed, by packing
+    summary: dict[str, Any]  # everything as plain values for ``summary.json``
 
 
 def evaluate(model: Surrogate, plan: Plan, folder: Path, tell: Tell, progress: bool = True) -> Evaluation:

@@ -8,7 +8,6 @@ from typing import Any
 
 import pandas as pd
 
-from gran_bench.metrics.acceptance import Requirement
 from gran_bench.metrics.measured import Measured
 from gran_bench.metrics.noise_floor import Interval
 from gran_bench.metrics.outside import FailureCount
@@ -56,26 +55,30 @@ class FigureRow:
 
 
 @dataclass(frozen=True)
-class Judgement:
-    """Everything that was found of one candidate.
+class Requirement:
+    """One requirement: the largest figure that passes, what was found, and how it came out.
 
-    Attributes:
-        errors: distances from the DEM, in order.
-        figures: scalars beside the DEM's.
-        requirements: the acceptance rows.
-        failures: counts of what is not finite or outside; None for statistics without particles.
-        dem_outside: share of sphere-states that the replicas have outside, whose walls are soft; mean, per cent.
-        velocity_kind: definition of velocity on both sides.
-        replicas: how many runs of the DEM it was held against.
+    The verdict is ``pass``, ``fail``, or ``undefined`` where the DEM itself has no such figure.
     """
 
-    errors: list[ErrorRow]
-    figures: list[FigureRow]
+    key: str
+    label: str
+    figure: Measured
+    bound: float
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Everything that was found of one candidate."""
+
+    errors: list[ErrorRow]  # distances from the DEM
+    figures: list[FigureRow]  # scalars beside the DEM's
     requirements: list[Requirement]
-    failures: FailureCount | None
-    dem_outside: float | None
-    velocity_kind: str
-    replicas: int
+    failures: FailureCount | None  # None for statistics without particles
+    dem_outside: float | None  # share of sphere-states that the replicas, whose walls are soft, have outside, %
+    velocity_kind: str  # on both sides
+    replicas: int  # how many runs of the DEM it was held against
 
     @property
     def accepted(self) -> bool:

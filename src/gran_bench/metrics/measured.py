@@ -80,20 +80,13 @@ def mean_of(figures: list[Measured], unit: str) -> Measured:
 
 @dataclass(frozen=True)
 class Series:
-    """A figure of every stored state.
+    """A figure of every stored state."""
 
-    Attributes:
-        time: ``(F,)`` s.
-        value: ``(F,)`` in ``unit``; NaN where a state has no valid figure.
-        undefined_because: why no state has one, whatever was computed; empty where states may have one.
-        invalid_because: what an invalid single state lacks, for the notes.
-    """
-
-    time: FloatArray
-    value: FloatArray
+    time: FloatArray  # (F,) s
+    value: FloatArray  # (F,) in the unit; NaN where a state has no valid figure
     unit: str
-    undefined_because: str = ""
-    invalid_because: str = "no valid figure"
+    undefined_because: str = ""  # why no state has a figure, whatever was computed
+    invalid_because: str = "no valid figure"  # what an invalid single state lacks, for the notes
 
     def __post_init__(self) -> None:
         for name in ("time", "value"):

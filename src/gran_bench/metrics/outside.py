@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gran_bench.config.rules import check_arguments
-from gran_bench.metrics.overlap import wall_overlap
+from gran_bench.metrics.bed import wall_overlap
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
 
@@ -16,30 +16,19 @@ TOLERATED = 0.005  # m; the DEM's own soft walls let some 3 mm through
 
 @dataclass(frozen=True)
 class FailureCount:
-    """Failures of one trajectory; a sphere-state is one sphere in one stored state.
-
-    Attributes:
-        states, expected_states: stored, and asked for by the scene.
-        spheres: N.
-        non_finite_states, non_finite_sphere_states: with any value that is not finite.
-        first_non_finite: s, time of the first such state; None where there is none.
-        outside: sphere-states whose centre lies beyond R − r or L/2 − r.
-        outside_tolerated, outside_radius: of these, by more than 5 mm; by more than the sphere's radius.
-        outside_spheres: different spheres that were outside by more than their radius.
-        farthest: m, largest distance outside; 0 where none was.
-    """
+    """Failures of one trajectory; a sphere-state is one sphere in one stored state."""
 
     states: int
-    expected_states: int
+    expected_states: int  # that the scene asks for
     spheres: int
-    non_finite_states: int
+    non_finite_states: int  # states with any value that is not finite
     non_finite_sphere_states: int
-    first_non_finite: float | None
-    outside: int
-    outside_tolerated: int
-    outside_radius: int
-    outside_spheres: int
-    farthest: float
+    first_non_finite: float | None  # s, time of the first such state
+    outside: int  # sphere-states whose centre lies beyond R − r or L/2 − r
+    outside_tolerated: int  # of these, by more than 5 mm
+    outside_radius: int  # of these, by more than the sphere's radius
+    outside_spheres: int  # different spheres that were outside by more than their radius
+    farthest: float  # m, largest distance outside; 0 where none was
 
     @property
     def missing_states(self) -> int:

@@ -65,19 +65,16 @@ def short_horizon_errors(
     horizons: Sequence[int] = HORIZONS,
     period: float = 0.0,
 ) -> dict[int, Measured]:
-    """Mean position error a few frames after a start on the DEM's own trajectory, by horizon in frames, m.
+    """Mean position error a few frames after many starts on the DEM's own trajectory, by horizon in frames, m.
 
-    The mean is over all starts; it is undefined, naming the first start, where any prediction is not finite.
+    It is undefined, naming the first start, where any prediction is not finite.
 
     Args:
         predict: ``predict(start, frames)`` gives the ``(frames, N, 3)`` positions (m) of the states that follow
             frame ``start`` of ``truth``, the DEM's trajectory.
-        starts: frames to start from, each at least max(horizons) before the end.
-        horizons: frames ahead.
+        starts: frames, each at least max(horizons) before the end; else a `ValueError`.
+        horizons: frames ahead, each ≥ 1; else a `ValueError`.
         period: of y, m.
-
-    Raises:
-        ValueError: no horizon of one frame or more, or a start from which the longest lies beyond the trajectory.
     """
     check_arguments(truth=(truth, Trajectory))
     if not horizons or min(horizons) < 1:

@@ -8,11 +8,10 @@ import numpy as np
 
 from gran_bench.config.registry import METRICS
 from gran_bench.config.rules import ConfigError, check_arguments
-from gran_bench.metrics import energy, mixing  # noqa: F401  (they register)
 from gran_bench.metrics.angle_of_repose import SurfaceAngle
+from gran_bench.metrics.bed import overlap_series
 from gran_bench.metrics.measured import Measured, Series, within
 from gran_bench.metrics.outside import FailureCount, count_failures
-from gran_bench.metrics.overlap import overlap_series
 from gran_bench.metrics.speeds import depth_profile, sorted_frames, speeds, velocities
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
@@ -24,33 +23,21 @@ PATTERN_TIME = 2.5  # s; the paper's figures 2 and 3b
 
 @dataclass(frozen=True)
 class TrajectorySummary:
-    """One trajectory, reduced to what is compared.
+    """One trajectory, reduced to what is compared."""
 
-    Attributes:
-        time: ``(F,)`` s; ``diameter`` d, m; ``period`` of the y axis, m.
-        velocity_kind: definition of every speed in here.
-        series: what each registered metric gave, by its name; of the house's each is a `Series`. Statistics without
-            particles have none of plugins.
-        sorted_speed: ``(F, N)`` float32 m/s, increasing in each state; NaN where a state is not finite.
-        sorted_component: ``(3, F, N)`` float32 m/s, the components along x, y, z likewise.
-        layer_speed: ``(K,)`` m/s, mean over the steady part in layers of d under the surface.
-        layer_velocity: ``(K,)`` m/s, the same of the velocity along the surface, positive uphill.
-        steady_undefined_because: why there is no steady part; empty where there is one.
-        position, failures: ``(F, N, 3)`` m, and what went wrong; None for statistics without particles.
-    """
-
-    time: FloatArray
-    velocity_kind: str
+    time: FloatArray  # (F,) s
+    velocity_kind: str  # definition of every speed in here
+    # What each registered metric gave, by its name; statistics without particles have none of plugins.
     series: dict[str, Series | Measured]
-    sorted_speed: FloatArray
-    sorted_component: FloatArray
-    layer_speed: FloatArray
-    layer_velocity: FloatArray
-    steady_undefined_because: str
-    diameter: float
-    period: float
-    position: FloatArray | None = None
-    failures: FailureCount | None = None
+    sorted_speed: FloatArray  # (F, N) float32 m/s, increasing in each state; NaN where a state is not finite
+    sorted_component: FloatArray  # (3, F, N) float32 m/s, the components along x, y, z likewise
+    layer_speed: FloatArray  # (K,) m/s, mean over the steady part in layers of d under the surface
+    layer_velocity: FloatArray  # (K,) m/s, the same of the velocity along the surface, positive uphill
+    steady_undefined_because: str  # why there is no steady part; empty where there is one
+    diameter: float  # d, m
+    period: float  # of the y axis, m
+    position: FloatArray | None = None  # (F, N, 3) m; None for statistics without particles
+    failures: FailureCount | None = None  # None for statistics without particles
 
     @property
     def count(self) -> int:
@@ -69,15 +56,9 @@ def why_no_steady_part(scene: Scene, time: FloatArray) -> str:
 
 
 def summarise(trajectory: Trajectory, scene: Scene, velocity_kind: str | None = None) -> TrajectorySummary:
-    """Reduce a trajectory to what is compared.
+    """Reduce a trajectory of a scene to what is compared; frames may hold what is not finite, which is then counted.
 
-    Args:
-        trajectory: of the scene; its frames may hold values that are not finite, which are then counted.
-        scene: that it was made for.
-        velocity_kind: definition of velocity to use, by every metric; the trajectory's own where None.
-
-    Raises:
-        ValueError: instantaneous velocities asked of a trajectory of means.
+    ``velocity_kind`` is the definition of velocity that every metric uses; the trajectory's own where None.
     """
     check_arguments(trajectory=(trajectory, Trajectory), scene=(scene, Scene))
     kind = velocity_kind or trajectory.velocity_kind

@@ -41,17 +41,9 @@ WIDEST = 10.0  # times the speeds of the DEM: a wild model would leave no room f
 def draw_evaluation(
     evaluation: Evaluation, holdout_rpm: float, folder: Path | str, gif: bool = True, model_name: str = "surrogate"
 ) -> list[Path]:
-    """Draw the paper's figures of the held-out speed, from the shared and from the unseen packing.
+    """Draw the paper's figures of the held-out speed for both packings, those of the unseen one ending in ``_unseen``.
 
-    Args:
-        evaluation: of one model.
-        holdout_rpm: the held-out speed.
-        folder: for the files; those of the unseen packing end in ``_unseen``.
-        gif: whether to make the film of both flows, too (shared packing).
-        model_name: for the legends.
-
-    Returns:
-        The paths, those of the paper's figures first.
+    With ``gif`` there is a film of both flows, too. Returns the paths, those of the paper's figures first.
     """
     folder, paths = Path(folder), []
     for packing, replicas in evaluation.replicas.items():
@@ -137,8 +129,8 @@ def speed_by_depth(candidates: Candidates, replicas: Replicas, path: Path | str)
     truth = np.array([run.layer_velocity for run in replicas if np.isfinite(run.layer_velocity).any()])
     with drawing(path, 5.2, 4.8) as figure:
         axes = figure.subplots()
-        axes.set(title="Steady flow under the surface", xlabel="velocity along the surface, uphill, m/s")
-        axes.set_ylabel("depth under the surface, d")
+        axes.set(xlabel="velocity along the surface, uphill, m/s", ylabel="depth under the surface, d")
+        axes.set_title("Steady flow under the surface")
         refusal = replicas[0].steady_undefined_because
         if refusal or not len(truth):
             say(axes, f"undefined:\n{refusal or 'no valid surface'}")
@@ -187,10 +179,8 @@ def speed_distribution(
             beyond = 100.0 * float((speed > edges[-1]).mean())
             note = f" ({beyond:.2g} % faster than shown)" if beyond > 0 else ""
             axes.stairs(100.0 * speed_histogram(speed, edges), edges, color=colour, linewidth=1.8, label=name + note)
-        axes.set(title=f"Speeds at {time:g} s", xlabel=speed_label(replicas[0].velocity_kind))
-        axes.set_ylabel(f"share of spheres in {CLASS:g} m/s, %")
-        axes.set_xlim(0.0, edges[-1])
-        axes.set_ylim(bottom=0.0)
+        axes.set(title=f"Speeds at {time:g} s", ylabel=f"share of spheres in {CLASS:g} m/s, %", ylim=(0.0, None))
+        axes.set(xlabel=speed_label(replicas[0].velocity_kind), xlim=(0.0, edges[-1]))
         axes.legend(loc="upper right")
     return Path(path)
 
@@ -248,12 +238,9 @@ def _range(errors: Sequence[FloatArray]) -> tuple[float, float]:
 
 
 def nearest_cases(distances: Mapping[float, Mapping[float, Measured | float | None]], path: Path | str) -> Path:
-    """Draw how far each rollout is from every case of the DEM; the nearest of a row is framed.
+    """Draw how far each rollout is from every case of the DEM, by their speeds (rpm); the nearest of a row is framed.
 
-    Args:
-        distances: speed W1 a frame (m/s) by the rollout's speed, then by the case's speed (rpm); None or an
-            undefined figure for a rollout that failed.
-        path: of the PNG.
+    Distances are speed W1 a frame, m/s; None or undefined for a rollout that failed.
     """
     rows, columns = sorted(distances), sorted({rpm for row in distances.values() for rpm in row})
     found = [[distances[row].get(column) for column in columns] for row in rows]
@@ -276,8 +263,7 @@ def nearest_cases(distances: Mapping[float, Mapping[float, Measured | float | No
                 axes.add_patch(Rectangle(corner, 0.94, 0.9, fill=False, linewidth=2.2, edgecolor=edge, linestyle=line))
         axes.set_xticks(range(len(columns)), [f"{rpm:g}" for rpm in columns])
         axes.set_yticks(range(len(rows)), [f"{rpm:g}" for rpm in rows])
-        axes.set(xlabel="case of the DEM, rpm", ylabel="rollout, rpm")
-        axes.set_title("Speed W1 a frame, m/s (framed: the nearest)")
+        axes.set(xlabel="case of the DEM, rpm", ylabel="rollout, rpm", title="Speed W1 a frame, m/s (framed: nearest)")
         axes.grid(False)
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)

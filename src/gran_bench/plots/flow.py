@@ -22,7 +22,7 @@ from gran_bench.metrics.angle_of_repose import cross_section_axes
 from gran_bench.metrics.measured import frame_at
 from gran_bench.metrics.speeds import velocities
 from gran_bench.metrics.summary import PATTERN_TIME
-from gran_bench.plots.style import LOOK, QUIET, SPEED_MAP, drawing, run_drawn_for, say, speed_label
+from gran_bench.plots.style import LOOK, QUIET, SPEED_MAP, drawing, run_name, say, speed_label
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
 
@@ -32,14 +32,9 @@ LARGEST_FILE = 5_000_000  # bytes; a larger film is made again with fewer frames
 
 
 def flow_pattern(runs: Mapping[str, Trajectory], scene: Scene, path: Path | str, time: float = PATTERN_TIME) -> Path:
-    """Draw the flow patterns of several runs side by side, on one scale of speed.
+    """Draw the flow patterns of several runs of a scene, by their names, side by side at ``time`` (s).
 
-    Args:
-        runs: by the name that stands over the panel; speeds are of the definition of the run's own velocities,
-            unless they differ, then all are means over the frame.
-        scene: that all were made for.
-        path: of the PNG.
-        time: s.
+    There is one scale of speed: of the definition of the runs' own velocities, or of means where they differ.
     """
     kind, speeds = _speeds(runs, scene)
     states = {name: frame_at(run.time, time) for name, run in runs.items()}
@@ -104,16 +99,10 @@ def draw_pattern(
 
 
 def view_along_axis(position: FloatArray, scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Coordinates of a viewer in front of the drum's near cap, up against gravity, or along z where there is none.
+    """Right and up, ``(N, 2)``, and the distance ``(N,)`` from a viewer in front of the drum's near cap, m.
 
-    In the shipped scenes x points to the right and z up, so a bed climbs to the left where the drum turns forwards.
-
-    Args:
-        position: ``(N, 3)`` m.
-        scene: gives axis and gravity.
-
-    Returns:
-        ``(N, 2)`` right and up, and ``(N,)`` distance away from the viewer, m.
+    Up is against gravity, or along z where there is none. In the shipped scenes x points to the right and z up, so a
+    bed climbs to the left where the drum turns forwards.
     """
     if not scene.needs.gravity:
         scene = replace(scene, gravity=(0.0, 0.0, -1.0))
@@ -138,14 +127,8 @@ def fastest(speeds: list[FloatArray]) -> float:
 
 
 def flow_animation(runs: Mapping[str, Trajectory], scene: Scene, path: Path | str) -> Path:
-    """Draw the runs side by side into a GIF of less than 5 MB, on one scale of speed and in real time.
-
-    Args:
-        runs: by the name that stands over the panel; of one scene and one frame interval.
-        scene: that all were made for.
-        path: of the GIF.
-    """
-    comment = f"gran-bench run {run_drawn_for()}" if run_drawn_for() else ""
+    """Draw runs of a scene, by their names, side by side into a GIF of less than 5 MB, in real time."""
+    comment = f"gran-bench run {run_name.get()}" if run_name.get() else ""
     stride = max(1, round(1.0 / (FRAMES_A_SECOND * scene.frame_interval)))
     while True:
         first, *rest = _frames(runs, scene, stride)

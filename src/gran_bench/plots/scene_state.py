@@ -22,12 +22,6 @@ def scene_state(path: Path | str, scene: Scene, state: ParticleState, title: str
     """Draw the spheres that the plane y = 0 cuts as the circles that it cuts out, and the walls as lines.
 
     Spheres that have left through the outlet are grey. Where y = 0 cuts no sphere, the nearest centre's y is taken.
-
-    Args:
-        path: of the PNG.
-        scene: its walls, where they are at the state's time.
-        state: N spheres.
-        title: of the figure.
     """
     low, high = _view(scene, state)
     y = state.position[:, 1]

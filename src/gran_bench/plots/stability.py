@@ -18,9 +18,7 @@ MARKS = ("o", "s", "D", "v", "P", "X")  # of failures; a hollow triangle points 
 def draw_time_to_failure(runs: Mapping[str, Sequence[tuple[float, float, bool]]], path: Path | str) -> Path:
     """How long each model's rollout lasts, against the speed of the drum.
 
-    Args:
-        runs: by model; speed in rpm, time to failure or of the rollout's end in s, and whether it survived.
-        path: of the PNG.
+    A run is its speed in rpm, the time to failure or of its end in s, and whether it survived.
     """
     with drawing(path, 8.4, 4.2) as figure:
         axes = figure.subplots()
@@ -35,10 +33,9 @@ def draw_time_to_failure(runs: Mapping[str, Sequence[tuple[float, float, bool]]]
             shift, colour, mark = 2.5 * k, colours[k % len(colours)], MARKS[k % len(MARKS)]
             axes.plot([], [], mark, color=colour, markersize=7, label=model)
             for speed, seconds, survived in rows:
-                x, look = _squeezed(speed) + shift, {"color": colour, "linestyle": "none"}
+                x, face = _squeezed(speed) + shift, "white" if survived else colour
                 axes.plot([x, x], [1e-2, seconds], color=colour, linewidth=1.0, alpha=0.5)
-                look |= {"marker": "^", "markersize": 8, "markerfacecolor": "white"} if survived else {"marker": mark}
-                axes.plot(x, seconds, **{"markersize": 7} | look)
+                axes.plot(x, seconds, "^" if survived else mark, color=colour, markersize=7.5, markerfacecolor=face)
         axes.plot([], [], "^", color=QUIET, markerfacecolor="white", markersize=8, label="did not fail until there")
         axes.set(yscale="log", ylim=(1e-2, 100.0), ylabel="time to failure, s")
         axes.set_xlabel("speed of the drum, rpm; to scale up to 120")
@@ -74,10 +71,8 @@ def draw_dem_step(curves: Mapping[str, Sequence[float]], path: Path | str) -> Pa
         left.loglog(1e3 * step[shown], error[shown], "o-", color=DEM)
         left.loglog(1e3 * step[~alive], np.full((~alive).sum(), highest / 1.5), "x", color=SURROGATE, markersize=9,
                     label="ends with an error")  # fmt: skip
-        left.set(
-            ylim=(lowest, highest), ylabel="error of the angle of the centre of mass, °", title="error against step"
-        )
-        left.set_yticks([tick for tick in ROUND if lowest < tick < highest])
+        left.set(ylim=(lowest, highest), yticks=[tick for tick in ROUND if lowest < tick < highest])
+        left.set(ylabel="error of the angle of the centre of mass, °", title="error against step")
         right.loglog(1e3 * step[alive], cost[alive], "o-", color=DEM)
         right.set(ylabel="run time of a frame of 10 ms, ms", title="cost against step")
         right.set_yticks([tick for tick in ROUND if cost[alive].min() / 2 < tick < 2 * cost[alive].max()])

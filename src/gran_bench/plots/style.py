@@ -30,41 +30,23 @@ SPEED_MAP = "viridis"
 ROUND = tuple(digit * 10.0**power for power in range(-3, 6) for digit in (1, 2, 5))  # numbers for ticks
 
 LOOK = {
-    "font.family": "DejaVu Sans",
-    "font.size": 10.0,
-    "axes.titlesize": 10.5,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.8,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.7,
-    "lines.linewidth": 1.6,
-    "legend.frameon": False,
-    "legend.fontsize": 9.0,
-    "figure.facecolor": "white",
+    **{"font.family": "DejaVu Sans", "font.size": 10.0, "lines.linewidth": 1.6},
+    **{"axes.titlesize": 10.5, "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False},
+    **{"axes.linewidth": 0.8, "axes.grid": True, "axes.axisbelow": True, "grid.color": "#e6e6e6"},
+    **{"grid.linewidth": 0.7, "legend.frameon": False, "legend.fontsize": 9.0, "figure.facecolor": "white"},
     "figure.dpi": 100.0,
 }
-
-
-_run_name: ContextVar[str | None] = ContextVar("run_name", default=None)
+run_name: ContextVar[str | None] = ContextVar("run_name", default=None)
 
 
 @contextmanager
-def drawn_for(run_name: str) -> Iterator[None]:
+def drawn_for(name: str) -> Iterator[None]:
     """Let every figure of the block carry the name of its run's folder: in small print, and in its metadata."""
-    token = _run_name.set(run_name)
+    token = run_name.set(name)
     try:
         yield
     finally:
-        _run_name.reset(token)
-
-
-def run_drawn_for() -> str | None:
-    """Name of the run that figures are drawn for at present."""
-    return _run_name.get()
+        run_name.reset(token)
 
 
 @contextmanager
@@ -76,7 +58,7 @@ def drawing(path: Path | str, width: float, height: float) -> Iterator[Figure]:
     with matplotlib.rc_context(LOOK):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
-        name = run_drawn_for()
+        name = run_name.get()
         if name is not None:
             # A caption of its own line, so that it covers nothing; long names shrink to the figure's width.
             size = min(6.5, 115.0 * width / max(len(name), 1))

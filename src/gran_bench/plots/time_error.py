@@ -53,12 +53,8 @@ def time_against_error(
     A failed run stands above all others as a cross, or under the axes by its name where it has no time; it is never
     left out.
 
-    Args:
-        contenders: the methods; there may be none.
-        quantity: what the error is of, for the axis.
-        path: of the PNG.
-        accuracy: the DEM's own, in floors; shaded. None where it is not known.
-        untimed: names of those that failed before their first frame, and have no place on the axis of time.
+    ``accuracy`` is the DEM's own in floors, if it is known; ``untimed`` are those that failed before their first frame,
+    and have no place on the axis of time.
     """
     sound = [c for c in contenders if c.floors is not None]
     highest = max([2.0, *(c.floors for c in sound)])

@@ -56,36 +56,27 @@ def _oblique_impact(curves: dict[str, FloatArray], path: Path) -> None:
                 sliding = curves.get(f"{key}|sliding_{quantity}")
                 if sliding is not None:
                     axes.plot(angle, sliding, color=DEM, linewidth=1.0, linestyle=(0, (2, 2)), zorder=3)
-                axes.plot(
-                    curves[f"{key}|found_angle_deg"], curves[f"{key}|found_{quantity}"],
-                    marker, color=colour, markersize=4.8, markerfacecolor="white", markeredgewidth=1.2,
-                    label=label, zorder=4,
-                )  # fmt: skip
+                axes.plot(curves[f"{key}|found_angle_deg"], curves[f"{key}|found_{quantity}"], marker, color=colour,
+                          markersize=4.8, markerfacecolor="white", markeredgewidth=1.2, label=label)  # fmt: skip
             axes.set(title=title, xlim=(0.0, 90.0), ylim=(low, high), xlabel="impact angle from the normal, °")
             axes.set_xticks(range(0, 91, 15))
         panels[2].axhline(0.0, color=QUIET, linewidth=0.8, zorder=1)
         panels[2].set_yticks(range(-30, 91, 30))
-        handles, labels = panels[0].get_legend_handles_labels()
-        line = panels[0].plot([], [], color=QUIET)[0]
-        dash = panels[0].plot([], [], color=DEM, linewidth=1.0, linestyle=(0, (2, 2)))[0]
-        figure.legend(
-            [*handles, line, dash],
-            [*labels, "lines: Hertz–Mindlin in continuous time", "dashes: rigid bodies that slide all through"],
-            loc="outside lower center", ncols=2,
-        )  # fmt: skip
+        panels[0].plot([], [], color=QUIET, label="lines: Hertz–Mindlin in continuous time")
+        dashes = {"color": DEM, "linewidth": 1.0, "linestyle": (0, (2, 2))}
+        panels[0].plot([], [], label="dashes: rigid bodies that slide all through", **dashes)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
 
 
 def _step(curves: dict[str, FloatArray], path: Path) -> None:
+    def pairs(across: str, up: str) -> dict[str, tuple[FloatArray, FloatArray]]:
+        names = [key.removesuffix(f"|{up}") for key in curves if key.endswith(f"|{up}")]
+        return {name: (curves[f"{name}|{across}"], curves[f"{name}|{up}"]) for name in names}
+
     with drawing(path, 11.0, 4.4) as figure:
         left, right = figure.subplots(1, 2)
-        _order(left, _pairs(curves, "step", "error"))
-        _drift(right, _pairs(curves, "time", "change"))
-
-
-def _pairs(curves: dict[str, FloatArray], across: str, up: str) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Abscissa and ordinate of each curve ``name|across`` and ``name|up``, by name."""
-    names = [key.removesuffix(f"|{up}") for key in curves if key.endswith(f"|{up}")]
-    return {name: (curves[f"{name}|{across}"], curves[f"{name}|{up}"]) for name in names}
+        _order(left, pairs("step", "error"))
+        _drift(right, pairs("time", "change"))
 
 
 def _order(axes: Axes, series: dict[str, tuple[FloatArray, FloatArray]]) -> None:
@@ -100,10 +91,8 @@ def _order(axes: Axes, series: dict[str, tuple[FloatArray, FloatArray]]) -> None
     lowest, highest = min(e.min() for _, e in series.values()), max(e.max() for _, e in series.values())
     for power, anchor in ((1, 1.8 * highest / step[1]), (2, 3.0 * lowest / step[0] ** 2)):
         axes.loglog(step, anchor * step**power, color=QUIET, linewidth=1.0, linestyle=(0, (2, 2)), zorder=1)
-        axes.annotate(
-            f"order {power}", (step[0], anchor * step[0] ** power), xytext=(0, 11 if power == 1 else 17),
-            textcoords="offset points", color="#555555", fontsize=9, va="bottom", ha="left",
-        )  # fmt: skip
+        axes.annotate(f"order {power}", (step[0], anchor * step[0] ** power), xytext=(0, 5 + 6 * power),
+                      textcoords="offset points", color="#555555", fontsize=9, va="bottom")  # fmt: skip
     axes.set(xlabel="step, of the contact time", ylabel="relative error")
     axes.set_xticks([1 / 800, 1 / 400, 1 / 200, 1 / 100, 1 / 50, 1 / 25])
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"1/{round(1 / value)}"))
@@ -124,18 +113,13 @@ def _drift(axes: Axes, series: dict[str, tuple[FloatArray, FloatArray]]) -> None
             for sign in (-1.0, 1.0):
                 axes.axhline(sign * bound, color=colour, linewidth=1.0, linestyle=(0, (4, 2)))
     axes.set(xlabel="share of the run, %", ylabel="change of energy, ‰", xlim=(0.0, 100.0))
-    handles, labels = axes.get_legend_handles_labels()
-    dash = axes.plot([], [], color=QUIET, linewidth=1.0, linestyle=(0, (4, 2)))[0]
-    axes.legend(
-        [*handles, dash], [*labels, r"bounds $3\,(\Delta t/t_c)^2$"], loc="center right", bbox_to_anchor=(1.0, 0.75)
-    )
+    axes.plot([], [], color=QUIET, linewidth=1.0, linestyle=(0, (4, 2)), label=r"bounds $3\,(\Delta t/t_c)^2$")
+    axes.legend(loc="center right", bbox_to_anchor=(1.0, 0.75))
 
 
 def _named(name: str) -> str:
     """A curve's name with the stiffness as people say it."""
-    for code, words in (("E 1e+07 Pa", "10 MPa"), ("E 7e+10 Pa", "70 GPa"), ("t_c", "$t_c$")):
-        name = name.replace(code, words)
-    return name
+    return name.replace("E 1e+07 Pa", "10 MPa").replace("E 7e+10 Pa", "70 GPa").replace("t_c", "$t_c$")
 
 
 def draw_drum_flow(
@@ -146,11 +130,7 @@ def draw_drum_flow(
 ) -> None:
     """A panel for each quantity and speed: a dot a packing, the mean with its 95 % interval, the bound as a band.
 
-    Args:
-        path: of the PNG.
-        samples: by code and speed in rpm: for each quantity ``(n,)`` values, n ≥ 2.
-        bounds: by speed in rpm: for each quantity the middle of the bound and its half width.
-        labels: of the quantities, with units.
+    Samples are ``(n,)`` values for each quantity, by code and speed in rpm; bounds a middle and a half width.
     """
     codes = list(dict.fromkeys(code for code, _ in samples))
     speeds = sorted({rpm for _, rpm in samples})
@@ -163,19 +143,15 @@ def draw_drum_flow(
                     middle, half = bounds[rpm][row]
                     axes.axhspan(middle - half, middle + half, color=BAND, alpha=0.5, linewidth=0)
                 for place, code in enumerate(codes):
-                    values = samples.get((code, rpm))
-                    if values is None:
+                    if (code, rpm) not in samples:
                         continue
-                    spread = np.linspace(-0.15, 0.15, len(values[row]))
+                    values = samples[code, rpm][row]
+                    spread, mean = np.linspace(-0.15, 0.15, len(values)), mean_of(values)
                     colour = DEM if code.startswith(codes[0]) else BASELINE  # the first, or it with something changed
-                    axes.plot(place + spread, values[row], "o", color=colour, markersize=3.5, alpha=0.7)
-                    mean = mean_of(values[row])
+                    axes.plot(place + spread, values, "o", color=colour, markersize=3.5, alpha=0.7)
                     axes.errorbar(place + 0.3, mean.middle, mean.half_width, fmt="_", color=colour, capsize=3)
                 axes.set_xticks(range(len(codes)), [code.replace(", ", ",\n") for code in codes])
-                axes.set_xlim(-0.5, len(codes) - 0.3)
-                axes.set_ylabel(label)
-                if row == 0:
-                    axes.set_title(f"{rpm:g} rpm")
+                axes.set(xlim=(-0.5, len(codes) - 0.3), ylabel=label, title="" if row else f"{rpm:g} rpm")
 
 
 def draw_discharge(path: Path | str, result: HopperDischarge) -> None:
@@ -192,11 +168,10 @@ def draw_discharge(path: Path | str, result: HopperDischarge) -> None:
         axes.errorbar(result.opening, result.flow, 2.0 * result.flow_error, fmt="o", color=DEM, markersize=4)
         for x, y, orifice in zip(result.opening, result.flow, result.orifice, strict=True):
             axes.annotate(f"{orifice / result.diameter:.3g} d", (x, y), (6, -10), textcoords="offset points")
-        axes.set(xlabel=f"D − {result.rim:g} d, m", ylabel="mass flow, kg/s")
+        axes.set(xlabel=f"D − {result.rim:g} d, m", ylabel="mass flow, kg/s", title="Discharge of a conical hopper")
         ticks = np.round(result.opening, 3)
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         levels = [tick for tick in ROUND if 0.8 * result.flow.min() < tick < 1.4 * result.flow.max()]
         axes.set_yticks(levels, [f"{level:g}" for level in levels])
         axes.minorticks_off()
         axes.legend(loc="upper left")
-        axes.set_title("Discharge of a conical hopper")

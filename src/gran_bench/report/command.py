@@ -23,8 +23,7 @@ from gran_bench.verification import report as verification
 def report_command(arguments: Sequence[str] | None = None) -> int:
     """Report sweeps; without a folder every sweep, and the tables of every page of the results.
 
-    Returns:
-        The exit code: 0; 1 where a record or the store could not be read; 2 where there is nothing to report.
+    The exit code is 1 where a record or the store could not be read, 2 where there is nothing to report.
     """
     parser = argparse.ArgumentParser("python -m gran_bench.report", description="Renew tables from their records.")
     parser.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", help="of a sweep; everything if none")
@@ -50,11 +49,7 @@ def report_command(arguments: Sequence[str] | None = None) -> int:
 
 
 def renew_pages(root: Path) -> list[Path]:
-    """Renew what stands between marks on every page whose record is there; the pages.
-
-    Raises:
-        ResultsError, SweepFileError, ValueError: a record that cannot be read.
-    """
+    """Renew what stands between marks on every page whose record is there; the pages."""
     pages = [renew_page(root / name) for name in RUNS if read_summary(root / name) is not None]
     for folder, module, record in (
         ("verification", verification, verification.JSON),

@@ -1,7 +1,4 @@
-"""A finished run as a page that is committed.
-
-``python -m gran_bench.report.result_page results/runs/NAME results/NAME``.
-"""
+"""A finished run as a committed page: ``python -m gran_bench.report.result_page results/runs/NAME results/NAME``."""
 
 from __future__ import annotations
 
@@ -37,15 +34,9 @@ def write_page(run: Path, target: Path, title: str) -> Path:
     """Copy a finished run's summary, figures and small model to a folder, and renew the table of its README.
 
     Args:
-        run: folder of a finished run.
+        run: folder of a run; a `ResultPageError` where it is not finished.
         target: folder of the page; what people wrote there stays.
-        title: of a new page.
-
-    Returns:
-        The README.
-
-    Raises:
-        ResultPageError: the run is not finished.
+        title: of a new page; the experiment's name where it is empty.
     """
     if read_summary(run) is None:
         raise ResultPageError(f"{run} has no {SUMMARY}: the run is not finished; run its command again")
@@ -73,14 +64,11 @@ def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     yield ""
     yield f"| | {' | '.join(f'{name} packing' for name in packings)} |"
     yield "|---|" + "---:|" * len(packings)
-    every = list(packings.values())
-    for key, row in every[0]["requirements"].items():
-        found = [judged["requirements"][key] for judged in every]
-        yield f"| {row['label']} | {' | '.join(map(_requirement, found))} |"
-    for key in (key for key in every[0]["errors"] if key in ERRORS):
-        found = [judged["errors"][key] for judged in every]
-        yield f"| {found[0]['label']} (noise floors) | {' | '.join(map(_error, found))} |"
-    counts = (judged["failures"] for judged in every)
+    for kind, shown, what in (("requirements", _requirement, ""), ("errors", _error, " (noise floors)")):
+        for key, row in next(iter(packings.values()))[kind].items():
+            if kind == "requirements" or key in ERRORS:
+                yield f"| {row['label']}{what} | {' | '.join(shown(one[kind][key]) for one in packings.values())} |"
+    counts = (judged["failures"] for judged in packings.values())
     yield f"| states not finite; spheres outside by more than r | {' | '.join(map(_failures, counts))} |"
     yield ""
     yield f"| baseline, shared packing | {' | '.join(ERRORS.values())} |"
@@ -109,8 +97,8 @@ def _requirement(row: dict[str, Any]) -> str:
 
 
 def _error(row: dict[str, Any]) -> str:
-    times = "" if row["multiple_of_floor"] is None else f" ({shown_multiple(row['multiple_of_floor'])})"
-    return _value(row) + times
+    multiple = row["multiple_of_floor"]
+    return _value(row) if multiple is None else f"{_value(row)} ({shown_multiple(multiple)})"
 
 
 def _value(row: dict[str, Any]) -> str:
@@ -126,12 +114,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m gran_bench.report.result_page", description=write_page.__doc__)
     parser.add_argument("run", type=Path, help="folder of a finished run")
     parser.add_argument("target", type=Path, help="folder of the page")
-    parser.add_argument("--title", help="of the page; the experiment's name where it is not given")
+    parser.add_argument("--title", default="", help="of the page; the experiment's name where it is not given")
     arguments = parser.parse_args()
     try:
-        summary = read_summary(arguments.run) or {}
-        title = arguments.title or str(summary.get("experiment", ""))
-        print(write_page(arguments.run, arguments.target, title))
+        print(write_page(arguments.run, arguments.target, arguments.title))
     except (ResultPageError, OSError, json.JSONDecodeError) as error:
         parser.exit(2, f"error: {error}\n")
 

@@ -49,14 +49,13 @@ def drum_table(root: Path) -> Iterator[str]:
         rows, ranked = [], ["surface_angle", "speed_w1"]
     for name, summary in _runs(root):
         if not any(row["name"].startswith(name) for row in rows):
-            rollout, errors = (
-                summary["rollouts"][f"{summary['judged_rpm']:g}rpm"],
+            errors, rollout = (
                 summary["judged"]["shared"]["errors"],
+                summary["rollouts"][f"{summary['judged_rpm']:g}rpm"],
             )
-            second = rollout["ms_per_frame_median"] / summary["frame_ms"]
-            relative = rollout["ms_per_frame_median"] / rollout["dem_ms_per_frame"]
-            who = f"`{summary['model']['name']}` ([{name}]({name}/README.md)), judged by itself"
-            yield _row(who, second, relative, errors, _worst(errors, ranked))
+            time, who = rollout["ms_per_frame_median"], f"`{summary['model']['name']}` ([{name}]({name}/README.md))"
+            times = time / summary["frame_ms"], time / rollout["dem_ms_per_frame"]
+            yield _row(f"{who}, judged by itself", *times, errors, _worst(errors, ranked))
         if name == RUNS[0]:
             for baseline, errors in summary["baselines"].items():
                 if "replayed" in baseline:

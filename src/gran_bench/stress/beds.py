@@ -13,7 +13,7 @@ from gran_bench.dataset import CaseSpec, read_settled
 from gran_bench.dataset.generation import Job
 from gran_bench.dem.simulate import simulate
 from gran_bench.files import locked
-from gran_bench.metrics.energy import rotational_energy, sphere_masses, translational_energy
+from gran_bench.metrics.bed import rotational_energy, sphere_masses, translational_energy
 from gran_bench.metrics.outside import FailureCount, count_failures, counted
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene

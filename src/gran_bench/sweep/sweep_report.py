@@ -13,7 +13,7 @@ from gran_bench import tracking
 from gran_bench.config import TrackingConfig
 from gran_bench.files import write_text
 from gran_bench.plots.style import drawn_for
-from gran_bench.plots.sweep import sweep_axis
+from gran_bench.plots.training import sweep_axis
 from gran_bench.provenance import stamp
 from gran_bench.sweep.runs import FAILED, FINISHED, SweepRun
 from gran_bench.sweep.standing import Standing, cut_short, read_standing, unequal_updates

@@ -25,13 +25,9 @@ def this_process() -> str:
 
 
 def close_abandoned(store: Store) -> list[str]:
-    """Mark as ``KILLED`` each run that is ``RUNNING`` without its process, and tell their names.
+    """Mark as ``KILLED`` each run of a store, held alone, that is ``RUNNING`` without its process.
 
-    Args:
-        store: held alone.
-
-    Returns:
-        Names, with their machines, of the runs of other machines: whether those go on is not known here.
+    Returns the names, with their machines, of the runs of other machines: whether those go on is not known here.
     """
     closed, elsewhere = [], []
     for run in store.running():

@@ -136,9 +136,6 @@ def schedule_children(config: TrackingConfig, parent: str | None, children: Iter
 
     Returns:
         Keys of the children that are finished while the store does not say so: their record is missing there.
-
-    Raises:
-        TrackingError: the store cannot be used.
     """
     if parent is None:
         return set()
@@ -159,11 +156,7 @@ def schedule_children(config: TrackingConfig, parent: str | None, children: Iter
 
 @contextmanager
 def reopen_ended(config: TrackingConfig, key: str) -> Iterator[Run | None]:
-    """The run of a key, to add to what it records without a change of its status; None where there is none.
-
-    Raises:
-        TrackingError: the store cannot be used.
-    """
+    """The run of a key, to add to what it records without a change of its status; None where there is none."""
     store = Store(config)
     found = store.run_of(key)
     run = None if found is None else Run(store, found.info.run_id, resumed=True)
@@ -173,11 +166,7 @@ def reopen_ended(config: TrackingConfig, key: str) -> Iterator[Run | None]:
 
 
 def end_child(config: TrackingConfig, key: str, why: str) -> None:
-    """Mark a run that its own process could not close as ``FAILED``, with the reason.
-
-    Raises:
-        TrackingError: the store cannot be used.
-    """
+    """Mark a run that its own process could not close as ``FAILED``, with the reason."""
     if not config.enabled:
         return
     store = Store(config)

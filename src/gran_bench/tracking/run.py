@@ -26,31 +26,18 @@ RETRY_SECONDS = 60.0  # after a store that did not answer; MLflow waits 20 s for
 
 @dataclass
 class Backlog:
-    """What has not reached the store.
-
-    Attributes:
-        metrics: points, oldest first.
-        tags: by name.
-        artifacts: path of the file, from the store's root in a kept record, and folder in the artifacts or None.
-        datasets: arguments of ``Store.add_dataset`` behind the run's id.
-        status: how the run ended; None while it goes on.
-    """
+    """What has not reached the store, oldest first; ``status`` is how the run ended, None while it goes on."""
 
     metrics: list[MetricPoint] = field(default_factory=list)
     tags: dict[str, str] = field(default_factory=dict)
+    # Path of the file, from the store's root in a kept record, and folder in the artifacts or None.
     artifacts: list[tuple[str, str | None]] = field(default_factory=list)
-    datasets: list[tuple[str, str, str, dict[str, Any]]] = field(default_factory=list)
+    datasets: list[tuple[str, str, str, dict[str, Any]]] = field(default_factory=list)  # of ``Store.add_dataset``
     status: str | None = None
 
 
 class Run:
-    """A run in the store, or one that records nothing.
-
-    Args:
-        store: where; None to record nothing.
-        run_id: of the run, which is open.
-        resumed: whether it had a life before this one, whose metrics must not be repeated.
-    """
+    """An open run in a store, or one that records nothing; what a ``resumed`` one has logged before is not repeated."""
 
     def __init__(self, store: Store | None = None, run_id: str | None = None, resumed: bool = False) -> None:
         self.run_id, self._store, self._resumed = run_id, store, resumed

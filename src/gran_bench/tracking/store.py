@@ -20,15 +20,8 @@ from urllib.parse import quote
 
 from gran_bench.config import TrackingConfig
 from gran_bench.files import locked, whole_file
-from gran_bench.tracking.address import (
-    ARTIFACTS,
-    DATABASE,
-    SERVER,
-    database_uri,
-    follow_folder,
-    server_uri,
-    shown_uri,
-)
+from gran_bench.tracking import address
+from gran_bench.tracking.address import ARTIFACTS, DATABASE, SERVER, shown_uri
 from gran_bench.tracking.views import VIEW_TAG, experiment_tags
 
 if TYPE_CHECKING:
@@ -65,14 +58,9 @@ class TrackingError(RuntimeError):
 
 
 class MetricPoint(NamedTuple):
-    """One value of a metric.
+    """One value of a metric, logged at ``when`` (ms since 1970).
 
-    Attributes:
-        name: of the metric.
-        value: of any kind, NaN included.
-        step: at which it was found.
-        when: it was logged, ms since 1970.
-        supersedes: whether it takes the place of another value at the same step; else the first one stays.
+    One that ``supersedes`` takes the place of another value at the same step; else the first one stays.
     """
 
     name: str
@@ -88,12 +76,7 @@ def legal_name(name: str) -> str:
 
 
 class Client:
-    """MLflow's `MlflowClient`, each of whose calls is made under a guard.
-
-    Args:
-        uri: of the store.
-        guard: context that turns what a call raises into one clear error.
-    """
+    """MLflow's `MlflowClient`, each of whose calls is made under a guard that turns what it raises into one error."""
 
     def __init__(self, uri: str, guard: Callable[[], AbstractContextManager[None]]) -> None:
         os.environ.update(QUIET | {name: os.environ.get(name, value) for name, value in _PATIENCE.items()})
@@ -118,28 +101,24 @@ class Client:
 class Store:
     """The database or the server, the experiment and its artifacts, made by whoever comes first.
 
-    Args:
-        config: root of the store and name of the experiment.
-
-    Raises:
-        TrackingError: the store cannot be made or opened.
+    A store that cannot be made or opened is a `TrackingError`.
     """
 
     def __init__(self, config: TrackingConfig) -> None:
         self.root = Path(config.root).resolve()
-        self.server = server_uri()
+        self.server = address.server_uri()
         self.database = self.root / DATABASE  # where there is no server
         # Of the first file of that name that this process opens.
-        self.uri = self.server or database_uri(str(self.database))
+        self.uri = self.server or address.database_uri(str(self.database))
         self.artifacts_uri = (self.root / ARTIFACTS).as_uri()
         self._identity: tuple[int, int] | None = None
         # Several first starts at once crash each other while they make the tables.
         with self.alone():
-            self.client = Client(self.server or database_uri(self._spelling()), self._answers)
+            self.client = Client(self.server or address.database_uri(self._spelling()), self._answers)
             if self.server is None:
                 self.client.search_experiments(max_results=1)  # makes the tables
                 with self._answers():
-                    follow_folder(self.database, self.artifacts_uri)
+                    address.follow_folder(self.database, self.artifacts_uri)
             self.experiment_id = self._experiment(config.experiment)
             if self.server is None:
                 self._identity = _opened[self.database][-1] = self._file_identity()

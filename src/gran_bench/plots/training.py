@@ -1,4 +1,4 @@
-"""A swept choice against error and time: a point a seed, the means, failed runs at the upper edge."""
+"""Training: loss curves, and a swept choice against error and time."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator
 
+from gran_bench.plots import style
 from gran_bench.plots.style import BASELINE, DEM, FURTHER, QUIET, SURROGATE, drawing, plain_numbers, say
 
 PANELS = (
@@ -20,6 +21,7 @@ PANELS = (
     ("headline/rollout ms per frame", "time for a frame, ms"),
     ("training.steps", "updates in the time given"),
 )
+_SHOWN_ELSEWHERE = ("step", "loss", "learning_rate", "frames_ahead", "gradient_norm", "seconds", "minutes")
 LOG_FROM = 15.0  # largest over smallest figure from which a panel is logarithmic
 CROWDED = 4  # numbers below an axis from which on they would touch
 COLOURS = (SURROGATE, BASELINE, *FURTHER, DEM)
@@ -29,7 +31,7 @@ LINES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 
 
 def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path | str, title: str) -> Path:
-    """Draw one axis of a sweep against errors and time.
+    """Draw one axis of a sweep against errors and time: a point a seed, the means, failed runs at the upper edge.
 
     Args:
         runs: a row a run: ``axis`` and ``others`` as text, ``status``, and the figures of the panels, NaN where
@@ -99,3 +101,38 @@ def _points(axes: Axes, series: list, axis: str, name: str, place: dict[str, flo
         plain_numbers(axes.yaxis)
     else:
         axes.set_ylim(0.0, 1.08 * found.max() if found.max() > 0 else 1.0)
+
+
+def loss_curves(losses: pd.DataFrame, path: Path | str) -> Path:
+    """Draw the loss, its terms and the learning rate against the optimiser's steps.
+
+    ``losses`` has a row each time that losses were logged: ``step``, ``loss``, ``learning_rate``, ``frames_ahead``, and
+    any further column as a term of the loss, all dimensionless.
+    """
+    with drawing(path, 8.8, 4.6) as figure:
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1.0))
+        upper.set(title="Training loss", ylabel="loss, dimensionless")
+        lower.set(ylabel="learning rate", xlabel="optimiser steps")
+        if losses.empty:
+            say(upper, "no losses were logged")
+            return Path(path)
+        step, window = losses["step"], max(1, len(losses) // 40)
+        smooth = losses.rolling(window, min_periods=1, center=True).median()
+        upper.plot(step, losses["loss"], color=SURROGATE, alpha=0.25, linewidth=0.9)
+        label = "loss" if window == 1 else f"loss, running median of {window}"
+        upper.plot(step, smooth["loss"], color=SURROGATE, label=label)
+        terms = [name for name in losses.columns if name not in _SHOWN_ELSEWHERE]
+        for name, colour in style.coloured(terms, (BASELINE,)):
+            upper.plot(step, smooth[name], color=colour, linewidth=1.1, label=name.removeprefix("term/"))
+        upper.set_yscale("log")
+        if "frames_ahead" in losses:
+            # The loss jumps where training began to look further ahead.
+            frames = losses["frames_ahead"]
+            for i in losses.index[1:][frames.diff().iloc[1:] != 0]:
+                style.mark_place(upper, step[i], f"{int(frames[i])} frames ahead")
+        upper.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
+        if "learning_rate" in losses:
+            lower.plot(step, losses["learning_rate"], color=DEM, linewidth=1.2)
+            lower.set_ylim(bottom=0.0)
+            lower.ticklabel_format(axis="y", style="sci", scilimits=(0, 0))
+    return Path(path)
