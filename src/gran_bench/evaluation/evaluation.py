@@ -48,12 +48,7 @@ class Evaluation:
 def evaluate(model: Surrogate, plan: Plan, folder: Path, tell: Tell, progress: bool = True) -> Evaluation:
     """Roll a model out, judge it, and sum it up; a rollout that failed is in the evaluation as a failed one.
 
-    Args:
-        model: with its final weights, on its device.
-        plan: what to do.
-        folder: keeps the finished rollouts, so that a killed evaluation goes on.
-        tell: gets one line for each stage.
-        progress: show bars.
+    The folder keeps the finished rollouts, so that a killed evaluation goes on; ``tell`` gets a line for each stage.
     """
     tell("DEM runs to judge against: cases, replicas, another packing, half the time step")
     ensure_cases(plan.cases, plan.dataset.root, plan.dataset.workers, progress)

@@ -45,7 +45,7 @@ class Plan:
 
     @property
     def packings(self) -> list[bool]:
-        """Which packings are judged: the shared one, and the unseen one (True) where it is asked for."""
+        """Whether the judged packings are unseen: the shared one is not, and stands first."""
         return [False, True] if self.judge.unseen_packing else [False]
 
     def case(self, rpm: float, unseen: bool = False) -> CaseSpec:

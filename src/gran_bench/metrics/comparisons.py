@@ -9,7 +9,7 @@ import numpy as np
 
 from gran_bench.config.registry import METRICS
 from gran_bench.metrics.measured import LEAST_VALID_SHARE, Measured, Series, frame_at, within
-from gran_bench.metrics.position_error import separation_series
+from gran_bench.metrics.position_error import separation
 from gran_bench.metrics.speeds import wasserstein, wasserstein_series
 from gran_bench.metrics.summary import PATTERN_TIME, PEAK_BEFORE, STEADY_FROM, TrajectorySummary
 
@@ -99,8 +99,8 @@ def _position_distance(frame: int) -> Between:
                 return Measured.undefined("m", "statistics without particles")
             if len(run.time) <= frame:
                 return Measured.undefined("m", f"no state {frame} frames after the start")
-        span = slice(frame, frame + 1)
-        return separation_series(a.time[span], a.position[span], b.time[span], b.position[span], a.period).mean()
+        apart = separation(a.position[[frame]], b.position[[frame]], a.period)[0]
+        return Measured.of(apart, "m", "position is not finite, or missing, in 1 of 1 states")
 
     return distance
 
@@ -121,13 +121,9 @@ def _steady(name: str) -> Measure:
     return measure
 
 
-def _peak(name: str, part: int) -> Measure:
+def _peak(name: str, part: int, end: float = PEAK_BEFORE) -> Measure:
     """Largest value before 3 s (part 0), or when it is (part 1)."""
-    return lambda run: run.series[name].largest(end=PEAK_BEFORE)[part]
-
-
-def _largest(name: str) -> Measure:
-    return lambda run: run.series[name].largest()[0]
+    return lambda run: run.series[name].largest(end=end)[part]
 
 
 def _angles(name: str, label: str) -> tuple[Comparison, ...]:
@@ -140,17 +136,9 @@ def _angles(name: str, label: str) -> tuple[Comparison, ...]:
     )
 
 
-def comparisons() -> tuple[Comparison, ...]:
-    """Every distance of a judgement: the house's, then one for each metric of a plugin."""
-    return COMPARISONS + _added()
+def added() -> tuple[Comparison, ...]:
+    """A row for each metric of a plugin, both of the distances and of the figures."""
 
-
-def figures() -> tuple[Comparison, ...]:
-    """Every scalar of a judgement: the house's, then one for each metric of a plugin."""
-    return FIGURES + _added()
-
-
-def _added() -> tuple[Comparison, ...]:
     def row(name: str, unit: str) -> Comparison:
         nothing = Measured.undefined(unit, "statistics without particles")
         return Comparison(name, METRICS[name].label, unit, lambda run: run.series.get(name, nothing))
@@ -182,8 +170,8 @@ FIGURES = (
     Comparison("translational_energy_steady", "translational energy, steady", "J", _steady("translational_energy")),
     Comparison("rotational_energy_steady", "rotational energy, steady", "J", _steady("rotational_energy")),
     Comparison("overlap_mean", "overlap of pairs, mean", "m", _series("overlap_mean")),
-    Comparison("overlap_max", "overlap of pairs, largest", "m", _largest("overlap_max")),
+    Comparison("overlap_max", "overlap of pairs, largest", "m", _peak("overlap_max", 0, np.inf)),
     Comparison("wall_overlap_mean", "overlap with walls, mean", "m", _series("wall_overlap_mean")),
-    Comparison("wall_overlap_max", "overlap with walls, largest", "m", _largest("wall_overlap_max")),
+    Comparison("wall_overlap_max", "overlap with walls, largest", "m", _peak("wall_overlap_max", 0, np.inf)),
     Comparison("mixing_end", "mixing entropy, steady", "-", _steady("mixing")),
 )

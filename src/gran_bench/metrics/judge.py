@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gran_bench.config.rules import check_arguments
-from gran_bench.metrics.comparisons import CENTER, SURFACE, Comparison, comparisons, figures, speed_distance
+from gran_bench.metrics.comparisons import CENTER, COMPARISONS, FIGURES, SURFACE, Comparison, added, speed_distance
 from gran_bench.metrics.judgement import ErrorRow, FigureRow, Judgement, Requirement
 from gran_bench.metrics.measured import Measured, mean_of, shared_states
 from gran_bench.metrics.noise_floor import noise_floor, prediction_interval, score
@@ -55,10 +55,10 @@ def judge(candidate: Run, replicas: Sequence[Run], scene: Scene, others: Mapping
     for name, summary in zip(runs, (mine, *theirs), strict=True):
         _hold_alike(name, summary, mine)
     truth, beside = theirs[: len(replicas)], dict(zip(others, theirs[len(replicas) :], strict=True))
-    failures = [run.failures for run in truth]
+    failures, more = [run.failures for run in truth], added()
     return Judgement(
-        errors=[_error_row(row, mine, truth, beside) for row in comparisons()],
-        figures=[_figure_row(row, mine, truth) for row in figures()],
+        errors=[_error_row(row, mine, truth, beside) for row in (*COMPARISONS, *more)],
+        figures=[_figure_row(row, mine, truth) for row in (*FIGURES, *more)],
         requirements=list(acceptance(mine, truth)),
         failures=mine.failures,
         dem_outside=None if None in failures else float(np.mean([count.share(count.outside) for count in failures])),

@@ -68,9 +68,9 @@ def mean_of(figures: list[Measured], unit: str) -> Measured:
     """Mean of figures that are all defined; undefined where one is not, because a failure may not drop out."""
     if not figures:
         return Measured.undefined(unit, "nothing to average")
-    missing = [figure for figure in figures if not figure.defined]
-    if missing:
-        return Measured.undefined(unit, missing[0].note)
+    for figure in figures:
+        if not figure.defined:
+            return Measured.undefined(unit, figure.note)
     noted = [figure.note for figure in figures if figure.note]
     note = noted[0] if noted else ""
     if len({figure.note for figure in figures}) > 1:

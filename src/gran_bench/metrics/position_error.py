@@ -12,7 +12,7 @@ import numpy as np
 
 from gran_bench.config import JudgeConfig
 from gran_bench.config.rules import check_arguments, checked
-from gran_bench.metrics.measured import Measured, Series, shared_states
+from gran_bench.metrics.measured import Measured
 from gran_bench.state import FloatArray, Trajectory
 
 HORIZONS = (1, 3, 10)  # frames
@@ -33,15 +33,6 @@ def separation(a: FloatArray, b: FloatArray, period: float = 0.0) -> FloatArray:
             offset[..., 1] -= period * np.round(offset[..., 1] / period)
         distance = np.sqrt((offset**2).sum(axis=-1)).mean(axis=-1)
     return np.where(np.isfinite(distance), distance, np.nan)
-
-
-def separation_series(
-    time_a: FloatArray, a: FloatArray, time_b: FloatArray, b: FloatArray, period: float = 0.0
-) -> Series:
-    """`separation` against time, m; a state that only one of the two has is invalid."""
-    shared = shared_states(time_a, time_b)
-    value = separation(a[:shared], b[:shared], period)
-    return Series.of_two(time_a, time_b, value, "m", "position is not finite, or missing,")
 
 
 def mean_spread(replicas: Sequence[FloatArray], period: float = 0.0) -> FloatArray:

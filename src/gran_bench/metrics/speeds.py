@@ -17,13 +17,8 @@ from gran_bench.state import VELOCITY_KINDS, FloatArray, Trajectory
 def velocities(trajectory: Trajectory, velocity_kind: str, period: float = 0.0) -> FloatArray:
     """Velocities by the wanted definition, ``(F, N, 3)`` m/s, in double precision, so that squares stay finite.
 
-    Args:
-        trajectory: whose stored velocities are of ``trajectory.velocity_kind``.
-        velocity_kind: ``instantaneous``, or ``mean`` over the frame that ends at a state.
-        period: length of the periodic axis y, m; 0 where nothing wraps.
-
-    Raises:
-        ValueError: instantaneous velocities of a trajectory that has only means, or an unknown kind.
+    ``velocity_kind`` is ``instantaneous``, which a trajectory of means does not have (`ValueError`), or ``mean`` over
+    the frame that ends at a state; ``period`` is the length of a periodic axis y, m.
     """
     check_arguments(trajectory=(trajectory, Trajectory))
     if velocity_kind not in VELOCITY_KINDS:
@@ -100,13 +95,8 @@ def depth_profile(
 
     Only spheres within 0.6 R of the middle of the surface count, so that a layer has one depth. The velocity along
     the surface is positive uphill, so the flowing layer is negative. Layers run to the drum's wall; one that never
-    held a sphere is NaN. A state without a valid surface is left out.
-
-    Args:
-        position: ``(F, N, 3)`` m, states of one span of time.
-        velocity: ``(F, N, 3)`` m/s.
-        lines: the surfaces of the states.
-        scene: a drum.
+    held a sphere is NaN. A state without a valid surface is left out. Positions (m) and velocities (m/s) are
+    ``(F, N, 3)`` of a span of time in a drum, with the line of each state.
     """
     diameter = scene.filling.diameter
     layers = max(1, round(2.0 * scene.drum_radius / diameter))

@@ -39,9 +39,6 @@ def draw_missing_cards(paths: Sequence[Path], progress: bool = True) -> list[Pat
     """Draw each case that has no figure yet, to ``figures/`` beside its file; the figure of each.
 
     A case never changes under its name, so neither does its figure.
-
-    Raises:
-        DatasetError: a file is missing or damaged.
     """
     figures = [path.parent / "figures" / f"{path.stem}.png" for path in paths]
     missing = [(path, figure) for path, figure in zip(paths, figures, strict=True) if not figure.exists()]
@@ -52,11 +49,7 @@ def draw_missing_cards(paths: Sequence[Path], progress: bool = True) -> list[Pat
 
 
 def print_data_card(config: GenerateConfig) -> None:
-    """Make whatever the card needs and print its two tables in Markdown: the cases, and the noise floor.
-
-    Raises:
-        DatasetError: a case cannot be made, or a file is damaged.
-    """
+    """Make whatever the card needs and print its two tables in Markdown: the cases, and the noise floor."""
     root, workers = config.dataset.root, config.dataset.workers
     split = split_cases(build_scene(config.scene), config.dem, config.dataset)
     judged = split.holdout[0] if split.holdout else split.training[0]
@@ -105,9 +98,7 @@ def _unit(unit: str) -> str:
 
 
 def _shown(figure: Measured) -> str:
-    if figure.value is None:
-        return "undefined"
-    return f"{figure.value * SHOWN_AS.get(figure.unit, ('', 1.0))[1]:.3g}"
+    return f"{figure.value * SHOWN_AS.get(figure.unit, ('', 1.0))[1]:.3g}" if figure.defined else "undefined"
 
 
 def case_card(trajectory: Trajectory, scene: Scene, path: Path | str, title: str = "") -> Path:
@@ -152,8 +143,7 @@ def _instants(scene: Scene) -> list[float]:
 def _draw_angles(axes: Axes, trajectory: Trajectory, scene: Scene) -> None:
     axes.set(title="Angle of repose", xlabel="time, s", ylabel="angle, °")
     axes.set_xlim(trajectory.time[0], trajectory.time[-1])
-    found = ((surface_angle, "surface", SURROGATE), (com_angle, "centre of mass", BASELINE))
-    for measure, label, colour in found:
+    for measure, label, colour in ((surface_angle, "surface", SURROGATE), (com_angle, "centre of mass", BASELINE)):
         series = measure(trajectory, scene)
         if series.undefined_because:
             say(axes, f"undefined:\n{series.undefined_because}")

@@ -54,10 +54,8 @@ def _squeezed(speed: float) -> float:
 def draw_dem_step(curves: Mapping[str, Sequence[float]], path: Path | str) -> Path:
     """Error and cost of the DEM against its step.
 
-    Args:
-        curves: ``step`` (s), ``error`` (degrees; inf where the run ended with an error), ``cost`` (ms a frame),
-            ``floor`` (degrees), ``contact_time`` and ``production`` (s), each a list.
-        path: of the PNG.
+    Curves are lists: ``step`` (s), ``error`` (degrees; inf where the run ended with an error), ``cost`` (ms a frame),
+    ``floor`` (degrees), ``contact_time`` and ``production`` (s).
     """
     step, error, cost = (np.array(curves[name], float) for name in ("step", "error", "cost"))
     floor, contact = curves["floor"][0], curves["contact_time"][0]
@@ -92,10 +90,8 @@ def draw_dem_step(curves: Mapping[str, Sequence[float]], path: Path | str) -> Pa
 def draw_energy_drift(curves: Mapping[str, Sequence[float]], path: Path | str) -> Path:
     """Largest change of an elastic gas's energy against the step.
 
-    Args:
-        curves: ``steps_per_contact`` (t_c over the step), ``change`` (of the energy; inf where it diverged) and
-            ``bound`` (of (Δt/t_c)²), each a list.
-        path: of the PNG.
+    Curves are lists: ``steps_per_contact`` (t_c over the step), ``change`` (of the energy; inf where it diverged) and
+    ``bound`` (of (Δt/t_c)²).
     """
     share = 1.0 / np.array(curves["steps_per_contact"], float)
     change, bound = np.array(curves["change"], float), curves["bound"][0]

@@ -33,13 +33,9 @@ LINES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path | str, title: str) -> Path:
     """Draw one axis of a sweep against errors and time: a point a seed, the means, failed runs at the upper edge.
 
-    Args:
-        runs: a row a run: ``axis`` and ``others`` as text, ``status``, and the figures of the panels, NaN where
-            undefined.
-        axis: the swept key along x; where its values are numbers they are spaced so, with a line through the means.
-        others: the other swept keys; each combination of their values has a colour.
-        path: of the PNG.
-        title: of the figure: the sweep, and what it is judged on.
+    ``runs`` has a row a run: the swept keys as text, ``status``, and the figures of the panels, NaN where undefined.
+    Values of ``axis`` that are numbers are spaced so, with a line through the means; each combination of the ``others``
+    has a colour.
     """
     values = list(dict.fromkeys(runs[axis]))
     numbers = pd.to_numeric(pd.Series(values, dtype=object), errors="coerce").tolist()

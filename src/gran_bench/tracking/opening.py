@@ -40,8 +40,7 @@ def open_run(
         tags: data digest, commit, hardware, …
         parent: id of the run that this one belongs to.
 
-    Raises:
-        TrackingError: the store cannot be opened; or, at the end, something could not be recorded.
+    A store that cannot be opened, or that lacks something at the end, is a `TrackingError`.
     """
     if not config.enabled:
         yield Run()

@@ -142,8 +142,6 @@ class Store:
         except OSError as error:
             raise TrackingError(self._complaint(error.strerror or str(error))) from error
 
-    # ---- runs ------------------------------------------------------------------------------------------------
-
     def _find(self, condition: str, most: int) -> list[MlflowRun]:
         return self.client.search_runs([self.experiment_id], condition, max_results=most)
 
@@ -203,8 +201,6 @@ class Store:
             if name not in there or (name == VIEW_TAG and there[name] != value):
                 self.client.set_experiment_tag(self.experiment_id, name, value)
 
-    # ---- what a run records ----------------------------------------------------------------------------------
-
     def add_params(self, run_id: str, params: Mapping[str, str]) -> dict[str, str]:
         """Record the parameters that are new; returns those that differ from what the run has, which MLflow keeps."""
         from mlflow.entities import Param
@@ -248,8 +244,6 @@ class Store:
         uri, profile = json.dumps({"uri": Path(source).resolve().as_uri()}), json.dumps(dict(facts), default=str)
         dataset = Dataset(name, digest[:_LONGEST_DIGEST], "local", uri, profile=profile)
         self.client.log_inputs(run_id, [DatasetInput(dataset, [InputTag("mlflow.data.context", "training")])])
-
-    # ---- the database or the server ----------------------------------------------------------------------------
 
     def _experiment(self, name: str) -> str:
         experiment = self.client.get_experiment_by_name(name)

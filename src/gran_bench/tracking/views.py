@@ -61,34 +61,20 @@ def view_state() -> dict[str, Any]:
     columns = [f"metrics.`{HEADLINE}{name}`" for name in COLUMN_METRICS]
     columns += [f"params.`{name}`" for name in COLUMN_PARAMS] + [f"tags.`{name}`" for name in COLUMN_TAGS]
     return {
-        "searchFilter": "",
-        "orderByKey": f"metrics.`{HEADLINE}angle error floors`",
-        "orderByAsc": True,
-        "startTime": "ALL",
-        "lifecycleFilter": "Active",
-        "modelVersionFilter": "All Runs",
-        "datasetsFilter": [],
+        **{"searchFilter": "", "orderByKey": f"metrics.`{HEADLINE}angle error floors`", "orderByAsc": True},
+        **{"startTime": "ALL", "lifecycleFilter": "Active", "modelVersionFilter": "All Runs", "datasetsFilter": []},
         "selectedColumns": [*columns, DATASET],
         "columnOrder": [RUN_NAME, *columns, DATASET],
         "columnWidths": {RUN_NAME: WIDE_NAME, **{column: WIDE_FIGURE for column in columns}},
-        "runsExpanded": {},
-        "runsPinned": [],
-        "runsHidden": [],
-        "runsVisibilityMap": {},
+        **{"runsExpanded": {}, "runsPinned": [], "runsHidden": [], "runsVisibilityMap": {}},
         "runsHiddenMode": "SHOW_ALL",
         "compareRunCharts": _charts(),
         "compareRunSections": [
             {"uuid": name, "name": name, "columns": columns, "display": True, "isReordered": True, **_CHARTS_SHOWN}
             for name, columns in ((CHOICES, 1), (TIMES, 2), ("headline", 3), ("training", 3))
         ],
-        "viewMaximized": False,
-        "runListHidden": False,
-        "isAccordionReordered": True,
-        "groupBy": None,
-        "groupsExpanded": {},
-        "autoRefreshEnabled": True,
-        "useGroupedValuesInCharts": True,
-        "hideEmptyCharts": True,
+        **{"viewMaximized": False, "runListHidden": False, "isAccordionReordered": True, "groupBy": None},
+        **{"groupsExpanded": {}, "autoRefreshEnabled": True, "useGroupedValuesInCharts": True, "hideEmptyCharts": True},
         "globalLineChartConfig": {"xAxisKey": "step", "lineSmoothness": 0, "selectedXAxisMetricKey": ""},
         "chartsSearchFilter": "",
     }
