@@ -40,8 +40,7 @@ from gran_bench.metrics import (
 )
 from gran_bench.metrics.angle_of_repose import center_of_mass_angles, cross_section_axes, surface_angle, surface_lines
 from gran_bench.metrics.bed import mixing, overlap_series
-from gran_bench.metrics.measured import Measured
-from gran_bench.metrics.noise_floor import noise_floor
+from gran_bench.metrics.measured import Measured, noise_floor
 from gran_bench.metrics.outside import count_failures
 from gran_bench.metrics.position_error import mean_spread, separation
 from gran_bench.metrics.speeds import velocities, wasserstein_series

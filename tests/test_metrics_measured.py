@@ -7,8 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from gran_bench.metrics.measured import Measured, Series, frame_at, mean_of
-from gran_bench.metrics.noise_floor import noise_floor, prediction_interval, score
+from gran_bench.metrics.measured import Measured, Series, frame_at, mean_of, noise_floor, prediction_interval, score
 from gran_bench.plots.evaluation import draw_run
 from gran_bench.plots.style import drawing
 

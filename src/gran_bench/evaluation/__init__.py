@@ -1,5 +1,4 @@
-"""Rollouts judged against the DEM."""
+"""Judging a model: rollouts of every speed, replicas of the DEM, figures, a summary."""
+# ruff: noqa: F401
 
-from gran_bench.evaluation.evaluation import Evaluation, evaluate, predict_from, weights_digest
-
-__all__ = ["Evaluation", "evaluate", "predict_from", "weights_digest"]
+from gran_bench.evaluation.evaluation import Evaluation, evaluate

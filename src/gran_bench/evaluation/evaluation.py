@@ -1,7 +1,4 @@
-"""Judge one model on one scene: rollouts of every speed, replicas of the DEM, figures, a summary.
-
-A hybrid has no place here: between the settled state and the last frame nothing but the model moves a sphere.
-"""
+"""Judge one model on one scene: rollouts in which nothing but the model moves a sphere, replicas, a summary."""
 
 from __future__ import annotations
 
@@ -28,7 +25,6 @@ from gran_bench.rollout import Rollout, extrapolations, rollout
 from gran_bench.state import FloatArray, Trajectory
 from gran_bench.surrogate.step import Surrogate
 
-Tell = Callable[[str], None]
 # The distances that stand in the short table, for the model and for the baselines.
 COMPARED = ("surface_angle", "com_angle", "speed_w1")
 
@@ -45,7 +41,9 @@ class Evaluation:
     summary: dict[str, Any]  # everything as plain values for ``summary.json``
 
 
-def evaluate(model: Surrogate, plan: Plan, folder: Path, tell: Tell, progress: bool = True) -> Evaluation:
+def evaluate(
+    model: Surrogate, plan: Plan, folder: Path, tell: Callable[[str], None], progress: bool = True
+) -> Evaluation:
     """Roll a model out, judge it, and sum it up; a rollout that failed is in the evaluation as a failed one.
 
     The folder keeps the finished rollouts, so that a killed evaluation goes on; ``tell`` gets a line for each stage.
@@ -73,10 +71,8 @@ def evaluate(model: Surrogate, plan: Plan, folder: Path, tell: Tell, progress: b
         tell(f"judging {name} against {plan.dataset.replicas} replicas")
         candidate = candidates[packing] = summarise(rollouts[name].trajectory, scene)
         doubles[packing] = [_summary(spec, plan, candidate.velocity_kind) for spec in plan.replicas(unseen)]
-        beside = {"other_packing": plan.case(plan.judged_rpm, not unseen)} | (
-            {} if unseen else {"half_step": plan.finer}
-        )
-        beside = {name: _summary(spec, plan, candidate.velocity_kind) for name, spec in beside.items()}
+        beside = {"other_packing": plan.case(plan.judged_rpm, not unseen), "half_step": None if unseen else plan.finer}
+        beside = {name: _summary(spec, plan, candidate.velocity_kind) for name, spec in beside.items() if spec}
         judgements[packing] = judge(candidate, doubles[packing], scene, beside)
     summary = {
         "judged_rpm": plan.judged_rpm,
@@ -108,8 +104,7 @@ def _kept_rollout(model: Surrogate, case: Case, path: Path, progress: bool) -> R
             np.savez(file, **facts)
         kept = _read(path)
     time = case.settled.time + case.scene.frame_interval * np.arange(len(kept["position"]))
-    motion = map(kept.get, arrays)
-    radius = np.asarray(case.settled.radius)
+    motion, radius = map(kept.get, arrays), np.asarray(case.settled.radius)
     trajectory = Trajectory(time, *motion, radius, velocity_kind=model.velocity_kind)
     failed, warnings = int(kept["failed_frame"]), extrapolations(model, case.scene, case.settled)
     return Rollout(trajectory, None if failed < 0 else failed, kept["seconds_per_frame"], warnings)

@@ -18,10 +18,10 @@ class Plan:
     """What is rolled out and what it is held against.
 
     Where the data set has a validation speed, that one is judged, and the held-out speed is neither rolled out nor
-    opened: whoever chooses must not see it. The scene has no speed of its own yet.
+    opened: whoever chooses must not see it.
     """
 
-    scene: Scene
+    scene: Scene  # without a speed of its own
     dem: DemConfig
     dataset: DatasetConfig
     judge: JudgeConfig

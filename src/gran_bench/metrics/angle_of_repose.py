@@ -92,11 +92,8 @@ def surface_lines(
     Args:
         position: ``(F, N, 3)`` m; a frame that is not finite has no line.
         radius: ``(N,)`` m.
-        scene: a drum.
+        scene: a drum with gravity; a `ValueError` else.
         start_angles: ``(F,)`` rad; the centre-of-mass angles where None.
-
-    Raises:
-        ValueError: a scene without a drum or without gravity.
     """
     if scene.drum_radius is None or scene.length is None:
         raise ValueError(f"scene {scene.name!r} has no drum, so its beds have no surface; choose a drum")
@@ -192,31 +189,28 @@ def surface_angle(trajectory: Trajectory, scene: Scene) -> Series:
 
     Lines are fitted wherever there is a drum and gravity, also where no angle of repose exists.
     """
-    nothing, reason = _without_drum(trajectory, scene)
-    if nothing is not None:
+    if (nothing := _without_drum(trajectory, scene)) is not None:
         return nothing
     lines = surface_lines(trajectory.position, trajectory.radius, scene)
     value = np.degrees([line.angle if line.valid else math.nan for line in lines])
-    return SurfaceAngle(trajectory.time, value, "deg", reason, "no straight surface", lines)
+    return SurfaceAngle(trajectory.time, value, "deg", why_no_angle(scene), "no straight surface", lines)
 
 
 @register_metric("centre-of-mass angle", "deg")
 def com_angle(trajectory: Trajectory, scene: Scene) -> Series:
     """Angle of the bed's centre of mass in every state, by `center_of_mass_angles`, degrees."""
-    nothing, reason = _without_drum(trajectory, scene)
-    if nothing is not None:
+    if (nothing := _without_drum(trajectory, scene)) is not None:
         return nothing
     value = np.degrees(center_of_mass_angles(trajectory.position, trajectory.radius, scene))
-    return Series(trajectory.time, value, "deg", reason, "not finite")
+    return Series(trajectory.time, value, "deg", why_no_angle(scene), "not finite")
 
 
-def _without_drum(trajectory: Trajectory, scene: Scene) -> tuple[Series | None, str]:
-    """The undefined series of a scene in which nothing can be fitted, and why a scene has no angle."""
+def _without_drum(trajectory: Trajectory, scene: Scene) -> Series | None:
+    """The undefined series of a scene in which nothing can be fitted."""
     check_arguments(trajectory=(trajectory, Trajectory), scene=(scene, Scene))
-    reason = why_no_angle(scene)
     if scene.drum_radius is not None and scene.length is not None and scene.needs.gravity:
-        return None, reason
-    return Series(trajectory.time, np.full(trajectory.frame_count, np.nan), "deg", reason), reason
+        return None
+    return Series(trajectory.time, np.full(trajectory.frame_count, np.nan), "deg", why_no_angle(scene))
 
 
 def _fit(across: FloatArray, radius: FloatArray, scene: Scene, angle: float) -> tuple[SurfaceLine, float]:

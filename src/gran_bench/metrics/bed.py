@@ -74,10 +74,7 @@ def pair_overlaps(position: FloatArray, radius: FloatArray, period: float = 0.0)
 
 
 def wall_overlap(position: FloatArray, radius: FloatArray, wall: Wall) -> FloatArray:
-    """How far spheres at ``(..., N, 3)`` m reach into a plane or out of a cylinder, ``(..., N)`` m; negative is a gap.
-
-    The overlap is also how far a sphere's centre lies beyond the last place it can have in the container.
-    """
+    """How far spheres at ``(..., N, 3)`` m reach into a plane or a cylinder, ``(..., N)`` m; a gap is negative."""
     offset = position - np.asarray(wall.point)
     if isinstance(wall, Plane):
         return radius - offset @ np.asarray(wall.normal)

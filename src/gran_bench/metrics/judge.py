@@ -10,8 +10,7 @@ import numpy as np
 from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.comparisons import CENTER, COMPARISONS, FIGURES, SURFACE, Comparison, added, speed_distance
 from gran_bench.metrics.judgement import ErrorRow, FigureRow, Judgement, Requirement
-from gran_bench.metrics.measured import Measured, mean_of, shared_states
-from gran_bench.metrics.noise_floor import noise_floor, prediction_interval, score
+from gran_bench.metrics.measured import Measured, mean_of, noise_floor, prediction_interval, score, shared_states
 from gran_bench.metrics.outside import distance_outside
 from gran_bench.metrics.speeds import sorted_frames, speeds, velocities, wasserstein_series
 from gran_bench.metrics.summary import TrajectorySummary, summarise
@@ -70,30 +69,25 @@ def judge(candidate: Run, replicas: Sequence[Run], scene: Scene, others: Mapping
 def _hold_scene(name: str, run: Run, scene: Scene, is_dem: bool) -> None:
     """Refuse a run that was not made for the scene."""
     interval = float(np.diff(run.time).mean()) if len(run.time) > 1 else scene.frame_interval
+    remedy = "give the scene that it was made for"
     if abs(interval - scene.frame_interval) > 1e-3 * scene.frame_interval:
-        raise ValueError(
-            f"{name} has a state every {interval:g} s and scene {scene.name!r} every {scene.frame_interval:g} s; give "
-            "the scene that it was made for"
-        )
+        found = f"{name} has a state every {interval:g} s"
+        raise ValueError(f"{found} and scene {scene.name!r} every {scene.frame_interval:g} s; {remedy}")
     if not (is_dem and isinstance(run, Trajectory)):
         return  # the DEM stops where a centre is farther out than its radius; a rollout does not, which is counted
     if (distance_outside(run.position[:1].astype(np.float64), run.radius, scene) > run.radius).any():
-        raise ValueError(
-            f"{name} starts with spheres outside the walls of scene {scene.name!r}; give the scene that it was made for"
-        )
+        raise ValueError(f"{name} starts with spheres outside the walls of scene {scene.name!r}; {remedy}")
 
 
 def _hold_alike(name: str, summary: TrajectorySummary, mine: TrajectorySummary) -> None:
     """Refuse runs of different spheres, times or velocities; one that ended early is counted as such."""
-    if summary.count != mine.count:
-        raise ValueError(
-            f"candidate has {mine.count} spheres and {name} has {summary.count}; compare runs of one scene's spheres"
-        )
+    own, other = (run.sorted_speed.shape[1] for run in (mine, summary))
+    if own != other:
+        told = f"candidate has {own} spheres and {name} has {other}"
+        raise ValueError(f"{told}; compare runs of one scene's spheres")
     if summary.velocity_kind != mine.velocity_kind:
-        raise ValueError(
-            f"speeds of two definitions ({mine.velocity_kind}, {summary.velocity_kind} of {name}) are not comparable; "
-            "summarise both with one velocity_kind"
-        )
+        kinds = f"({mine.velocity_kind}, {summary.velocity_kind}) are not comparable"
+        raise ValueError(f"speeds of two definitions {kinds}; summarise both with one velocity_kind")
     shared_states(mine.time, summary.time)
 
 
@@ -167,15 +161,10 @@ def _kept_by_the_dem(asked: float, own: Sequence[Measured], middle: float, unit:
 def nearest_case(
     candidate: Trajectory, cases: Mapping[float, Trajectory], period: float = 0.0
 ) -> tuple[float | None, dict[float, Measured]]:
-    """The case of the DEM that a rollout is most like: smallest speed W1 a frame.
+    """The case of the DEM (by its speed, rpm) with the speeds nearest to a rollout's, and the distances to all, m/s.
 
-    Args:
-        candidate: a rollout.
-        cases: runs of the DEM by speed, rpm; a `ValueError` where there is none.
-        period: of the y axis, m.
-
-    Returns:
-        The nearest case's speed in rpm, None where the distance to any case is undefined, and all distances in m/s.
+    The distance is the speed W1 a frame, with the ``period`` of the y axis in m; there is no nearest case where one of
+    them is undefined. No case is a `ValueError`.
     """
     check_arguments(candidate=(candidate, Trajectory), cases=(cases, Mapping))
     if not cases:

@@ -8,8 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from gran_bench.metrics.measured import Measured
-from gran_bench.metrics.noise_floor import Interval
+from gran_bench.metrics.measured import Interval, Measured
 from gran_bench.metrics.outside import FailureCount
 
 
@@ -30,9 +29,8 @@ class ErrorRow:
     @property
     def multiple(self) -> float | None:
         """The error in floors; None where either is undefined or the floor is 0."""
-        if not (self.error.defined and self.floor.defined) or self.floor.number == 0.0:
-            return None
-        return self.error.number / self.floor.number
+        defined = self.error.defined and self.floor.defined and self.floor.number != 0.0
+        return self.error.number / self.floor.number if defined else None
 
 
 @dataclass(frozen=True)
@@ -49,9 +47,8 @@ class FigureRow:
     @property
     def inside(self) -> bool | None:
         """Whether the candidate could be a replica; None where a side is undefined."""
-        if not self.candidate.defined or self.interval is None:
-            return None
-        return self.candidate.number in self.interval
+        defined = self.candidate.defined and self.interval is not None
+        return self.candidate.number in self.interval if defined else None
 
 
 @dataclass(frozen=True)
@@ -159,9 +156,7 @@ class Judgement:
 
 def shown_multiple(multiple: float | None) -> str:
     """A multiple of a noise floor for people; a floor that is all but zero has no telling multiple."""
-    if multiple is None:
-        return "-"
-    return f"{multiple:.2f}" if multiple < 1e3 else "> 1000"
+    return "-" if multiple is None else f"{multiple:.2f}" if multiple < 1e3 else "> 1000"
 
 
 def _plain(label: str, figure: Measured) -> dict[str, Any]:

@@ -75,10 +75,7 @@ def distance_outside(position: FloatArray, radius: FloatArray, scene: Scene) -> 
 
 
 def count_failures(trajectory: Trajectory, scene: Scene) -> FailureCount:
-    """Count what is not finite and what is outside, in every stored state of a trajectory.
-
-    A sphere whose position is not finite counts as not finite, not as outside.
-    """
+    """Count what is not finite, and what is finite and outside, in every stored state of a trajectory."""
     check_arguments(trajectory=(trajectory, Trajectory), scene=(scene, Scene))
     parts = (trajectory.position, trajectory.velocity, trajectory.angular_velocity)
     finite = np.logical_and.reduce([np.isfinite(part).all(axis=-1) for part in parts if part is not None])

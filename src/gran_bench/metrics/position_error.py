@@ -20,10 +20,7 @@ DIVERGED = 0.1  # of a diameter: mean distance of two replicas beyond which they
 
 
 def separation(a: FloatArray, b: FloatArray, period: float = 0.0) -> FloatArray:
-    """Mean Euclidean distance of the spheres of two ``(F, N, 3)`` in each frame, ``(F,)`` m; NaN where not finite.
-
-    Distances are to the nearest image along y, whose period is in m. Different shapes are a `ValueError`.
-    """
+    """Mean Euclidean distance, to the nearest image along y, of two ``(F, N, 3)`` in each frame, ``(F,)`` m, or NaN."""
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     if a.shape != b.shape:
         raise ValueError(f"positions have shapes {a.shape} and {b.shape}; compare the same spheres in the same frames")

@@ -46,11 +46,6 @@ def mean_speed(trajectory: Trajectory, scene: Scene) -> Series:
     return Series(trajectory.time, np.where(np.isfinite(speed), speed, np.nan), "m/s", invalid_because="not finite")
 
 
-def speed_histogram(speed: FloatArray, edges: FloatArray) -> FloatArray:
-    """Share of particles in each class between K + 1 edges, ``(K,)``; a speed beyond the last counts in none."""
-    return np.histogram(speed, edges)[0] / max(len(speed), 1)
-
-
 def wasserstein(sorted_a: FloatArray, sorted_b: FloatArray) -> float:
     """Wasserstein-1 distance ∫|A⁻¹(q) − B⁻¹(q)| dq of two increasing samples, ``(N,)`` and ``(M,)``, in their unit.
 
@@ -72,8 +67,7 @@ def wasserstein(sorted_a: FloatArray, sorted_b: FloatArray) -> float:
 def sorted_frames(values: FloatArray) -> FloatArray:
     """Each frame's values in increasing order, ``(F, N)`` float32; a frame that is not finite is NaN throughout.
 
-    Without the last rule, an infinite or missing speed would only shift the ranks and pass for a figure. Finite values
-    beyond single precision stay in double.
+    An infinite or missing speed would else only shift the ranks. Values beyond single precision stay in double.
     """
     largest = np.abs(values, where=np.isfinite(values), out=np.zeros(values.shape)).max(initial=0.0)
     ordered = np.sort(values.astype(np.float32 if largest <= np.finfo(np.float32).max else np.float64), axis=1)

@@ -39,11 +39,6 @@ class TrajectorySummary:
     position: FloatArray | None = None  # (F, N, 3) m; None for statistics without particles
     failures: FailureCount | None = None  # None for statistics without particles
 
-    @property
-    def count(self) -> int:
-        """Number of spheres N."""
-        return self.sorted_speed.shape[1]
-
 
 def why_no_steady_part(scene: Scene, time: FloatArray) -> str:
     """Why a scene has no steady part: its speed changes after 3.5 s, or it ends before; empty where it has one."""

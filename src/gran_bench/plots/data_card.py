@@ -14,9 +14,8 @@ from tqdm import tqdm
 from gran_bench.config import GenerateConfig
 from gran_bench.dataset import CaseSpec, ensure_cases, half_step, read_case, replicas, rotation_label, split_cases
 from gran_bench.metrics.angle_of_repose import com_angle, surface_angle
-from gran_bench.metrics.comparisons import COMPARISONS, FIGURES
-from gran_bench.metrics.measured import Measured, frame_at, mean_of
-from gran_bench.metrics.noise_floor import noise_floor, score
+from gran_bench.metrics.comparisons import COMPARISONS, FIGURES, Comparison
+from gran_bench.metrics.measured import Measured, frame_at, mean_of, noise_floor, score
 from gran_bench.metrics.summary import PATTERN_TIME, TrajectorySummary, summarise
 from gran_bench.plots.flow import draw_pattern, fastest, finish_patterns
 from gran_bench.plots.style import BASELINE, DEM, QUIET, SURROGATE, drawing, say
@@ -71,7 +70,7 @@ def print_data_card(config: GenerateConfig) -> None:
 def _case_table(cases: dict[str, TrajectorySummary]) -> Iterator[str]:
     """A case a row."""
     figures = [figure for key in CASE_COLUMNS for figure in FIGURES if figure.key == key]
-    yield _row("case", *(f"{figure.label}, {_unit(figure.unit)}" for figure in figures))
+    yield _row("case", *map(_label, figures))
     yield _row(*["---"] * (1 + len(figures)))
     for label, summary in cases.items():
         yield _row(label, *(_shown(figure.figure(summary)) for figure in figures))
@@ -86,15 +85,15 @@ def _floor_table(
     for row in (row for key in FLOOR_ROWS for row in COMPARISONS if row.key == key):
         halved, *away = (score(row.distance, run, truth, row.unit) for run in (fine, *others))
         cells = (noise_floor(row.distance, truth, row.unit), halved, mean_of(away, row.unit))
-        yield _row(f"{row.label}, {_unit(row.unit)}", *map(_shown, cells))
+        yield _row(_label(row), *map(_shown, cells))
 
 
 def _row(*cells: str) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def _unit(unit: str) -> str:
-    return SHOWN_AS.get(unit, (unit, 1.0))[0]
+def _label(row: Comparison) -> str:
+    return f"{row.label}, {SHOWN_AS.get(row.unit, (row.unit, 1.0))[0]}"
 
 
 def _shown(figure: Measured) -> str:

@@ -14,7 +14,6 @@ from gran_bench.evaluation import Evaluation
 from gran_bench.evaluation.plan import rollout_name
 from gran_bench.metrics.measured import Measured, Series, frame_at
 from gran_bench.metrics.position_error import DIVERGED, divergence_horizon, mean_spread, separation
-from gran_bench.metrics.speeds import speed_histogram
 from gran_bench.metrics.summary import PATTERN_TIME, STEADY_FROM, TrajectorySummary
 from gran_bench.plots.flow import flow_animation, flow_pattern
 from gran_bench.plots.style import BAND, DEM, SURROGATE, coloured, drawing, mark_place, say, speed_label
@@ -167,7 +166,7 @@ def speed_distribution(
     with drawing(path, 7.0, 4.0) as figure:
         axes = figure.subplots()
         if truth:
-            shares = 100.0 * np.array([speed_histogram(speed, edges) for speed in truth])
+            shares = 100.0 * np.array([np.histogram(speed, edges)[0] / len(speed) for speed in truth])
             if len(truth) > 1:
                 label = f"DEM, range of {len(truth)} replicas"
                 axes.stairs(shares.max(0), edges, baseline=shares.min(0), fill=True, color=BAND, label=label)
@@ -178,7 +177,8 @@ def speed_distribution(
                 continue
             beyond = 100.0 * float((speed > edges[-1]).mean())
             note = f" ({beyond:.2g} % faster than shown)" if beyond > 0 else ""
-            axes.stairs(100.0 * speed_histogram(speed, edges), edges, color=colour, linewidth=1.8, label=name + note)
+            share = 100.0 * np.histogram(speed, edges)[0] / len(speed)
+            axes.stairs(share, edges, color=colour, linewidth=1.8, label=name + note)
         axes.set(title=f"Speeds at {time:g} s", ylabel=f"share of spheres in {CLASS:g} m/s, %", ylim=(0.0, None))
         axes.set(xlabel=speed_label(replicas[0].velocity_kind), xlim=(0.0, edges[-1]))
         axes.legend(loc="upper right")

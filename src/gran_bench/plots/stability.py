@@ -20,12 +20,14 @@ def draw_time_to_failure(runs: Mapping[str, Sequence[tuple[float, float, bool]]]
 
     A run is its speed in rpm, the time to failure or of its end in s, and whether it survived.
     """
+    speeds = sorted({speed for rows in runs.values() for speed, _, _ in rows})
     with drawing(path, 8.4, 4.2) as figure:
         axes = figure.subplots()
         axes.set_title("rollouts in the paper's drum: simulated time until the first failure")
         if not any(runs.values()):
             say(axes, "no rollout was run")
             return Path(path)
+        places = {speed: speed if speed <= 120.0 else 120.0 + 15.0 * math.log2(speed / 120.0) for speed in speeds}
         axes.axvspan(*TRAINED, color="#f0f0f0", zorder=0, label="speeds of training, shipped model")
         colours = (SURROGATE, BASELINE, *FURTHER)
         for k, (model, rows) in enumerate(runs.items()):
@@ -33,22 +35,16 @@ def draw_time_to_failure(runs: Mapping[str, Sequence[tuple[float, float, bool]]]
             shift, colour, mark = 2.5 * k, colours[k % len(colours)], MARKS[k % len(MARKS)]
             axes.plot([], [], mark, color=colour, markersize=7, label=model)
             for speed, seconds, survived in rows:
-                x, face = _squeezed(speed) + shift, "white" if survived else colour
+                x, face = places[speed] + shift, "white" if survived else colour
                 axes.plot([x, x], [1e-2, seconds], color=colour, linewidth=1.0, alpha=0.5)
                 axes.plot(x, seconds, "^" if survived else mark, color=colour, markersize=7.5, markerfacecolor=face)
         axes.plot([], [], "^", color=QUIET, markerfacecolor="white", markersize=8, label="did not fail until there")
         axes.set(yscale="log", ylim=(1e-2, 100.0), ylabel="time to failure, s")
         axes.set_xlabel("speed of the drum, rpm; to scale up to 120")
         axes.yaxis.set_major_formatter("{x:g}")
-        speeds = sorted({speed for rows in runs.values() for speed, _, _ in rows})
-        axes.set_xticks([_squeezed(speed) for speed in speeds], [f"{speed:g}" for speed in speeds])
+        axes.set_xticks(list(places.values()), [f"{speed:g}" for speed in speeds])
         figure.legend(loc="outside lower center", ncols=3)
     return Path(path)
-
-
-def _squeezed(speed: float) -> float:
-    """Speeds up to 120 rpm to scale, the rest close behind."""
-    return speed if speed <= 120.0 else 120.0 + 30.0 * math.log2(speed / 120.0) / 2.0
 
 
 def draw_dem_step(curves: Mapping[str, Sequence[float]], path: Path | str) -> Path:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import cycle
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -16,8 +16,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from gran_bench.files import whole_file
-
-Thing = TypeVar("Thing")
 
 # Okabe & Ito's colours, told apart with every kind of colour vision.
 DEM = "#000000"
@@ -51,10 +49,7 @@ def drawn_for(name: str) -> Iterator[None]:
 
 @contextmanager
 def drawing(path: Path | str, width: float, height: float) -> Iterator[Figure]:
-    """A figure of ``width`` × ``height`` inches that is written to ``path`` (PNG) when the block ends well.
-
-    No global state of matplotlib is touched, so that figures can be drawn in threads and in a user's notebook.
-    """
+    """A figure of ``width`` × ``height`` inches that is written to ``path`` (PNG) when the block ends well."""
     with matplotlib.rc_context(LOOK):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
@@ -75,7 +70,7 @@ def say(axes: Axes, text: str) -> None:
     axes.grid(False)
 
 
-def coloured(things: Iterable[Thing], first: Sequence[str] = (SURROGATE,)) -> Iterator[tuple[Thing, str]]:
+def coloured(things: Iterable[Any], first: Sequence[str] = (SURROGATE,)) -> Iterator[tuple[Any, str]]:
     """Each thing with a colour: of ``first``, then further ones, then all again, so that none is left out."""
     return zip(things, cycle((*first, *FURTHER)), strict=False)
 

@@ -78,8 +78,7 @@ def time_against_error(
             axes.axhspan(0.0, accuracy, color="#f0f0f0", zorder=0)
             axes.text(0.99, 0.015, "the DEM's own accuracy", transform=axes.transAxes, ha="right", fontsize=8.5,
                       color="#666666")  # fmt: skip
-        ahead = front(sound)
-        if len(ahead) > 1:
+        if len(ahead := front(sound)) > 1:
             axes.plot([c.seconds for c in ahead], [c.floors for c in ahead], color=QUIET, linewidth=1.0,
                       drawstyle="steps-post", linestyle=(0, (5, 3)), label="nothing is faster and better")  # fmt: skip
         for kind, (label, colour, mark) in KINDS.items():

@@ -122,9 +122,7 @@ def _errors(row: Mapping[str, Any]) -> dict[str, Any]:
 def _worst(errors: Mapping[str, Any], ranked: list[str]) -> str:
     """The worst of the ranked errors, in noise floors."""
     multiples = [errors[key]["multiple_of_floor"] for key in ranked if key in errors]
-    if not multiples:
-        return ""
-    return "undefined" if None in multiples else f"{max(multiples):.2f}"
+    return "undefined" if None in multiples else f"{max(multiples):.2f}" if multiples else ""
 
 
 def _row(name: str, seconds: float | None, relative: float | None, errors: Mapping[str, Any], worst: str) -> str:

@@ -1,9 +1,8 @@
 """Runs in MLflow: recorded in batches, reopened on resume, never at the cost of a result."""
 # ruff: noqa: F401
 
-from gran_bench.tracking.address import has_store
 from gran_bench.tracking.names import HEADLINE, HEADLINE_FIGURES, how_to_compare, shown_name, ui_command
 from gran_bench.tracking.opening import Child, end_child, open_run, reopen_ended, schedule_children
 from gran_bench.tracking.run import Run
-from gran_bench.tracking.store import SWEEP_TAG, Store, TrackingError
+from gran_bench.tracking.store import SWEEP_TAG, Store, TrackingError, has_store
 from gran_bench.tracking.user_interface import ui

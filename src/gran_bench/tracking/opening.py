@@ -12,10 +12,9 @@ from typing import Any
 
 from gran_bench.config import TrackingConfig
 from gran_bench.tracking.abandoned import ENDED_TAG, GONE, PROCESS_TAG, close_abandoned, this_process
-from gran_bench.tracking.address import said_place
 from gran_bench.tracking.names import shown_name
 from gran_bench.tracking.run import Run, send_kept
-from gran_bench.tracking.store import SWEEP_TAG, Store, TrackingError
+from gran_bench.tracking.store import SWEEP_TAG, Store, TrackingError, said_place
 
 
 @contextmanager

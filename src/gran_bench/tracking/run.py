@@ -46,14 +46,11 @@ class Run:
         self._history: dict[str, dict[int, str]] = {}
 
     def log_metrics(self, metrics: Mapping[str, float], step: int = 0, supersede: bool = False) -> None:
-        """Record scalars of one step; they reach the store in batches.
+        """Record scalars of one step, by names in which / makes groups; they reach the store in batches.
 
-        Args:
-            metrics: by names in which / makes groups.
-            step: that they belong to. In a run that goes on, a step that the store has already is left as it is, so
-                that all that should be there can be logged again and fills what a kill has left out.
-            supersede: a value that differs from the one at the same step takes its place (in what the UI shows; the
-                history holds both): for figures that were found anew.
+        In a run that goes on, a step that the store has already is left as it is, so that all that should be there can
+        be logged again and fills what a kill has left out. With ``supersede`` a value that differs from the one at the
+        same step takes its place in what the UI shows, not in the history: for figures that were found anew.
         """
         if self._store is None:
             return

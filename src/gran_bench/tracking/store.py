@@ -12,21 +12,23 @@ import os
 import re
 import shlex
 import shutil
+import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from gran_bench.config import TrackingConfig
 from gran_bench.files import locked, whole_file
-from gran_bench.tracking import address
-from gran_bench.tracking.address import ARTIFACTS, DATABASE, SERVER, shown_uri
 from gran_bench.tracking.views import VIEW_TAG, experiment_tags
 
 if TYPE_CHECKING:
     from mlflow.entities import Run as MlflowRun
 
+DATABASE = "mlflow.db"
+ARTIFACTS = "artifacts"
+SERVER = "MLFLOW_TRACKING_URI"  # MLflow's own variable
 KEY_TAG = "gran_bench.key"
 UNSENT = "unsent"  # folder below the store's root
 PARENT_TAG = "mlflow.parentRunId"
@@ -35,14 +37,13 @@ SWEEP_SEPARATOR = ", "
 
 # MLflow reads these when it is imported. Nobody is told of its use, and the terminal belongs to the run.
 QUIET = {
-    "MLFLOW_DISABLE_TELEMETRY": "true",
-    "DO_NOT_TRACK": "true",
-    "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
-    "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
+    **{"MLFLOW_DISABLE_TELEMETRY": "true", "DO_NOT_TRACK": "true"},
+    **{"MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false", "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true"},
 }
 # A server that does not answer is asked three times in six seconds, not eight times in four minutes.
 _PATIENCE = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2"}
 
+_LOCK_SECONDS = 20.0  # that a locked database is waited for, as MLflow does
 _METRICS_A_REQUEST = 900  # MLflow takes 1000
 _PARAMS_A_REQUEST = 100
 _LONGEST_VALUE = 5000  # characters of a parameter or tag
@@ -106,26 +107,26 @@ class Store:
 
     def __init__(self, config: TrackingConfig) -> None:
         self.root = Path(config.root).resolve()
-        self.server = address.server_uri()
+        self.server = server_uri()
         self.database = self.root / DATABASE  # where there is no server
         # Of the first file of that name that this process opens.
-        self.uri = self.server or address.database_uri(str(self.database))
+        self.uri = self.server or database_uri(str(self.database))
         self.artifacts_uri = (self.root / ARTIFACTS).as_uri()
         self._identity: tuple[int, int] | None = None
         # Several first starts at once crash each other while they make the tables.
         with self.alone():
-            self.client = Client(self.server or address.database_uri(self._spelling()), self._answers)
+            self.client = Client(self.server or database_uri(self._spelling()), self._answers)
             if self.server is None:
                 self.client.search_experiments(max_results=1)  # makes the tables
                 with self._answers():
-                    address.follow_folder(self.database, self.artifacts_uri)
+                    follow_folder(self.database, self.artifacts_uri)
             self.experiment_id = self._experiment(config.experiment)
             if self.server is None:
                 self._identity = _opened[self.database][-1] = self._file_identity()
 
     @property
     def shown(self) -> str:
-        """The store for people: its file, or its address."""
+        """The store for people: its file, or its"""
         return str(self.database) if self.server is None else shown_uri(self.server)
 
     @property
@@ -308,3 +309,59 @@ class Store:
         except OSError:
             return 0, 0
         return found.st_dev, found.st_ino
+
+
+def _named() -> str:
+    return os.environ.get(SERVER, "").strip()
+
+
+def server_uri() -> str | None:
+    """The server that the environment names; None where it names none."""
+    return _named().rstrip("/") if urlsplit(_named()).scheme in ("http", "https") else None
+
+
+def shown_uri(text: str) -> str:
+    """A server's address, or a text with one, as it may be printed: without user and password."""
+    return re.sub(r"(?<=://)[^/@\s]*@", "", text)
+
+
+def has_store(root: Path) -> bool:
+    """Whether there is a store for a results folder: the server, or the folder's database."""
+    return server_uri() is not None or (root / DATABASE).exists()
+
+
+def said_place(config: TrackingConfig) -> str | None:
+    """A line that says where runs are recorded, if the environment names a place; None where it names none."""
+    database, shown = Path(config.root).resolve() / DATABASE, shown_uri(_named())
+    if _named() in ("", f"sqlite:///{database}", database_uri(str(database))):
+        return None
+    if server_uri() is None:
+        return (
+            f"{SERVER}={shown} is not used, for it is no server (http:// or https://); runs are recorded in {database}"
+        )
+    return f"runs are recorded on {shown}, as {SERVER} says; their files are in {database.parent}"
+
+
+def database_uri(path: str) -> str:
+    """The URI of an SQLite database at an absolute path; SQLAlchemy quotes what would end the path, such as ``?``."""
+    from sqlalchemy.engine import URL
+
+    # With its driver named, MLflow does not take the quoted path for that of a folder to make.
+    return URL.create("sqlite+pysqlite", database=path).render_as_string()
+
+
+def follow_folder(database: Path, artifacts_uri: str) -> None:
+    """Let a database name the artifacts beside it, where its folder was moved or copied since it was written.
+
+    One transaction: any other process sees the old names or the new ones.
+    """
+    moved = (
+        "UPDATE experiments SET artifact_location = :here "
+        f"WHERE artifact_location LIKE 'file:%/{ARTIFACTS}' AND artifact_location <> :here",
+        f"UPDATE runs SET artifact_uri = :here || '/' || run_uuid || '/{ARTIFACTS}' "
+        f"WHERE artifact_uri LIKE 'file:%/{ARTIFACTS}/' || run_uuid || '/{ARTIFACTS}' "
+        f"AND artifact_uri <> :here || '/' || run_uuid || '/{ARTIFACTS}'",
+    )
+    with closing(sqlite3.connect(database, timeout=_LOCK_SECONDS)) as store, store:
+        for update in moved:
+            store.execute(update, {"here": artifacts_uri})

@@ -11,9 +11,8 @@ from pathlib import Path
 
 from gran_bench.config import TrackingConfig
 from gran_bench.tracking.abandoned import close_abandoned
-from gran_bench.tracking.address import said_place, server_uri
 from gran_bench.tracking.names import ui_command
-from gran_bench.tracking.store import QUIET, Store, TrackingError
+from gran_bench.tracking.store import QUIET, Store, TrackingError, said_place, server_uri
 from gran_bench.tracking.views import view_path
 
 HOST = "127.0.0.1"
@@ -21,11 +20,7 @@ SHUTDOWN_SECONDS = 5  # that an answer under way may take after Ctrl-C
 
 
 def ui(root: Path | str, port: int = 5000, experiment: str = TrackingConfig.experiment) -> None:
-    """Serve the MLflow UI on the store under ``root`` until Ctrl-C; a server's own UI is only named.
-
-    Raises:
-        TrackingError: the store cannot be opened, or the port is taken.
-    """
+    """Serve the MLflow UI on the store under ``root`` until Ctrl-C; a server's own UI is only named."""
     config = TrackingConfig(experiment=experiment, root=str(root))
     if (place := said_place(config)) is not None:
         print(place, file=sys.stderr, flush=True)
