@@ -74,7 +74,14 @@ def summarise(trajectory: Trajectory, scene: Scene, velocity_kind: str | None = 
     return TrajectorySummary(
         *(run.time, kind, series, sorted_frames(speeds(velocity))),
         np.stack([sorted_frames(velocity[..., axis]) for axis in range(3)]),
-        *(*layers, why_not_steady, scene.filling.diameter, scene.period, run.position, count_failures(run, scene)),
+        *(
+            *layers,
+            why_not_steady,
+            scene.filling.diameter,
+            scene.period,
+            run.position,
+            count_failures(trajectory, scene),
+        ),
     )
 
 
