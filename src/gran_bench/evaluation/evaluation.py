@@ -187,13 +187,10 @@ def predict_from(model: Surrogate, case: Case, start: int, frames: int) -> Float
     # What a model remembers follows from the DEM's frames before the start, never from frames after it.
     past = slice(0, start + 1)
     memories = model.memories(scene, motion.time[past], motion.position[past], motion.angular_velocity[past])
+    memory = None if memories is None else memories[-1]
+    first = (tensor(array[start]) for array in (motion.position, motion.velocity, motion.angular_velocity))
     with torch.no_grad():
-        state = model.begin(
-            scene,
-            *(tensor(array[start]) for array in (motion.position, motion.velocity, motion.angular_velocity)),
-            previous,
-            None if memories is None else memories[-1],
-        )
+        state = model.begin(scene, *first, previous, memory)
         found = []
         for k in range(frames):
             state = model(state, scene, float(motion.time[start]) + k * scene.frame_interval)

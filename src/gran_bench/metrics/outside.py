@@ -89,7 +89,15 @@ def count_failures(trajectory: Trajectory, scene: Scene) -> FailureCount:
         escaped |= outside > radius
         farthest = max(farthest, float(outside.max(initial=0.0)))
     return FailureCount(
-        *(trajectory.frame_count, scene.frame_count, len(radius), len(broken), int((~finite).sum())),
-        float(trajectory.time[broken[0]]) if len(broken) else None,
-        *(*counts.tolist(), int(escaped.sum()), farthest),
+        states=trajectory.frame_count,
+        expected_states=scene.frame_count,
+        spheres=len(radius),
+        non_finite_states=len(broken),
+        non_finite_sphere_states=int((~finite).sum()),
+        first_non_finite=float(trajectory.time[broken[0]]) if len(broken) else None,
+        outside=int(counts[0]),
+        outside_tolerated=int(counts[1]),
+        outside_radius=int(counts[2]),
+        outside_spheres=int(escaped.sum()),
+        farthest=farthest,
     )

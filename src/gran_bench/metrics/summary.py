@@ -65,23 +65,24 @@ def summarise(trajectory: Trajectory, scene: Scene, velocity_kind: str | None = 
         run = replace(run, velocity=velocity, velocity_kind=kind)
     series = {name: _measured(name, run, scene) for name in METRICS}
     why_not_steady = why_no_steady_part(scene, run.time)
-    layers = np.zeros((2, 0))
-    surface = series["surface_angle"]
+    surface, layers = series["surface_angle"], np.zeros((2, 0))
     if isinstance(surface, SurfaceAngle):
         steady = np.flatnonzero(within(run.time, STEADY_FROM, np.inf) & (not why_not_steady))
         position = run.position[steady].astype(np.float64)
         layers = depth_profile(position, velocity[steady], [surface.lines[i] for i in steady], scene)
     return TrajectorySummary(
-        *(run.time, kind, series, sorted_frames(speeds(velocity))),
-        np.stack([sorted_frames(velocity[..., axis]) for axis in range(3)]),
-        *(
-            *layers,
-            why_not_steady,
-            scene.filling.diameter,
-            scene.period,
-            run.position,
-            count_failures(trajectory, scene),
-        ),
+        time=run.time,
+        velocity_kind=kind,
+        series=series,
+        sorted_speed=sorted_frames(speeds(velocity)),
+        sorted_component=np.stack([sorted_frames(velocity[..., axis]) for axis in range(3)]),
+        layer_speed=layers[0],
+        layer_velocity=layers[1],
+        steady_undefined_because=why_not_steady,
+        diameter=scene.filling.diameter,
+        period=scene.period,
+        position=run.position,
+        failures=count_failures(trajectory, scene),
     )
 
 

@@ -54,17 +54,12 @@ def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path 
                 axes.set_xlim(-0.5, len(values) - 0.5)
             if runs.loc[runs["status"] == "finished", name].isna().all():
                 say(axes, "undefined in every run")
-                axes.set_yticks([])
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=4)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return Path(path)
 
 
 def _points(axes: Axes, series: list, axis: str, name: str, place: dict[str, float], joined: bool) -> None:
-    """Seeds, means and failures of one panel; between names there is nothing that a line could say.
-
-    Series stand beside each other over a name, and at their number where they are joined.
-    """
+    """Seeds, means and failures of one panel; series stand beside each other over a name, at a number in its place."""
     breadth, every = 0.0 if joined else BREADTH / len(series), []
     for number, (values, runs) in enumerate(series):
         colour, style = COLOURS[number % len(COLOURS)], number // len(COLOURS) % len(MARKERS)
