@@ -209,6 +209,7 @@ def test_an_evaluation_is_drawn_for_both_packings(tmp_path, texts, replicas):
     found = {path.name for path in paths}
     assert {"flow_pattern.png", "flow_pattern_unseen.png", "flow.gif", "nearest_case.png"} <= found
     assert found == {path.name for path in tmp_path.iterdir()}
+    del evaluation.replicas["unseen"]
     assert "flow.gif" not in {path.name for path in draw_evaluation(evaluation, 30.0, tmp_path, gif=False)}
 
 
