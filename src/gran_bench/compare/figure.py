@@ -7,32 +7,23 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from gran_bench.compare.tables import ABSENT, UNSEEN, Figure
-from gran_bench.plots.style import BASELINE, DEM, QUIET, SURROGATE, coloured, drawing
+from gran_bench.plots.style import BASELINE, DEM, QUIET, ROUND, SURROGATE, coloured, drawing
 
 FAR = 1e3  # floors; beyond it a multiple says no more than that
 _MARKS = "oDs^vPX"
-_TICKS = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
 def errors_in_floors(runs: Mapping[str, Mapping[str, Figure]], title: str, path: Path) -> bool:
     """Draw a group for each error, in it a point for each run; hollow ones start from a packing that no training saw.
 
-    Errors beyond 1000 floors and undefined ones have lines of their own above the others: none is left out.
-
-    Args:
-        runs: figures of each run, by its name in the legend; drawn are those with a floor, but for positions, whose
-            floor at the start is rounding.
-        title: with scene and speed.
-        path: of the PNG.
-
-    Returns:
-        Whether there was anything to draw.
+    Errors beyond 1000 floors and undefined ones have lines of their own above the others: none is left out. ``runs``
+    are the figures of each run by its name in the legend; drawn are those with a floor, but for positions, whose floor
+    at the start is rounding. The answer is whether there was anything to draw.
     """
     floored = [name for figures in runs.values() for name, one in figures.items() if one.floor != ABSENT]
     groups = list(dict.fromkeys(name.removesuffix(UNSEEN) for name in floored if not name.startswith("position")))
-    multiples = [
-        one.multiple for rows in runs.values() for name, one in rows.items() if name.removesuffix(UNSEEN) in groups
-    ]
+    shown = [one for rows in runs.values() for name, one in rows.items() if name.removesuffix(UNSEEN) in groups]
+    multiples = [one.multiple for one in shown]
     if not multiples:
         return False
     sound = [multiple for multiple in multiples if multiple is not None and multiple <= FAR]
@@ -60,7 +51,7 @@ def errors_in_floors(runs: Mapping[str, Mapping[str, Figure]], title: str, path:
             axes.axvline(x - 0.5, color=QUIET, linewidth=0.6)
         used = {text: y for text, y in lines.items() if y in map(height, multiples)}
         ticks = {
-            "the DEM itself: 1" if tick == 1 else f"{tick:g}": tick for tick in _TICKS if low <= tick <= high
+            f"{tick:g}" if tick != 1 else "the DEM itself: 1": tick for tick in ROUND if low <= tick <= high
         } | used
         axes.set_yscale("log")
         axes.set_ylim(low, max([high, *(step**0.5 * y for y in used.values())]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -16,6 +18,7 @@ ERRORS = ("surface_angle", "com_angle", "speed_w1")  # the headline's distances;
 FROM_START = ("position_10", "position_30")
 UNSEEN = ", unseen packing"
 ABSENT, UNKNOWN = "–", "?"
+_UNITS = {"m": "mm", "-": ""}  # as shown
 
 
 class Figure(NamedTuple):
@@ -33,46 +36,37 @@ def differences(runs: Mapping[str, ComparedRun]) -> pd.DataFrame:
 
     A key that a run does not have is ``–``, one that its folder does not record is ``?``.
     """
-    trained = {label: run.summary["training"] for label, run in runs.items()}
-    code = ("code digest", "code_digest") if all("code_digest" in one for one in trained.values()) else ("commit",) * 2
     every = sorted({key for run in runs.values() for key in run.keys}, key=lambda key: ("." in key, key))
+    digests = all("code_digest" in run.summary["training"] for run in runs.values())
+    code, code_key = ("code digest", "code_digest") if digests else ("commit", "commit")
     columns = {}
     for label, run in runs.items():
         absent = {key: ABSENT if key.partition(".")[0] in run.whole else UNKNOWN for key in every}
-        columns[label] = absent | {key: _plain(value) for key, value in run.keys.items()}
-        columns[label]["training data"] = trained[label].get("data_digest", UNKNOWN)
-        columns[label][f"{code[0]} of the training"] = trained[label].get(code[1], UNKNOWN)
-        columns[label]["judging data"] = run.summary.get("data_digest", UNKNOWN)
+        columns[label] = absent | {key: _plain(value) for key, value in run.keys.items()} | {
+            "training data": run.summary["training"].get("data_digest", UNKNOWN),
+            f"{code} of the training": run.summary["training"].get(code_key, UNKNOWN),
+            "judging data": run.summary.get("data_digest", UNKNOWN),
+        }  # fmt: skip
     table = pd.DataFrame(columns)
     return table[table.where(table != UNKNOWN).nunique(axis=1) > 1]
 
 
 def _plain(value: Any) -> str:
     """A value of a config as it is typed; 1 and 1.0 are one number."""
-    if isinstance(value, list):
-        return f"[{', '.join(map(_plain, value))}]"
-    if value is None or isinstance(value, bool):
-        return {None: "null", True: "true", False: "false"}[value]
-    return repr(value).removesuffix(".0") if isinstance(value, float) else str(value)
+    return value if isinstance(value, str) else re.sub(r"\.0\b", "", json.dumps(value)).replace('"', "")
 
 
-def figures_of(run: ComparedRun, rpm: float) -> dict[str, Figure]:
+def figures_of(run: ComparedRun, rpm: float) -> Iterator[tuple[str, Figure]]:
     """The headline figures of a run by name, at the judged speed or, without floors, at another one of its rollouts."""
-    return dict(_figures(run.summary, rpm))
-
-
-def _figures(summary: dict[str, Any], rpm: float) -> Iterator[tuple[str, Figure]]:
-    broken, training, judged = broken_rollouts(summary), summary["training"], summary["judged"]
-    at_rpm = judged if rpm == summary["judged_rpm"] else {}
+    summary, training, judged = run.summary, run.summary["training"], run.summary["judged"]
+    broken, at_rpm = broken_rollouts(summary), judged if rpm == summary["judged_rpm"] else {}
     for packing, found in at_rpm.items():
         for key in (*ERRORS, *registered_metrics(found), *(FROM_START if packing == "shared" else ())):
             if row := found["errors"].get(key):
-                value, floor, times = (row[name] for name in ("value", "floor", "multiple_of_floor"))
+                floor, unit, times = _shown(row["floor"], row["unit"]), row["unit"], row["multiple_of_floor"]
+                shown = _shown(row["value"], unit) + ("" if times is None else f" (× {shown_multiple(times)})")
                 note = (row["note"] or row["floor_note"]) if times is None else ""
-                shown = _shown(value, row["unit"]) + ("" if times is None else f" (× {shown_multiple(times)})")
-                unit = {"m": "mm", "-": ""}.get(row["unit"], row["unit"])
-                floor = _shown(floor, row["unit"])
-                yield row["label"] + _after(packing), Figure(shown, unit, floor, times, note)
+                yield row["label"] + _after(packing), Figure(shown, _UNITS.get(unit, unit), floor, times, note)
     if at_rpm:
         for name, row in summary["position_error"].items():
             frames = counted(int(name.partition("_")[0]), "frame")

@@ -23,15 +23,10 @@ _FREE = ("name", "end_time", "rotation", "room", "filling")
 
 @dataclass(frozen=True)
 class ImportedCase(CaseSpec):
-    """A case that is there and cannot be made.
-
-    Attributes:
-        file: the case.
-        digest: of its contents.
-    """
+    """A case that is there and cannot be made."""
 
     file: Path = Path()
-    digest: str = ""
+    digest: str = ""  # of its contents
 
     @property
     def key(self) -> dict[str, Any]:
@@ -49,10 +44,8 @@ def split_cases(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> Split:
     Raises:
         DatasetError: as :func:`case_spec.split_cases`, or no imported case of a speed.
     """
-    split = case_spec.split_cases(scene, dem, dataset)
-    sides = {side: getattr(split, side) for side in ("training", "validation", "holdout")}
-    seed = dataset.packing_seed
-    return Split(**{side: [case_at(s.scene, dem, dataset, seed) for s in specs] for side, specs in sides.items()})
+    sides = vars(case_spec.split_cases(scene, dem, dataset)).values()
+    return Split(*([case_at(spec.scene, dem, dataset, dataset.packing_seed) for spec in side] for side in sides))
 
 
 def case_at(scene: Scene, dem: DemConfig, dataset: DatasetConfig, packing: int) -> CaseSpec:
@@ -91,40 +84,29 @@ def imported_cases(files: Iterable[Path | str]) -> list[ImportedCase]:
         inside = sorted(place.glob("*.h5")) if place.is_dir() else [place]
         if not inside:
             raise DatasetError(f"dataset.files={place} is a folder without a case; import one into it, or name another")
-        found += map(_read, inside)
+        for path in inside:
+            facts = read_attributes(path)
+            if facts["engine"] != ENGINE:
+                raise DatasetError(
+                    f"dataset.files has {path}, which this DEM made; leave it out, speeds name such cases"
+                )
+            scene, seeds = from_document(yaml.safe_load(facts["scene"])), (facts["packing_seed"], facts["nudge_seed"])
+            found.append(ImportedCase(scene, DemConfig(), seeds[0], 0.0, seeds[1], file=path, digest=facts["digest"]))
     return found
 
 
-def _read(path: Path) -> ImportedCase:
-    facts = read_attributes(path)
-    if facts["engine"] != ENGINE:
-        raise DatasetError(f"dataset.files has {path}, which this DEM made; leave it out, the speeds name such cases")
-    return ImportedCase(
-        from_document(yaml.safe_load(facts["scene"])),
-        packing_seed=int(facts["packing_seed"]),
-        nudge_seed=int(facts["nudge_seed"]),
-        file=path,
-        digest=facts["digest"],
-    )
-
-
 def _like(scene: Scene, dataset: DatasetConfig, packing: int) -> list[ImportedCase]:
-    """The cases that turn as the scene does, from a packing."""
+    """The cases that turn as the scene does, from a packing; of another scene none, or a model would learn that."""
     cases = [case for case in imported_cases(dataset.files) if case.packing_seed == packing]
     cases = [case for case in cases if case.scene.rotation.speeds_rpm == scene.rotation.speeds_rpm]
     for case in cases:
-        _hold_scene(case, scene)
+        here, there = to_document(scene), to_document(case.scene)
+        for document in (here, there):
+            document |= {f"filling.{name}": document["filling"][name] for name in ("count", "diameter")}
+        for name in here:
+            if name not in _FREE and here[name] != there[name]:
+                raise DatasetError(
+                    f"scene.{name} is {here[name]} and {case.file} was imported with {there[name]}; give the command "
+                    f"the scene of the import, such as scene.{name}={there[name]}"
+                )
     return cases
-
-
-def _hold_scene(case: ImportedCase, scene: Scene) -> None:
-    """Refuse a case of another scene than the command's: a model would learn one and be told of the other."""
-    here, there = to_document(scene), to_document(case.scene)
-    for name in ("count", "diameter"):
-        here[f"filling.{name}"], there[f"filling.{name}"] = here["filling"][name], there["filling"][name]
-    for name in here:
-        if name not in _FREE and here[name] != there[name]:
-            raise DatasetError(
-                f"scene.{name} is {here[name]} and {case.file} was imported with {there[name]}; give the command the "
-                f"scene of the import, such as scene.{name}={there[name]}"
-            )
