@@ -18,7 +18,7 @@ from stored_runs import runs
 from gran_bench.compare import figure
 from gran_bench.compare.command import compare_command
 from gran_bench.compare.figure import errors_in_floors
-from gran_bench.compare.tables import UNSEEN, Figure
+from gran_bench.compare.runs import UNSEEN, Figure
 from gran_bench.tracking import open_run
 
 template, config = stored_runs.template, stored_runs.config

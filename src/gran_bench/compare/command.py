@@ -7,8 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from gran_bench.compare.runs import ComparedRun, read_run
-from gran_bench.compare.tables import UNKNOWN, Figure, differences, figures_of, figures_table
+from gran_bench.compare.runs import UNKNOWN, ComparedRun, Figure, differences, figures_of, figures_table, read_run
 from gran_bench.processes import run_command
 from gran_bench.tracking.search import RunError, find_run
 

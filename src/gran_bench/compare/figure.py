@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 
-from gran_bench.compare.tables import ABSENT, UNSEEN, Figure
+from gran_bench.compare.runs import ABSENT, UNSEEN, Figure
 from gran_bench.plots.style import BASELINE, DEM, QUIET, ROUND, SURROGATE, coloured, drawing
 
 FAR = 1e3  # floors; beyond it a multiple says no more than that
@@ -22,11 +22,10 @@ def errors_in_floors(runs: Mapping[str, Mapping[str, Figure]], title: str, path:
     """
     floored = [name for figures in runs.values() for name, one in figures.items() if one.floor != ABSENT]
     groups = list(dict.fromkeys(name.removesuffix(UNSEEN) for name in floored if not name.startswith("position")))
-    shown = [one for rows in runs.values() for name, one in rows.items() if name.removesuffix(UNSEEN) in groups]
-    multiples = [one.multiple for one in shown]
-    if not multiples:
+    drawn = [rows[name] for rows in runs.values() for name in rows if name.removesuffix(UNSEEN) in groups]
+    if not drawn:
         return False
-    sound = [multiple for multiple in multiples if multiple is not None and multiple <= FAR]
+    sound = [one.multiple for one in drawn if one.multiple is not None and one.multiple <= FAR]
     low, high = 0.7 * min([0.8, *sound]), 1.2 * max([2.0, *sound])
     step = (high / low) ** 0.1  # between lines above the others: as far apart for any span of errors
     lines = {"> 1000": high * step, "undefined": high * step**2}
@@ -49,10 +48,8 @@ def errors_in_floors(runs: Mapping[str, Mapping[str, Figure]], title: str, path:
         axes.axhline(1.0, color=DEM, linewidth=1.4, zorder=1)
         for x in range(1, len(groups)):
             axes.axvline(x - 0.5, color=QUIET, linewidth=0.6)
-        used = {text: y for text, y in lines.items() if y in map(height, multiples)}
-        ticks = {
-            f"{tick:g}" if tick != 1 else "the DEM itself: 1": tick for tick in ROUND if low <= tick <= high
-        } | used
+        used = {text: y for text, y in lines.items() if y in [height(one.multiple) for one in drawn]}
+        ticks = {"the DEM itself: 1" if y == 1 else f"{y:g}": y for y in ROUND if low <= y <= high} | used
         axes.set_yscale("log")
         axes.set_ylim(low, max([high, *(step**0.5 * y for y in used.values())]))
         axes.set_yticks([*ticks.values()], [*ticks])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -14,15 +13,14 @@ import numpy as np
 from gran_bench.dataset import Case, DatasetError, read_attributes, read_case
 from gran_bench.export.formats import FORMATS
 from gran_bench.processes import run_command
+from gran_bench.run.summary import read_summary
 from gran_bench.state import Trajectory
-from gran_bench.tracking.search import SUMMARY, RunError, find_run
+from gran_bench.tracking.search import RunError, find_run
 
 
 def export_command(words: Sequence[str] | None = None) -> int:
     """Write the case, or the stored rollout of the run, that a command line names; the exit code."""
-    parser = argparse.ArgumentParser(
-        "python -m gran_bench.export", description="Write a case, or the rollout of a run, for another program."
-    )
+    parser = argparse.ArgumentParser("python -m gran_bench.export", description="Write a case or a rollout elsewhere.")
     add = parser.add_argument
     add("what", metavar="CASE|RUN", help="file or name of a case; folder, name, key or MLflow id of a run")
     add("--to", required=True, choices=FORMATS, help="vtkhdf: ParaView, VTK; xyz: OVITO; npz: NumPy, in SI units")
@@ -48,11 +46,9 @@ def _export(chosen: argparse.Namespace) -> None:
 
 def _rollout(folder: Path, cases: Sequence[Path], chosen: argparse.Namespace) -> tuple[Case, str]:
     """The case that a stored rollout started from with the rollout's motion, and a name for the file."""
-    files, name = {path.stem: path for path in sorted((folder / "rollouts").glob("*.npz"))}, chosen.rollout
-    if name is None:
-        with suppress(OSError, ValueError, KeyError):
-            name = f"{json.loads((folder / SUMMARY).read_text('utf-8'))['judged_rpm']:g}rpm"
-    name = next(iter(files)) if name is None and len(files) == 1 else name
+    files = {path.stem: path for path in sorted((folder / "rollouts").glob("*.npz"))}
+    summary = read_summary(folder)
+    name = chosen.rollout or (f"{summary['judged_rpm']:g}rpm" if summary else "")
     if name not in files:
         there = f"has {', '.join(files)}; choose one" if files else "holds no rollouts/*.npz; finish the run"
         raise RunError(f"--rollout {name}: {folder} {there}")

@@ -73,15 +73,19 @@ def import_arrays(
 
     Raises:
         DatasetError: what is no trajectory of spheres in this scene, with frame and id.
+        StateError: arrays whose shapes do not fit.
         ConfigError: an argument of a wrong type.
     """
     spec = CaseSpec(scene, packing_seed=packing, nudge=float(replica != 0), nudge_seed=replica)
     checked_value(str | None, Name(), name, "name")
     said: list[str] = []
-    position = _series("position", position)
-    frames, count, _ = position.shape
+    if len(position) < 3:
+        raise DatasetError(f"position has {len(position)} frames; give three or more")
+    ticks, sizes = range(len(position)), np.ones(len(position[0]))
+    motion = Trajectory(ticks, position, position if velocity is None else velocity, angular_velocity, sizes)
+    position, (frames, count, _) = motion.position.astype(np.float64), motion.position.shape
     given = {"velocity": velocity, "angular_velocity": angular_velocity}
-    moving = {key: _series(key, values, position.shape) for key, values in given.items() if values is not None}
+    moving = {key: getattr(motion, key).astype(np.float64) for key in given if given[key] is not None}
     scene, theirs = _timed(scene, time, frames, frame_interval, said)
     scene = replace(scene, filling=replace(scene.filling, count=count))
     names = np.arange(count) if id is None else np.asarray(id)
@@ -141,17 +145,6 @@ def import_arrays(
     return file
 
 
-def _series(name: str, values: Any, shape: tuple[int, ...] | None = None) -> FloatArray:
-    try:
-        values = np.asarray(values, np.float64)
-    except (TypeError, ValueError):
-        values = np.zeros(0)
-    if values.ndim != 3 or values.shape[0] < 3 or values.shape[2] != 3 or shape not in (None, values.shape):
-        wanted = shape or "(F, N, 3), of spheres in three dimensions in three frames or more"
-        raise DatasetError(f"{name} has shape {values.shape}; give numbers of shape {wanted}")
-    return values
-
-
 def _timed(scene: Scene, time: Any, frames: int, interval: float | None, said: list[str]) -> tuple[Scene, FloatArray]:
     """The scene with the span of the data, and the times of the data."""
     if time is None:
@@ -160,10 +153,11 @@ def _timed(scene: Scene, time: Any, frames: int, interval: float | None, said: l
         time = scene.start_time + checked_value(float, positive("s"), interval, "frame_interval") * np.arange(frames)
         said.append(f"times are {interval:g} s apart, as --frame-interval says")
     time = np.asarray(time, np.float64)
-    if time.shape != (frames,) or not np.isfinite(time).all():
-        raise DatasetError(f"time has shape {time.shape}; give {frames} finite times, s")
-    step, usual = np.diff(time), float(np.median(np.diff(time)))
-    odd = (step <= 0) | (abs(step - usual) > ROUNDING * usual)
+    if time.shape != (frames,):
+        raise DatasetError(f"time has shape {time.shape}; give {frames} times, s")
+    step = np.diff(time)
+    usual = float(np.median(step))
+    odd = ~((step > 0) & (abs(step - usual) <= ROUNDING * usual))
     if odd.any():
         k = int(np.argmax(odd))
         raise DatasetError(

@@ -30,7 +30,7 @@ from gran_bench.shipped import shipped_scene
 def import_command(words: Sequence[str] | None = None) -> int:
     """Make a case of the trajectory that a command line names; the exit code."""
     parser = argparse.ArgumentParser(
-        "python -m gran_bench.import_case", description="Make a case of a trajectory of another code."
+        "python -m gran_bench.import_case", description="Make a case of another code's run."
     )
     add = parser.add_argument
     add("files", nargs="+", type=Path, metavar="FILE", help="text dumps of LAMMPS or LIGGGHTS (also .gz), or an .npz")

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 SUMMARY, CONFIG = "summary.json", "config.json"  # a finished run has the first, any run the second
 CLONE = Path(gran_bench.__file__).resolve().parents[2] / "results"  # with the records that ship
-_SUGGESTED = 8  # names in an error
 _MOST_RUNS = 50_000  # that MLflow finds at once
 
 
@@ -61,19 +60,14 @@ def find_run(word: str, root: Path, cases: Iterable[Path] = ()) -> Path:
         if len(found) == 1 and not is_run(found[0]):
             raise RunError(f"{word}: the files of this run, {found[0].name!r}, are not in {root}; give a folder")
     if len(found) > 1:
-        raise RunError(f"{word}: this is the beginning of {_listed(found)}; give more of one, or a path")
+        raise RunError(f"{word}: this is the beginning of {', '.join(map(str, found))}; give more of one, or a path")
     if not found:
         every = {name: path.name for path, its in names.items() for name in its}
-        near = [name for name in every if word in name] or get_close_matches(word, every, _SUGGESTED, 0.4) or every
-        known = f"there are {_listed(dict.fromkeys(map(every.get, near)))}" if every else "nothing is there yet"
+        near = [name for name in every if word in name] or get_close_matches(word, every, 8, 0.4) or [*every][:24]
+        near = ", ".join(dict.fromkeys(map(every.get, near))) or "none yet"
         what = "run or case has this name, id or path" if cases else "run has this name, id or folder"
-        raise RunError(f"{word}: no {what} in {root}; {known}")
+        raise RunError(f"{word}: no {what} in {root}; there are {near}")
     return found[0]
-
-
-def _listed(names: Iterable[object]) -> str:
-    words = [*map(str, names)]
-    return ", ".join(words[:_SUGGESTED]) + (f" and {len(words) - _SUGGESTED} more" if len(words) > _SUGGESTED else "")
 
 
 def stored_runs(root: Path) -> list[MlflowRun]:
