@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -48,16 +47,16 @@ def _compare(chosen: argparse.Namespace) -> None:
 
 
 def _named(words: Sequence[str], root: Path) -> dict[str, ComparedRun]:
-    """The finished runs that words name, by name, or by folder where two share a name."""
+    """The finished runs that words name, by name, or by folder where another has that name."""
     if len(words) < 2:
         raise RunError(f"{len(words)} of at least two runs given; name a further one: compare RUN RUN ...")
-    folders = [find_run(word, root) for word in words]
-    folder, times = Counter(path.resolve() for path in folders).most_common(1)[0]
-    if times > 1:
-        raise RunError(f"{folder}: this run is named {times} times; name each once")
-    runs = [read_run(path, root) for path in folders]
-    often = Counter(run.name for run in runs)
-    return {run.name if often[run.name] == 1 else str(run.folder): run for run in runs}
+    runs: dict[str, ComparedRun] = {}
+    for word in words:
+        run = read_run(find_run(word, root), root)
+        if any(run.folder.samefile(other.folder) for other in runs.values()):
+            raise RunError(f"{run.folder}: this run is named more than once; name each once")
+        runs[str(run.folder) if run.name in runs else run.name] = run
+    return runs
 
 
 def _report(runs: Mapping[str, ComparedRun], apart: bool, figures: Mapping[str, Mapping[str, Figure]]) -> Iterator[str]:

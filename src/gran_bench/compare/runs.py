@@ -52,12 +52,11 @@ def read_run(folder: Path, root: Path) -> ComparedRun:
     """
     config, name = _read(folder / CONFIG) if (folder / CONFIG).exists() else {}, shown_name(folder.resolve().name)
     if not (folder / SUMMARY).exists():
-        state = "trained, but not judged" if (folder / "training.json").exists() else "not trained to the end"
         commands = []
         with suppress(TrackingError):
             commands = [run.data.tags.get("command") for run in stored_runs(root) if run.info.run_name == name]
         remedy = next(filter(None, commands), "repeat the command that began it, which goes on from there")
-        raise RunError(f"{folder}: this run is not finished ({state}); to go on with it: {remedy}")
+        raise RunError(f"{folder}: this run is not finished; to go on with it: {remedy}")
     summary = _read(folder / SUMMARY)
     if _PARTS - summary.keys():
         raise RunError(f"{folder / SUMMARY} is no summary of a judged run; give the folder of one")
@@ -112,20 +111,22 @@ def differences(runs: Mapping[str, ComparedRun]) -> pd.DataFrame:
 
 def _plain(value: Any) -> str:
     """A value of a config as it is typed; 1 and 1.0 are one number."""
-    return value if isinstance(value, str) else re.sub(r"\.0\b", "", json.dumps(value)).replace('"', "")
+    text = json.dumps(value, ensure_ascii=False)
+    return value if isinstance(value, str) else re.sub(r"\.0\b", "", text).replace('"', "")
 
 
 def figures_of(run: ComparedRun, rpm: float) -> Iterator[tuple[str, Figure]]:
     """The headline figures of a run by name, at the judged speed or, without floors, at another one of its rollouts."""
     summary, training, judged = run.summary, run.summary["training"], run.summary["judged"]
     broken, at_rpm = broken_rollouts(summary), judged if rpm == summary["judged_rpm"] else {}
+    after = {packing: "" if packing == "shared" else UNSEEN for packing in judged}
     for packing, found in at_rpm.items():
         for key in (*ERRORS, *registered_metrics(found), *(FROM_START if packing == "shared" else ())):
             if row := found["errors"].get(key):
                 floor, unit, times = _shown(row["floor"], row["unit"]), row["unit"], row["multiple_of_floor"]
                 shown = _shown(row["value"], unit) + ("" if times is None else f" (× {shown_multiple(times)})")
                 note = (row["note"] or row["floor_note"]) if times is None else ""
-                yield row["label"] + _after(packing), Figure(shown, _UNITS.get(unit, unit), floor, times, note)
+                yield row["label"] + after[packing], Figure(shown, _UNITS.get(unit, unit), floor, times, note)
     if at_rpm:
         for name, row in summary["position_error"].items():
             frames = counted(int(name.partition("_")[0]), "frame")
@@ -136,8 +137,8 @@ def figures_of(run: ComparedRun, rpm: float) -> Iterator[tuple[str, Figure]]:
     for packing, found in at_rpm.items():
         if counts := found["failures"]:
             lost = counts["non_finite_states"] + max(0, counts["expected_states"] - counts["states"])
-            yield f"states not finite or missing{_after(packing)}", Figure(f"{lost} of {counts['expected_states']}")
-            yield f"sphere states outside by > r{_after(packing)}", Figure(f"{counts['outside_radius']}")
+            yield f"states not finite or missing{after[packing]}", Figure(f"{lost} of {counts['expected_states']}")
+            yield f"sphere states outside by > r{after[packing]}", Figure(f"{counts['outside_radius']}")
     where = "".join(f"; {name} at frame {frame}" for name, frame in broken.items())
     yield "rollouts broken down", Figure(f"{len(broken)} of {len(summary['rollouts'])}{where}")
     if rollout := summary["rollouts"].get(f"{rpm:g}rpm"):
@@ -147,10 +148,6 @@ def figures_of(run: ComparedRun, rpm: float) -> Iterator[tuple[str, Figure]]:
     verdicts = [row["verdict"] for found in judged.values() for row in found["requirements"].values()]
     asked = sum(one != "undefined" for one in verdicts) + len(summary["nearest_case"]) + len(summary["rollouts"])
     yield "requirements met", Figure(f"{asked - len(missed_requirements(summary))} of {asked}")
-
-
-def _after(packing: str) -> str:
-    return "" if packing == "shared" else UNSEEN
 
 
 def _shown(value: float | None, unit: str = "") -> str:

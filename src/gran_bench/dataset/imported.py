@@ -97,8 +97,9 @@ def imported_cases(files: Iterable[Path | str]) -> list[ImportedCase]:
 
 def _like(scene: Scene, dataset: DatasetConfig, packing: int) -> list[ImportedCase]:
     """The cases that turn as the scene does, from a packing; of another scene none, or a model would learn that."""
-    cases = [case for case in imported_cases(dataset.files) if case.packing_seed == packing]
-    cases = [case for case in cases if case.scene.rotation.speeds_rpm == scene.rotation.speeds_rpm]
+    wanted = packing, scene.rotation.speeds_rpm
+    cases = imported_cases(dataset.files)
+    cases = [case for case in cases if (case.packing_seed, case.scene.rotation.speeds_rpm) == wanted]
     for case in cases:
         here, there = to_document(scene), to_document(case.scene)
         for document in (here, there):

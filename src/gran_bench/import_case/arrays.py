@@ -81,7 +81,7 @@ def import_arrays(
     said: list[str] = []
     if len(position) < 3:
         raise DatasetError(f"position has {len(position)} frames; give three or more")
-    ticks, sizes = range(len(position)), np.ones(len(position[0]))
+    ticks, sizes = range(len(position)), np.ones(np.shape(position[0])[:1])
     motion = Trajectory(ticks, position, position if velocity is None else velocity, angular_velocity, sizes)
     position, (frames, count, _) = motion.position.astype(np.float64), motion.position.shape
     given = {"velocity": velocity, "angular_velocity": angular_velocity}

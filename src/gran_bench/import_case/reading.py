@@ -54,9 +54,9 @@ def read_trajectory(
         if paths[0].suffix == ".npz":
             return _archive(paths[0], types, trajectory)
         dumps = sorted((list(_frames(path, time_step, types)) for path in paths), key=lambda frames: frames[0][0])
+        return _joined([frame for frames in dumps for frame in frames], paths[0])
     except (OSError, EOFError, UnicodeDecodeError, zipfile.BadZipFile, pickle.UnpicklingError, ValueError) as error:
         raise DatasetError(f"{paths[0]} cannot be read: {str(error).splitlines()[0]}; write it again") from error
-    return _joined([frame for frames in dumps for frame in frames], paths[0])
 
 
 def _frames(path: Path, time_step: float | None, types: Sequence[int]) -> Iterator[tuple[float, pd.DataFrame]]:
