@@ -54,15 +54,11 @@ def written(case: Case, path: Path) -> Path:
     return path
 
 
-def mesh_of(case: Case):
-    return wall_mesh(case.scene, *container(case.scene, case.trajectory))
-
-
 # ---- walls ---------------------------------------------------------------------------------------------------
 
 
 def test_walls_of_a_drum_lie_on_it_and_turn_with_it(case):
-    mesh = mesh_of(case)
+    mesh = wall_mesh(case)
     (before, velocity, there), (after, _, _) = mesh.at(0.4), mesh.at(0.5)
     mantle = mesh.wall == 0
     np.testing.assert_allclose(np.hypot(before[mantle, 0], before[mantle, 2]), 0.2)
@@ -80,22 +76,22 @@ def test_walls_of_a_drum_lie_on_it_and_turn_with_it(case):
 def test_a_wall_that_opens_is_gone_and_one_that_shakes_has_moved():
     hopper = still("hopper", 0.0, 1.0)
     lid = next(i for i, wall in enumerate(hopper.scene.walls) if wall.opens is not None)
-    mesh = mesh_of(hopper)
+    mesh = wall_mesh(hopper)
     shut, opened = (mesh.at(t)[2] for t in (0.0, hopper.scene.start_time))
     of_lid = mesh.wall[mesh.triangle[:, 0]] == lid
     assert shut.all()
     np.testing.assert_array_equal(opened, ~of_lid)
     box = still("packing", 0.0)
     floor = replace(box.scene.walls[4], motion=Vibration(0.01, 1.0, (0.0, 0.0, 1.0)))
-    mesh = mesh_of(replace(box, scene=replace(box.scene, walls=(floor,))))
+    mesh = wall_mesh(replace(box, scene=replace(box.scene, walls=(floor,))))
     np.testing.assert_allclose(mesh.at(0.25)[0] - mesh.point, [[0.0, 0.0, 0.01]] * 4, atol=1e-12)
 
 
 def test_a_box_is_six_rectangles_as_large_as_the_box():
     box = still("packing", 0.0)
-    lower, upper = container(box.scene, box.trajectory)
-    mesh = mesh_of(box)
-    bare = mesh_of(replace(box, scene=replace(box.scene, walls=())))
+    lower, upper = container(box)
+    mesh = wall_mesh(box)
+    bare = wall_mesh(replace(box, scene=replace(box.scene, walls=())))
     assert not len(bare.at(0.0)[2])
     np.testing.assert_allclose(mesh.point.min(axis=0), lower, atol=1e-12)
     np.testing.assert_allclose(mesh.point.max(axis=0), upper, atol=1e-12)

@@ -336,7 +336,7 @@ def test_imported_cases_are_split_by_the_speed_of_their_walls(cases):
     split = split_cases(scene, config.dem, config.dataset)
     assert [spec.path("nowhere").name.split("_")[2] for spec in split.all] == ["30rpm", "40rpm", "50rpm"]
     assert len(imported_cases([cases / "imported"])) == 5
-    with pytest.raises(DatasetError, match=r"dataset\.files has 20rpm from packing 0 nowhere; it has of_lammps_30rpm"):
+    with pytest.raises(DatasetError, match=r"dataset\.files has 20rpm of packing 0 0 times; it has of_lammps_30rpm"):
         split_cases(scene, DemConfig(), replace(config.dataset, training_speeds_rpm=[20.0]))
     with pytest.raises(DatasetError, match=r"scene\.frame_interval is 0.02 and .* was imported with 0.01"):
         split_cases(replace(scene, frame_interval=0.02), DemConfig(), config.dataset)

@@ -34,7 +34,6 @@ def errors_in_floors(runs: Mapping[str, Mapping[str, Figure]], title: str, path:
         return lines["undefined"] if multiple is None else multiple if multiple <= FAR else lines["> 1000"]
 
     names = [textwrap.fill(name, 105) for name in runs]
-    path.parent.mkdir(parents=True, exist_ok=True)
     with drawing(path, 9.6, 4.9 + 0.21 * sum(name.count("\n") + 1 for name in names)) as figure:
         axes, width = figure.subplots(), 0.74 / len(runs)
         for i, (rows, colour) in enumerate(coloured(runs.values(), (SURROGATE, BASELINE))):

@@ -59,11 +59,10 @@ def case_at(scene: Scene, dem: DemConfig, dataset: DatasetConfig, packing: int) 
     found = [case for case in _like(scene, dataset, packing) if not case.nudge_seed]
     if len(found) != 1:
         there = ", ".join(sorted(case.file.stem for case in imported_cases(dataset.files)))
-        problem = f"{len(found)} times" if found else "nowhere"
         raise DatasetError(
-            f"dataset.files has {rotation_label(scene)} from packing {packing} {problem}; it has {there}. Import it "
-            "(python -m gran_bench.import_case), or change dataset.*_speeds_rpm or dataset.packing_seed; without a "
-            "packing that training never saw, judge.unseen_packing=false"
+            f"dataset.files has {rotation_label(scene)} of packing {packing} {len(found)} times; it has {there}. "
+            "Import it (python -m gran_bench.import_case), or change dataset.*_speeds_rpm or dataset.packing_seed; "
+            "without a packing that training never saw, judge.unseen_packing=false"
         )
     return found[0]
 
@@ -87,9 +86,7 @@ def imported_cases(files: Iterable[Path | str]) -> list[ImportedCase]:
         for path in inside:
             facts = read_attributes(path)
             if facts["engine"] != ENGINE:
-                raise DatasetError(
-                    f"dataset.files has {path}, which this DEM made; leave it out, speeds name such cases"
-                )
+                raise DatasetError(f"dataset.files has {path}, which this DEM made; leave it out, speeds name it")
             scene, seeds = from_document(yaml.safe_load(facts["scene"])), (facts["packing_seed"], facts["nudge_seed"])
             found.append(ImportedCase(scene, DemConfig(), seeds[0], 0.0, seeds[1], file=path, digest=facts["digest"]))
     return found

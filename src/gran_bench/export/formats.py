@@ -27,7 +27,7 @@ def write_vtkhdf(case: Case, path: Path) -> None:
     so that a glyph scaled by it draws spheres alone), ``velocity``, ``speed`` in m/s, ``angular_velocity`` in rad/s
     where there is spin, ``id`` and ``type`` (−1 for walls), ``wall`` (0 for spheres, else the wall's number from 1).
     """
-    motion, mesh = case.trajectory, wall_mesh(case.scene, *container(case.scene, case.trajectory))
+    motion, mesh = case.trajectory, wall_mesh(case)
     (frames, count), walls = motion.position.shape[:2], len(mesh.point)
     moved = [mesh.at(float(time)) for time in motion.time]
 
@@ -83,7 +83,7 @@ def write_xyz(case: Case, path: Path) -> None:
     A line a sphere: species ``material_k``, position and radius in m, velocity and speed in m/s, spin in rad/s
     (``omega``), id. The comment line has the time in s and the box around the container. Nine digits keep a float32.
     """
-    motion, scene, (lower, upper) = case.trajectory, case.scene, container(case.scene, case.trajectory)
+    motion, scene, (lower, upper) = case.trajectory, case.scene, container(case)
     spins, count = motion.angular_velocity, len(motion.radius)
     lattice, origin = (" ".join(f"{v:.9g}" for v in values) for values in (np.diag(upper - lower).ravel(), lower))
     columns = "species:S:1:pos:R:3:radius:R:1:velo:R:3:speed:R:1" + ("" if spins is None else ":omega:R:3") + ":id:I:1"
@@ -99,7 +99,7 @@ def write_xyz(case: Case, path: Path) -> None:
             np.savetxt(file, np.column_stack(row), "material_%d" + " %.9g" * (8 + 3 * len(spin)) + " %d")
 
     write_atomically(path, write)
-    mesh = wall_mesh(scene, lower, upper)
+    mesh = wall_mesh(case)
     if len(mesh.triangle):
         place, _, there = mesh.at(float(motion.time[0]))
         rows = ["v {:.9g} {:.9g} {:.9g}\n".format(*row) for row in place]
@@ -115,7 +115,7 @@ def write_npz(case: Case, path: Path) -> None:
     ``time (F,)``, ``position``, ``velocity``, ``angular_velocity (F, N, 3)``, ``radius``, ``material``, ``id (N,)``,
     ``wall_point``, ``wall_velocity (F, M, 3)``, ``wall_triangle (T, 3)``, ``scene`` (YAML).
     """
-    motion, mesh = case.trajectory, wall_mesh(case.scene, *container(case.scene, case.trajectory))
+    motion, mesh = case.trajectory, wall_mesh(case)
     point, velocity, _ = zip(*(mesh.at(float(time)) for time in motion.time), strict=True)
     arrays = {name: getattr(motion, name) for name in ("time", "position", "velocity", "angular_velocity", "radius")}
     arrays |= {"material": case.settled.material, "id": np.arange(len(motion.radius)), "wall_triangle": mesh.triangle}

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation as Turn
 
+from gran_bench.dataset import Case
 from gran_bench.dem.walls import ABSENT, KIND, any_normal_to, surface_velocity, wall_poses
 from gran_bench.scene import Plane, Rotation, Scene, Wall
-from gran_bench.state import FloatArray, Trajectory
+from gran_bench.state import FloatArray
 
 AROUND = 72  # points on a circle
 
@@ -39,19 +40,21 @@ class WallMesh:
         return place, velocity, (poses[:, KIND] != ABSENT)[self.wall[self.triangle[:, 0]]]
 
 
-def wall_mesh(scene: Scene, lower: FloatArray, upper: FloatArray) -> WallMesh:
-    """The walls of a scene as triangles; one without an end is drawn as far as a box, of ``(3,)`` m corners."""
+def wall_mesh(case: Case) -> WallMesh:
+    """The walls of a case as triangles; one without an end is drawn as far as the container."""
+    corner, scene = np.array(np.meshgrid(*zip(*container(case), strict=True))).reshape(3, -1).T, case.scene
     points, walls, triangles = [np.zeros((0, 3))], [np.zeros(0, np.int64)], [np.zeros((0, 3), np.int64)]
     for index, wall in enumerate(scene.walls):
-        point, triangle = _surface(wall, scene, np.array(np.meshgrid(*zip(lower, upper, strict=True))).reshape(3, -1).T)
+        point, triangle = _surface(wall, scene, corner)
         triangles.append(triangle + sum(map(len, points)))
         points.append(point)
         walls.append(np.full(len(point), index))
     return WallMesh(scene, np.concatenate(points), np.concatenate(walls), np.concatenate(triangles))
 
 
-def container(scene: Scene, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
+def container(case: Case) -> tuple[FloatArray, FloatArray]:
     """Lower and upper corner of the container, ``(3,)`` m each; of the spheres where it has none."""
+    scene, trajectory = case.scene, case.trajectory
     if scene.drum_radius is not None and scene.length is not None:
         reach = np.array([scene.drum_radius, 0.5 * scene.length, scene.drum_radius])
         return -reach, reach
