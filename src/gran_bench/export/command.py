@@ -20,7 +20,7 @@ from gran_bench.tracking.search import RunError, find_run
 
 def export_command(words: Sequence[str] | None = None) -> int:
     """Write the case, or the stored rollout of the run, that a command line names; the exit code."""
-    parser = argparse.ArgumentParser("python -m gran_bench.export", description="Write a case or a rollout elsewhere.")
+    parser = argparse.ArgumentParser("python -m gran_bench.export", description="Open a case or a rollout elsewhere.")
     add = parser.add_argument
     add("what", metavar="CASE|RUN", help="file or name of a case; folder, name, key or MLflow id of a run")
     add("--to", required=True, choices=FORMATS, help="vtkhdf: ParaView, VTK; xyz: OVITO; npz: NumPy, in SI units")
