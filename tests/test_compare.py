@@ -18,7 +18,7 @@ from stored_runs import runs
 from gran_bench.compare import figure
 from gran_bench.compare.command import compare_command
 from gran_bench.compare.figure import errors_in_floors
-from gran_bench.compare.tables import UNSEEN, Figure
+from gran_bench.compare.runs import UNSEEN, Figure
 from gran_bench.tracking import open_run
 
 template, config = stored_runs.template, stored_runs.config
@@ -123,7 +123,7 @@ def test_a_run_is_found_by_its_id_and_one_that_is_not_finished_by_its_command(te
     assert compare_command(arguments) == 0
     assert "smoke-55ee66ff: contact, judged on drum_small, " in capsys.readouterr().out
     said = refusal(capsys, str(other), ids["smoke-77aa88bb"], "--root", str(template))
-    assert "not finished (not trained to the end)" in said
+    assert "this run is not finished; to go on" in said
     assert "go on with it: python -m gran_bench.train +experiment=smoke-77aa88bb" in said
 
 
@@ -171,7 +171,7 @@ def test_the_records_that_ship_stand_beside_each_other(tmp_path, capsys):
     [
         ([], "0 of at least two runs given"),
         ([SMALL], "1 of at least two runs given"),
-        ([SMALL, "11aa22bb"], "this run is named 2 times"),
+        ([SMALL, "11aa22bb"], "this run is named more than once"),
         ([SMALL, "smoke"], f"the beginning of ROOT/runs/{SMALL}, ROOT/runs/{LARGE}; give more"),
         ([SMALL, "smoke+model.radios-0.08"], f"there are {LARGE}"),
         ([SMALL, "0.08"], f"there are {LARGE}"),
@@ -185,9 +185,8 @@ def test_what_cannot_be_compared_is_refused_in_a_line(root, words, said, capsys)
 
 def test_a_run_that_is_not_finished_or_not_whole_is_refused(root, capsys):
     folder = write(root / "runs" / "half-99", None, CONFIG)
-    (folder / "training.json").write_text("{}")
     said = refusal(capsys, SMALL, "half", "--root", str(root))
-    assert "not finished (trained, but not judged); to go on with it: repeat the command that began it" in said
+    assert "not finished; to go on with it: repeat the command that began it" in said
     (folder / "summary.json").write_text('{"judged": ')
     assert "summary.json cannot be read" in refusal(capsys, SMALL, "half", "--root", str(root))
     (folder / "summary.json").write_text('{"judged": {}}')

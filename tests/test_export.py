@@ -5,18 +5,19 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from gran_bench.config import ContainerConfig, FillingConfig, SceneConfig
-from gran_bench.dataset import CaseSpec, ensure_case, read_case
-from gran_bench.export import Exported, exported_case
+from gran_bench.dataset import Case, CaseSpec, ensure_case, read_case
 from gran_bench.export.command import FORMATS, export_command
-from gran_bench.export.walls import wall_mesh
+from gran_bench.export.walls import container, wall_mesh
 from gran_bench.scene import Vibration, build_scene
 from gran_bench.shipped import shipped_scene
-from gran_bench.state import Trajectory
+from gran_bench.state import ParticleState, Trajectory
+from gran_bench.tracking import search
 
 CONFIG = SceneConfig(
     name="drum_tiny",
@@ -40,16 +41,16 @@ def case(data: Path):
     return read_case(SPEC.path(data))
 
 
-def still(name: str, *times: float, **changes) -> Exported:
+def still(name: str, *times: float, **changes) -> Case:
     """A shipped scene with two spheres that rest in its middle."""
     scene = replace(shipped_scene(name), **changes)
     place = np.broadcast_to([[0.0, 0.0, 0.3], [0.1, 0.0, 0.3]], (len(times), 2, 3)).astype(np.float32)
     motion = Trajectory(np.array(times), place, np.zeros_like(place), None, np.array([0.02, 0.03]))
-    return Exported(name, scene, motion, np.zeros(2, np.uint8))
+    return Case(scene, motion, ParticleState(place[0], *np.zeros((2, 2, 3)), motion.radius), {}, "", Path(name))
 
 
-def written(exported: Exported, path: Path, tell=print) -> Path:
-    FORMATS[path.suffix[1:]](exported, path, tell)
+def written(case: Case, path: Path) -> Path:
+    FORMATS[path.suffix[1:]](case, path)
     return path
 
 
@@ -57,8 +58,7 @@ def written(exported: Exported, path: Path, tell=print) -> Path:
 
 
 def test_walls_of_a_drum_lie_on_it_and_turn_with_it(case):
-    drum = exported_case(case.path)
-    mesh = wall_mesh(case.scene, *drum.bounds)
+    mesh = wall_mesh(case)
     (before, velocity, there), (after, _, _) = mesh.at(0.4), mesh.at(0.5)
     mantle = mesh.wall == 0
     np.testing.assert_allclose(np.hypot(before[mantle, 0], before[mantle, 2]), 0.2)
@@ -76,37 +76,26 @@ def test_walls_of_a_drum_lie_on_it_and_turn_with_it(case):
 def test_a_wall_that_opens_is_gone_and_one_that_shakes_has_moved():
     hopper = still("hopper", 0.0, 1.0)
     lid = next(i for i, wall in enumerate(hopper.scene.walls) if wall.opens is not None)
-    mesh = wall_mesh(hopper.scene, *hopper.bounds)
+    mesh = wall_mesh(hopper)
     shut, opened = (mesh.at(t)[2] for t in (0.0, hopper.scene.start_time))
     of_lid = mesh.wall[mesh.triangle[:, 0]] == lid
     assert shut.all()
     np.testing.assert_array_equal(opened, ~of_lid)
     box = still("packing", 0.0)
     floor = replace(box.scene.walls[4], motion=Vibration(0.01, 1.0, (0.0, 0.0, 1.0)))
-    shaken = replace(box.scene, walls=(floor,))
-    mesh = wall_mesh(shaken, *box.bounds)
+    mesh = wall_mesh(replace(box, scene=replace(box.scene, walls=(floor,))))
     np.testing.assert_allclose(mesh.at(0.25)[0] - mesh.point, [[0.0, 0.0, 0.01]] * 4, atol=1e-12)
 
 
 def test_a_box_is_six_rectangles_as_large_as_the_box():
     box = still("packing", 0.0)
-    lower, upper = box.bounds
-    mesh = wall_mesh(box.scene, lower, upper)
+    lower, upper = container(box)
+    mesh = wall_mesh(box)
+    bare = wall_mesh(replace(box, scene=replace(box.scene, walls=())))
+    assert not len(bare.at(0.0)[2])
     np.testing.assert_allclose(mesh.point.min(axis=0), lower, atol=1e-12)
     np.testing.assert_allclose(mesh.point.max(axis=0), upper, atol=1e-12)
     assert len(mesh.triangle) == 12
-
-
-def test_what_cannot_be_drawn_is_said():
-    class Mesh:
-        turns, motion, opens = False, None, None
-
-    box = still("packing", 0.0)
-    said: list[str] = []
-    wall_mesh(replace(box.scene, walls=()), *box.bounds)
-    object.__setattr__(box.scene, "walls", (Mesh(),))
-    assert not len(wall_mesh(box.scene, *box.bounds, said.append).triangle)
-    assert said == ["wall 0 is a Mesh, which is not drawn"]
 
 
 # ---- the other programs --------------------------------------------------------------------------------------
@@ -141,7 +130,7 @@ def vtk_frames(path: Path):
 
 
 def test_vtk_reads_a_case_back_frame_by_frame(case, tmp_path):
-    times, frames = vtk_frames(written(exported_case(case.path), tmp_path / "case.vtkhdf"))
+    times, frames = vtk_frames(written(case, tmp_path / "case.vtkhdf"))
     motion = case.trajectory
     np.testing.assert_array_equal(times, motion.time)
     for k, (place, arrays, vertices, polygons) in enumerate(frames):
@@ -168,13 +157,12 @@ def test_vtk_sees_a_lid_go_and_a_rollout_without_spin(tmp_path):
         assert "angular_velocity" not in arrays
 
 
-def test_ovito_reads_a_case_and_its_walls_back(case, tmp_path, monkeypatch):
+def test_ovito_reads_a_case_and_its_walls_back(case, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
     needs("ovito")
     from ovito.io import import_file
 
-    said: list[str] = []
-    path = written(exported_case(case.path), tmp_path / "case.xyz", said.append)
+    path = written(case, tmp_path / "case.xyz")
     pipeline, motion = import_file(str(path)), case.trajectory
     assert pipeline.source.num_frames == motion.frame_count
     for k in (0, 7, 20):
@@ -190,13 +178,13 @@ def test_ovito_reads_a_case_and_its_walls_back(case, tmp_path, monkeypatch):
     np.testing.assert_allclose(np.array(frame.cell)[:, :3], np.diag([0.4, 0.2, 0.4]))
     np.testing.assert_allclose(np.array(frame.cell)[:, 3], [-0.2, -0.1, -0.2])
     walls = tmp_path / "case.walls.obj"
-    assert said == [f"walls as they stand at the first frame: {walls}"]
+    assert capsys.readouterr().out == f"walls as they stand at the first frame: {walls}\n"
     (mesh,) = import_file(str(walls)).compute().triangle_meshes.values()
     assert mesh.face_count == 4 * 72
 
 
 def test_numpy_reads_arrays_in_si_units(case, tmp_path):
-    with np.load(written(exported_case(case.path), tmp_path / "case.npz")) as found:
+    with np.load(written(case, tmp_path / "case.npz")) as found:
         for name in ("time", "position", "velocity", "angular_velocity", "radius"):
             np.testing.assert_array_equal(found[name], getattr(case.trajectory, name))
         assert found["wall_point"].shape == (21, len(found["wall_velocity"][0]), 3)
@@ -227,10 +215,12 @@ def test_the_command_finds_the_judged_rollout_of_a_run_by_folder_name_key_and_id
             run / "rollouts" / f"{name}.npz", position=position, velocity=position, made_of=made_of, failed_frame=-1
         )
     monkeypatch.chdir(tmp_path)
-    ids = {"0" * 32: str(run)}
+    info = SimpleNamespace(run_id="0" * 32, run_name="smoke")
+    stored = SimpleNamespace(info=info, data=SimpleNamespace(tags={"folder": "moved/runs/smoke-1a2b3c4d"}))
+    monkeypatch.setattr(search, "stored_runs", lambda root: [stored])
     for named in (str(run), "smoke-1a2b3c4d", "1a2b3c4d", "0" * 32):
         words = [named, "--to", "npz", "--data", str(data), "--out", "out.npz"]
-        assert export_command(words, lambda run_id, root: ids.get(run_id)) == 0
+        assert export_command(words) == 0
         with np.load("out.npz") as found:
             np.testing.assert_array_equal(found["position"], position)
             np.testing.assert_allclose(found["time"], [0.4, 0.41, 0.42, 0.43])
@@ -245,15 +235,16 @@ def test_the_command_finds_the_judged_rollout_of_a_run_by_folder_name_key_and_id
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["nothing", "--to", "npz"], "nothing is no file, no case in data, no run in results"),
+        (["nothing", "--to", "npz"], "nothing: no run has this name, id or folder in results"),
         (["{case}", "--to", "npz", "--rollout", "30rpm"], "is a case; a run has rollouts"),
         (["conf.txt", "--to", "npz"], "conf.txt is cut short or damaged"),
+        (["{case}", "--to", "npz", "--out", "conf.txt/a.npz"], "conf.txt cannot be written"),
     ],
 )
 def test_the_command_refuses_in_one_line(words, said, case, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("conf.txt").write_text("no case")
-    assert export_command([word.format(case=case.path) for word in words]) == 2
+    assert export_command([word.format(case=case.path) for word in words]) == (1 if "--out" in words else 2)
     error = capsys.readouterr().err
     assert said in error
     assert len(error.splitlines()) == 1

@@ -7,6 +7,7 @@ package runs in that process; any other command is started by it, and its exit c
 
 from __future__ import annotations
 
+import argparse
 import os
 import runpy
 import select
@@ -16,7 +17,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -135,6 +136,29 @@ def quiet_without_reader() -> Iterator[None]:
 def tell(line: str) -> None:
     """One line on stderr, so that stdout holds tables alone."""
     print(line, file=sys.stderr, flush=True)
+
+
+def run_command(
+    parser: argparse.ArgumentParser, task: Callable[[argparse.Namespace], None], words: Sequence[str] | None
+) -> int:
+    """Do what a command line asks for, and say in a line what the house refuses or the disk does not take.
+
+    The exit code is 1 where a file cannot be written, 2 where the house refuses.
+    """
+    try:
+        with quiet_without_reader():
+            task(parser.parse_args(words))
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        tell(f"error: {error.filename} cannot be written ({error.strerror or error}); choose another place")
+        return 1
+    except Exception as error:
+        if not type(error).__module__.startswith("gran_bench."):
+            raise
+        tell(f"error: {error}")
+        return 2
+    return 0
 
 
 def main(parent: int, words: list[str]) -> int:

@@ -1,156 +1,166 @@
-"""Finished runs: found by a word of the command line, read from their folders."""
+"""Finished runs, read from their folders: what differs between them, and every headline figure with its floor."""
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import gran_bench
+import pandas as pd
+
+from gran_bench.metrics.judgement import shown_multiple
+from gran_bench.metrics.outside import counted
+from gran_bench.run.summary import broken_rollouts, missed_requirements, registered_metrics
 from gran_bench.tracking import TrackingError, shown_name
-from gran_bench.tracking.search import stored_runs
+from gran_bench.tracking.search import CONFIG, SUMMARY, RunError, stored_runs
 
-SUMMARY, CONFIG = "summary.json", "config.json"  # a finished run has the first, any run the second
-CLONE = Path(gran_bench.__file__).resolve().parents[2] / "results"  # with the records that ship
 _PARTS = {"judged", "judged_rpm", "model", "training", "rollouts", "nearest_case", "position_error"}  # of a summary
-_SUGGESTED = 8  # names in an error
-
-
-class CompareError(ValueError):
-    """Runs that cannot be compared; the message names the run and the remedy."""
+ERRORS = ("surface_angle", "com_angle", "speed_w1")  # the headline's distances; a plugin's metrics follow them
+FROM_START = ("position_10", "position_30")
+UNSEEN = ", unseen packing"
+ABSENT, UNKNOWN = "–", "?"
+_UNITS = {"m": "mm", "-": ""}  # as shown
 
 
 @dataclass(frozen=True)
 class ComparedRun:
-    """A finished run.
-
-    Attributes:
-        folder: of its files.
-        summary: as in ``summary.json``.
-        keys: of its config, dotted; where a run is kept is not among them.
-        whole: sections of the config that the folder records in full.
-    """
+    """A finished run."""
 
     folder: Path
+    name: str  # as the UI shows it
     summary: dict[str, Any]
-    keys: dict[str, Any]
-    whole: frozenset[str]
-
-    @property
-    def name(self) -> str:
-        """As the UI shows it."""
-        return shown_name(self.folder.resolve().name)
+    keys: dict[str, Any]  # of its config, dotted; where a run is kept is not among them
+    whole: frozenset[str]  # sections of the config that the folder records in full
 
     def scene_at(self, rpm: float) -> str:
         """For people: ``drum, 3000 spheres, 30 rpm``, with the name of the scene where it is recorded."""
         failures = self.summary["judged"]["shared"]["failures"]
-        count = f"{failures['spheres']} spheres" if failures else None
-        return ", ".join(filter(None, (self.keys.get("scene.name", "unnamed scene"), count, f"{rpm:g} rpm")))
-
-
-def is_run(folder: Path) -> bool:
-    """Whether a folder holds a run, finished or not."""
-    return (folder / SUMMARY).is_file() or (folder / CONFIG).is_file()
-
-
-def find_run(word: str, root: Path) -> Path:
-    """The folder of the run that a word names.
-
-    Args:
-        word: a folder; or the name of a run, as its folder or the UI spells it, its key, its id in MLflow, or the
-            beginning of one of these.
-        root: of the results.
-
-    Raises:
-        CompareError: no such run (with names that are near), or several.
-        TrackingError: the word may be an id, and the store does not answer.
-    """
-    if is_run(Path(word)):
-        return Path(word)
-    places = (CLONE, root, root / "evaluations", root / "runs")
-    there = {path.resolve(): path for place in places for path in sorted(place.glob("*")) if is_run(path)}.values()
-    names = {path: (path.name, shown_name(path.name), path.name.rpartition("-")[2]) for path in there}
-    found = [path for path in there if word in names[path]]
-    found = found or [path for path in there if any(name.startswith(word) for name in names[path])]
-    if not found and re.fullmatch("[0-9a-f]{4,32}", word):
-        stored = [run for run in stored_runs(root) if run.run_id.startswith(word)]
-        if len(stored) > 1:
-            found = [f"{run.run_id} ({run.name})" for run in stored]
-        elif stored:
-            found = [path for path in there if path.name == Path(stored[0].folder or "").name]
-            if not found:
-                raise CompareError(
-                    f"{word}: the files of this run, {stored[0].name!r}, are not in {root}; give a folder"
-                )
-    if len(found) > 1:
-        raise CompareError(f"{word}: this is the beginning of {_listed(found)}; give more of one, or a folder")
-    if not found:
-        every = {name: path.name for path, spellings in names.items() for name in spellings[:2]}
-        near = [name for name in every if word in name] or get_close_matches(word, every, _SUGGESTED, 0.4) or every
-        near = dict.fromkeys(every[name] for name in near)
-        known = f"there are {_listed(near)}" if near else "it holds no run yet; name another folder with --root"
-        raise CompareError(f"{word}: no run has this name, id or folder in {root}; {known}")
-    return found[0]
+        count = f"{failures['spheres']} spheres, " if failures else ""
+        return f"{self.keys.get('scene.name', 'unnamed scene')}, {count}{rpm:g} rpm"
 
 
 def read_run(folder: Path, root: Path) -> ComparedRun:
-    """A finished run, from its folder.
-
-    Args:
-        folder: with ``summary.json``; ``config.json`` or ``model.pt`` add what the summary does not say.
-        root: of the results; the store there knows the command of a run that is not finished.
+    """A finished run, from its folder; ``config.json`` or ``model.pt`` add what the summary does not say.
 
     Raises:
-        CompareError: the run is not finished (with the command that goes on with it), or a file cannot be read.
+        RunError: the run is not finished (with the command that goes on with it, as the store of the results in
+            ``root`` knows it), or a file cannot be read.
     """
-    config = _read(folder / CONFIG) if (folder / CONFIG).exists() else {}
+    config, name = _read(folder / CONFIG) if (folder / CONFIG).exists() else {}, shown_name(folder.resolve().name)
     if not (folder / SUMMARY).exists():
-        state = "trained, but not judged" if (folder / "training.json").exists() else "not trained to the end"
         commands = []
         with suppress(TrackingError):
-            name = shown_name(folder.resolve().name)
-            commands = [run.command for run in stored_runs(root) if run.name == name and run.command]
-        remedy = commands[0] if commands else "repeat the command that began it, which goes on from there"
-        raise CompareError(f"{folder}: this run is not finished ({state}); to go on with it: {remedy}")
+            commands = [run.data.tags.get("command") for run in stored_runs(root) if run.info.run_name == name]
+        remedy = next(filter(None, commands), "repeat the command that began it, which goes on from there")
+        raise RunError(f"{folder}: this run is not finished; to go on with it: {remedy}")
     summary = _read(folder / SUMMARY)
     if _PARTS - summary.keys():
-        raise CompareError(f"{folder / SUMMARY} is no summary of a judged run; give the folder of one")
+        raise RunError(f"{folder / SUMMARY} is no summary of a judged run; give the folder of one")
     training, model = summary["training"], Path(config.get("checkpoint") or folder / "model.pt")
-    whole = {"model": summary["model"]} | {name: value for name, value in config.items() if name != "tracking"}
+    whole = {"model": summary["model"]} | {key: value for key, value in config.items() if key != "tracking"}
     if "scene" not in config and model.is_file():  # a record that ships, or an evaluation
         from gran_bench.surrogate import checkpoint  # with PyTorch, which others need not wait for
 
-        try:
-            card, _ = checkpoint.load_card(model)
-        except checkpoint.CheckpointError as error:
-            raise CompareError(str(error)) from error
+        card, _ = checkpoint.load_card(model)
         whole |= {"scene": card.scene, "boundary": card.boundary}
     keys = {"seed": training.get("seed"), "dataset.training_speeds_rpm": training.get("training_speeds_rpm")}
-    keys = {name: value for name, value in keys.items() if value is not None}
-    return ComparedRun(folder, summary, keys | dict(_dotted(whole)), frozenset(whole))
+    keys = {key: value for key, value in keys.items() if value is not None}
+    return ComparedRun(folder, name, summary, keys | pd.json_normalize(whole).to_dict("records")[0], frozenset(whole))
 
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise CompareError(f"{path} cannot be read ({error}); get it again, or leave the run out") from error
-    return content if isinstance(content, dict) else {}
+        return dict(json.loads(path.read_text("utf-8")))
+    except (OSError, TypeError, ValueError) as error:
+        raise RunError(f"{path} cannot be read ({error}); get it again, or leave the run out") from error
 
 
-def _dotted(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _dotted(value, f"{path}{name}.")
-        else:
-            yield path + name, value
+class Figure(NamedTuple):
+    """One figure of one run as it is shown; a distance from the DEM has a floor, and its multiple of the floor."""
+
+    shown: str
+    unit: str = ""
+    floor: str = ABSENT
+    multiple: float | None = None
+    note: str = ""
 
 
-def _listed(names: Iterable[object]) -> str:
-    words = [str(name) for name in names]
-    return ", ".join(words[:_SUGGESTED]) + (f" and {len(words) - _SUGGESTED} more" if len(words) > _SUGGESTED else "")
+def differences(runs: Mapping[str, ComparedRun]) -> pd.DataFrame:
+    """The config keys whose values differ, then the digests of data and code that do; a column for each label of a run.
+
+    A key that a run does not have is ``–``, one that its folder does not record is ``?``.
+    """
+    every = sorted({key for run in runs.values() for key in run.keys}, key=lambda key: ("." in key, key))
+    digests = all("code_digest" in run.summary["training"] for run in runs.values())
+    code, code_key = ("code digest", "code_digest") if digests else ("commit", "commit")
+    columns = {}
+    for label, run in runs.items():
+        absent = {key: ABSENT if key.partition(".")[0] in run.whole else UNKNOWN for key in every}
+        columns[label] = absent | {key: _plain(value) for key, value in run.keys.items()} | {
+            "training data": run.summary["training"].get("data_digest", UNKNOWN),
+            f"{code} of the training": run.summary["training"].get(code_key, UNKNOWN),
+            "judging data": run.summary.get("data_digest", UNKNOWN),
+        }  # fmt: skip
+    table = pd.DataFrame(columns)
+    return table[table.where(table != UNKNOWN).nunique(axis=1) > 1]
+
+
+def _plain(value: Any) -> str:
+    """A value of a config as it is typed; 1 and 1.0 are one number."""
+    text = json.dumps(value, ensure_ascii=False)
+    return value if isinstance(value, str) else re.sub(r"\.0\b", "", text).replace('"', "")
+
+
+def figures_of(run: ComparedRun, rpm: float) -> Iterator[tuple[str, Figure]]:
+    """The headline figures of a run by name, at the judged speed or, without floors, at another one of its rollouts."""
+    summary, training, judged = run.summary, run.summary["training"], run.summary["judged"]
+    broken, at_rpm = broken_rollouts(summary), judged if rpm == summary["judged_rpm"] else {}
+    after = {packing: "" if packing == "shared" else UNSEEN for packing in judged}
+    for packing, found in at_rpm.items():
+        for key in (*ERRORS, *registered_metrics(found), *(FROM_START if packing == "shared" else ())):
+            if row := found["errors"].get(key):
+                floor, unit, times = _shown(row["floor"], row["unit"]), row["unit"], row["multiple_of_floor"]
+                shown = _shown(row["value"], unit) + ("" if times is None else f" (× {shown_multiple(times)})")
+                note = (row["note"] or row["floor_note"]) if times is None else ""
+                yield row["label"] + after[packing], Figure(shown, _UNITS.get(unit, unit), floor, times, note)
+    if at_rpm:
+        for name, row in summary["position_error"].items():
+            frames = counted(int(name.partition("_")[0]), "frame")
+            yield f"position {frames} after a frame of the DEM", Figure(_shown(row["m"], "m"), "mm")
+    elif nearest := summary["nearest_case"].get(f"{rpm:g}rpm"):
+        yield "speeds, W1 to the one DEM run", Figure(_shown(nearest["w1_m_s"].get(f"{rpm:g}rpm")), "m/s")
+        yield "speed of the nearest DEM run", Figure(_shown(nearest["nearest_rpm"]), "rpm")
+    for packing, found in at_rpm.items():
+        if counts := found["failures"]:
+            lost = counts["non_finite_states"] + max(0, counts["expected_states"] - counts["states"])
+            yield f"states not finite or missing{after[packing]}", Figure(f"{lost} of {counts['expected_states']}")
+            yield f"sphere states outside by > r{after[packing]}", Figure(f"{counts['outside_radius']}")
+    where = "".join(f"; {name} at frame {frame}" for name, frame in broken.items())
+    yield "rollouts broken down", Figure(f"{len(broken)} of {len(summary['rollouts'])}{where}")
+    if rollout := summary["rollouts"].get(f"{rpm:g}rpm"):
+        time, dem = (_shown(rollout[key]) for key in ("ms_per_frame_median", "dem_ms_per_frame"))
+        yield "time of a frame (of the DEM)", Figure(f"{time} ({dem})", "ms")
+    yield "training (updates)", Figure(f"{training['seconds'] / 60.0:.3g} ({training['steps']})", "min")
+    verdicts = [row["verdict"] for found in judged.values() for row in found["requirements"].values()]
+    asked = sum(one != "undefined" for one in verdicts) + len(summary["nearest_case"]) + len(summary["rollouts"])
+    yield "requirements met", Figure(f"{asked - len(missed_requirements(summary))} of {asked}")
+
+
+def _shown(value: float | None, unit: str = "") -> str:
+    """Three figures; lengths in mm."""
+    return "undefined" if value is None else f"{(1e3 if unit == 'm' else 1.0) * value:.3g}"
+
+
+def figures_table(found: Mapping[str, Mapping[str, Figure]]) -> pd.DataFrame:
+    """A row a figure: its floor, of each run where they differ, then what each run (by its label) has."""
+    rows = {}
+    for name in dict.fromkeys(name for figures in sorted(found.values(), key=len, reverse=True) for name in figures):
+        row = [figures.get(name, Figure(ABSENT)) for figures in found.values()]
+        floors, unit = [one.floor for one in row], max(one.unit for one in row)
+        floor = floors[0] if len({*floors}) == 1 else " | ".join(floors)
+        rows[", ".join(filter(None, (name, unit)))] = [floor, *(one.shown for one in row)]
+    return pd.DataFrame.from_dict(rows, orient="index", columns=["noise floor", *found])

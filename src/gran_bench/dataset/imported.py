@@ -23,15 +23,10 @@ _FREE = ("name", "end_time", "rotation", "room", "filling")
 
 @dataclass(frozen=True)
 class ImportedCase(CaseSpec):
-    """A case that is there and cannot be made.
-
-    Attributes:
-        file: the case.
-        digest: of its contents.
-    """
+    """A case that is there and cannot be made."""
 
     file: Path = Path()
-    digest: str = ""
+    digest: str = ""  # of its contents
 
     @property
     def key(self) -> dict[str, Any]:
@@ -49,10 +44,8 @@ def split_cases(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> Split:
     Raises:
         DatasetError: as :func:`case_spec.split_cases`, or no imported case of a speed.
     """
-    split = case_spec.split_cases(scene, dem, dataset)
-    sides = {side: getattr(split, side) for side in ("training", "validation", "holdout")}
-    seed = dataset.packing_seed
-    return Split(**{side: [case_at(s.scene, dem, dataset, seed) for s in specs] for side, specs in sides.items()})
+    sides = vars(case_spec.split_cases(scene, dem, dataset)).values()
+    return Split(*([case_at(spec.scene, dem, dataset, dataset.packing_seed) for spec in side] for side in sides))
 
 
 def case_at(scene: Scene, dem: DemConfig, dataset: DatasetConfig, packing: int) -> CaseSpec:
@@ -66,11 +59,10 @@ def case_at(scene: Scene, dem: DemConfig, dataset: DatasetConfig, packing: int) 
     found = [case for case in _like(scene, dataset, packing) if not case.nudge_seed]
     if len(found) != 1:
         there = ", ".join(sorted(case.file.stem for case in imported_cases(dataset.files)))
-        problem = f"{len(found)} times" if found else "nowhere"
         raise DatasetError(
-            f"dataset.files has {rotation_label(scene)} from packing {packing} {problem}; it has {there}. Import it "
-            "(python -m gran_bench.import_case), or change dataset.*_speeds_rpm or dataset.packing_seed; without a "
-            "packing that training never saw, judge.unseen_packing=false"
+            f"dataset.files has {rotation_label(scene)} of packing {packing} {len(found)} times; it has {there}. "
+            "Import it (python -m gran_bench.import_case), or change dataset.*_speeds_rpm or dataset.packing_seed; "
+            "without a packing that training never saw, judge.unseen_packing=false"
         )
     return found[0]
 
@@ -91,40 +83,28 @@ def imported_cases(files: Iterable[Path | str]) -> list[ImportedCase]:
         inside = sorted(place.glob("*.h5")) if place.is_dir() else [place]
         if not inside:
             raise DatasetError(f"dataset.files={place} is a folder without a case; import one into it, or name another")
-        found += map(_read, inside)
+        for path in inside:
+            facts = read_attributes(path)
+            if facts["engine"] != ENGINE:
+                raise DatasetError(f"dataset.files has {path}, which this DEM made; leave it out, speeds name it")
+            scene, seeds = from_document(yaml.safe_load(facts["scene"])), (facts["packing_seed"], facts["nudge_seed"])
+            found.append(ImportedCase(scene, DemConfig(), seeds[0], 0.0, seeds[1], file=path, digest=facts["digest"]))
     return found
 
 
-def _read(path: Path) -> ImportedCase:
-    facts = read_attributes(path)
-    if facts["engine"] != ENGINE:
-        raise DatasetError(f"dataset.files has {path}, which this DEM made; leave it out, the speeds name such cases")
-    return ImportedCase(
-        from_document(yaml.safe_load(facts["scene"])),
-        packing_seed=int(facts["packing_seed"]),
-        nudge_seed=int(facts["nudge_seed"]),
-        file=path,
-        digest=facts["digest"],
-    )
-
-
 def _like(scene: Scene, dataset: DatasetConfig, packing: int) -> list[ImportedCase]:
-    """The cases that turn as the scene does, from a packing."""
-    cases = [case for case in imported_cases(dataset.files) if case.packing_seed == packing]
-    cases = [case for case in cases if case.scene.rotation.speeds_rpm == scene.rotation.speeds_rpm]
+    """The cases that turn as the scene does, from a packing; of another scene none, or a model would learn that."""
+    wanted = packing, scene.rotation.speeds_rpm
+    cases = imported_cases(dataset.files)
+    cases = [case for case in cases if (case.packing_seed, case.scene.rotation.speeds_rpm) == wanted]
     for case in cases:
-        _hold_scene(case, scene)
+        here, there = to_document(scene), to_document(case.scene)
+        for document in (here, there):
+            document |= {f"filling.{name}": document["filling"][name] for name in ("count", "diameter")}
+        for name in here:
+            if name not in _FREE and here[name] != there[name]:
+                raise DatasetError(
+                    f"scene.{name} is {here[name]} and {case.file} was imported with {there[name]}; give the command "
+                    f"the scene of the import, such as scene.{name}={there[name]}"
+                )
     return cases
-
-
-def _hold_scene(case: ImportedCase, scene: Scene) -> None:
-    """Refuse a case of another scene than the command's: a model would learn one and be told of the other."""
-    here, there = to_document(scene), to_document(case.scene)
-    for name in ("count", "diameter"):
-        here[f"filling.{name}"], there[f"filling.{name}"] = here["filling"][name], there["filling"][name]
-    for name in here:
-        if name not in _FREE and here[name] != there[name]:
-            raise DatasetError(
-                f"scene.{name} is {here[name]} and {case.file} was imported with {there[name]}; give the command the "
-                f"scene of the import, such as scene.{name}={there[name]}"
-            )

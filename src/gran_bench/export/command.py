@@ -1,33 +1,26 @@
-"""The command around an export: what is meant, where it goes, what was written."""
+"""``python -m gran_bench.export CASE|RUN --to FORMAT``: what is meant, where it goes, what was written."""
 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
-from gran_bench.dataset import DatasetError
-from gran_bench.export.formats import write_npz, write_vtkhdf, write_xyz
-from gran_bench.export.source import ExportError, FolderOf, exported_case, exported_rollout, find
+import numpy as np
 
-FAILED, REFUSED = 1, 2
-FORMATS = {"vtkhdf": write_vtkhdf, "xyz": write_xyz, "npz": write_npz}
+from gran_bench.dataset import Case, DatasetError, read_attributes, read_case
+from gran_bench.export.formats import FORMATS
+from gran_bench.processes import run_command
+from gran_bench.run.summary import read_summary
+from gran_bench.state import Trajectory
+from gran_bench.tracking.search import RunError, find_run
 
 
-def export_command(words: Sequence[str] | None = None, folder_of: FolderOf = lambda run_id, root: None) -> int:
-    """Export what a command line names.
-
-    Args:
-        words: of the command line.
-        folder_of: looks a run's id up in MLflow.
-
-    Returns:
-        The exit code: 0; 1 where the file cannot be written; 2 where nothing of the name is there.
-    """
-    parser = argparse.ArgumentParser(
-        "python -m gran_bench.export", description="Write a case, or the rollout of a run, for another program."
-    )
+def export_command(words: Sequence[str] | None = None) -> int:
+    """Write the case, or the stored rollout of the run, that a command line names; the exit code."""
+    parser = argparse.ArgumentParser("python -m gran_bench.export", description="Open a case or a rollout elsewhere.")
     add = parser.add_argument
     add("what", metavar="CASE|RUN", help="file or name of a case; folder, name, key or MLflow id of a run")
     add("--to", required=True, choices=FORMATS, help="vtkhdf: ParaView, VTK; xyz: OVITO; npz: NumPy, in SI units")
@@ -35,21 +28,41 @@ def export_command(words: Sequence[str] | None = None, folder_of: FolderOf = lam
     add("--rollout", metavar="NAME", help="of a run, such as 30rpm (default: the judged one)")
     add("--data", type=Path, default=Path("data"), help="data cache (default: data)")
     add("--results", type=Path, default=Path("results"), help="results folder (default: results)")
-    chosen = parser.parse_args(words)
-    try:
-        place = find(chosen.what, chosen.data, chosen.results, folder_of)
-        if chosen.rollout is not None and not place.is_dir():
-            raise ExportError(f"--rollout {chosen.rollout}: {place} is a case; a run has rollouts")
-        exported = exported_rollout(place, chosen.data, chosen.rollout) if place.is_dir() else exported_case(place)
-        path = chosen.out or Path(f"{exported.name}.{chosen.to}")
-        FORMATS[chosen.to](exported, path, print)
-    except BrokenPipeError:
-        raise
-    except (ExportError, DatasetError, OSError) as error:
-        if isinstance(error, OSError):
-            error = f"{error.filename}: {error.strerror or error}; choose another --out"
-        print(f"error: {error}", file=sys.stderr)
-        return FAILED if isinstance(error, str) else REFUSED
-    time = exported.trajectory.time
-    print(f"{len(exported.material)} spheres, {len(time)} frames, {time[0]:g} to {time[-1]:g} s: {path}")
-    return 0
+    return run_command(parser, _export, words)
+
+
+def _export(chosen: argparse.Namespace) -> None:
+    cases = [path for path in sorted(chosen.data.rglob("*.h5")) if path.parent.name != "settled"]
+    place = Path(chosen.what)
+    place = place if place.is_file() else find_run(chosen.what, chosen.results, cases)
+    if chosen.rollout is not None and not place.is_dir():
+        raise RunError(f"--rollout {chosen.rollout}: {place} is a case; a run has rollouts")
+    case, name = _rollout(place, cases, chosen) if place.is_dir() else (read_case(place), place.stem)
+    path = chosen.out or Path(f"{name}.{chosen.to}")
+    FORMATS[chosen.to](case, path)
+    time = case.trajectory.time
+    print(f"{case.settled.count} spheres, {len(time)} frames, {time[0]:g} to {time[-1]:g} s: {path}")
+
+
+def _rollout(folder: Path, cases: Sequence[Path], chosen: argparse.Namespace) -> tuple[Case, str]:
+    """The case that a stored rollout started from with the rollout's motion, and a name for the file."""
+    files = {path.stem: path for path in sorted((folder / "rollouts").glob("*.npz"))}
+    summary = read_summary(folder)
+    name = chosen.rollout or (f"{summary['judged_rpm']:g}rpm" if summary else "")
+    if name not in files:
+        there = f"has {', '.join(files)}; choose one" if files else "holds no rollouts/*.npz; finish the run"
+        raise RunError(f"--rollout {name}: {folder} {there}")
+    with np.load(files[name]) as kept:
+        spins, digest = kept.get("angular_velocity"), str(kept["made_of"]).split()[0]
+        position, velocity = kept["position"], kept["velocity"]
+    for path in cases:
+        with suppress(DatasetError):  # of another format, or damaged: not the one
+            if read_attributes(path)["digest"] == digest:
+                case = read_case(path)
+                time = case.settled.time + case.scene.frame_interval * np.arange(len(position))
+                motion = Trajectory(time, position, velocity, spins, case.trajectory.radius)
+                return replace(case, trajectory=motion), f"{folder.name}_{name}"
+    raise RunError(
+        f"the case that rollout {name} started from is not in {chosen.data}; name the cache with --data, or make it "
+        "again with python -m gran_bench.generate"
+    )

@@ -12,25 +12,23 @@ from typing import Any
 import numpy as np
 
 import gran_bench
-from gran_bench.config import SEED
 from gran_bench.config.rules import Name, checked_value, positive
 from gran_bench.dataset import CaseSpec, DatasetError, to_document
 from gran_bench.dataset.case_file import write_case
 from gran_bench.dataset.case_spec import FORMAT_VERSION, key_hash
 from gran_bench.dataset.imported import ENGINE
+from gran_bench.dem.engine_numpy import Stretch
 from gran_bench.dem.initial_checks import LARGEST_INITIAL_OVERLAP
-from gran_bench.dem.outlet import taking_part
+from gran_bench.dem.integrate import Physics
+from gran_bench.dem.outlet import part_of, taking_part
 from gran_bench.dem.record import contact_diagnostics
-from gran_bench.dem.seams import wall_touching
 from gran_bench.dem.walls import largest_excess, wall_poses
-from gran_bench.neighbors import nearest_image, tree_pairs
+from gran_bench.neighbors import nearest_image
 from gran_bench.scene import Scene
-from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
+from gran_bench.state import FloatArray, ParticleState, Trajectory
 
 FOLDER = "imported"  # of the cases, in the data cache
 ROUNDING = 1e-4  # of the frame interval and of a radius: text dumps round
-
-Refuse = Callable[[np.ndarray, str], None]
 
 
 def import_arrays(
@@ -54,9 +52,8 @@ def import_arrays(
     """Write a trajectory of another code as a case, which trains and is judged like those of the DEM.
 
     Derived where missing, and said: velocities (central differences), spins (zero), radii (the scene's), times
-    (``frame_interval``). Overlaps and energies of each frame are computed as the DEM does. The first frame gets the
-    scene's ``start_time`` and is the settled state; what its contacts remember is not known. The case's scene has the
-    count, frame interval and end of the data.
+    (``frame_interval``). The reference engine finds overlaps and energies. The first frame, at the scene's
+    ``start_time``, is the settled state, whose contacts remember nothing. The scene gets the data's count and span.
 
     Args:
         position: ``(F, N, 3)`` m.
@@ -69,27 +66,26 @@ def import_arrays(
         id: ``(N,)`` names of the spheres for the messages.
         packing: number of the settled bed that it started from, for ``dataset.packing_seed``.
         replica: 0, or the number of a run from the same start, nudged: replicas give the noise floor.
-        name: of the file; None: scene, speed, packing, replica and a hash.
+        name: of the file, which is the answer; None: scene, speed, packing, replica and a hash.
         root: data cache; the case goes into its folder ``imported``.
         source: where the trajectory comes from, for the record.
         tell: gets a line for whatever was derived, and for each warning.
 
-    Returns:
-        The file.
-
     Raises:
         DatasetError: what is no trajectory of spheres in this scene, with frame and id.
+        StateError: arrays whose shapes do not fit.
         ConfigError: an argument of a wrong type.
     """
-    for number, word in ((packing, "packing"), (replica, "replica")):
-        checked_value(int, SEED, number, word)
+    spec = CaseSpec(scene, packing_seed=packing, nudge=float(replica != 0), nudge_seed=replica)
     checked_value(str | None, Name(), name, "name")
-    checked_value(Scene, None, scene, "scene")
     said: list[str] = []
-    position = _series("position", position, np.shape(position))
+    if len(position) < 3:
+        raise DatasetError(f"position has {len(position)} frames; give three or more")
+    ticks, sizes = range(len(position)), np.ones(np.shape(position[0])[:1])
+    motion = Trajectory(ticks, position, position if velocity is None else velocity, angular_velocity, sizes)
+    position, (frames, count, _) = motion.position.astype(np.float64), motion.position.shape
     given = {"velocity": velocity, "angular_velocity": angular_velocity}
-    moving = {key: _series(key, values, position.shape) for key, values in given.items() if values is not None}
-    frames, count = position.shape[:2]
+    moving = {key: getattr(motion, key).astype(np.float64) for key in given if given[key] is not None}
     scene, theirs = _timed(scene, time, frames, frame_interval, said)
     scene = replace(scene, filling=replace(scene.filling, count=count))
     names = np.arange(count) if id is None else np.asarray(id)
@@ -102,7 +98,7 @@ def import_arrays(
             raise DatasetError(f"frame {frame} ({theirs[frame]:g} s): id {found[0]}{more} has {what}")
 
     for key, values in {"position": position, **moving}.items():
-        refuse(~np.isfinite(values).all(axis=2), f"a {key} that is not finite; repair it")
+        refuse(~(abs(values) < np.finfo(np.float32).max).all(axis=2), f"a {key} that is not finite; repair it")
     radius, material = _radii(scene, radius, frames, refuse, said), _materials(scene, type, count)
     if "velocity" not in moving:
         step = nearest_image(np.diff(position, axis=0).reshape(-1, 3), scene.period).reshape(-1, count, 3)
@@ -114,83 +110,39 @@ def import_arrays(
         said.append("spins are zero, for the data have none: train a model that predicts spin with loss.spin=0")
     position = nearest_image(position.reshape(-1, 3), scene.period).reshape(position.shape)
     clock = scene.start_time + scene.frame_interval * np.arange(frames)
-    poses = wall_poses(scene, scene.start_time, scene.frame_interval, frames - 1)
-    beyond = np.array([largest_excess(scene, *both) for both in zip(poses, position, strict=True)]) > radius
-    inside = (taking_part(scene, centre) for centre in position)
+    poses, physics = wall_poses(scene, clock[0], scene.frame_interval, frames - 1), Physics.of(scene, radius.max())
+    beyond, figures = np.zeros((frames, count), bool), []
+    rows = zip(position, *(moving[key] for key in given), strict=True)
+    states = [ParticleState(*row, radius, clock[k], material=material) for k, row in enumerate(rows)]
+    for k, state in enumerate(states):
+        inside = taking_part(scene, state.position)
+        part = state if inside is None else part_of(state, inside)
+        beyond[k] = (largest_excess(scene, poses[k], state.position) > radius) & (True if inside is None else inside)
+        with np.errstate(divide="ignore", invalid="ignore"):  # two centres in one place have no normal
+            history = Stretch(part, physics, 1.0, poses[k : k + 1]).state().history if part.count else part.history
+        figures.append(contact_diagnostics(scene, replace(state, history=history)))
     refuse(
-        beyond & [np.ones(count, bool) if part is None else part for part in inside],
+        beyond,
         f"its centre outside the walls of scene {scene.name!r} by more than its radius; give the container of the data "
         "(a drum lies along y, and gravity is scene.gravity)",
     )
-    figures = []
-    for k in range(frames):
-        state = ParticleState(position[k], *(moving[key][k] for key in given), radius, clock[k], material=material)
-        figures.append(contact_diagnostics(scene, replace(state, history=touching(scene, poses[k], state))))
     diagnostics = {key: np.array([row[key] for row in figures]) for key in figures[0]}
     deepest = np.maximum(diagnostics["overlap_max"], diagnostics["wall_overlap_max"]) / (2.0 * radius.mean())
-    warnings = ""
-    if deepest.max() > LARGEST_INITIAL_OVERLAP:
-        warnings = (
-            f"spheres overlap by {deepest.max():.0%} of the diameter in frame {np.argmax(deepest)}: are radius and "
-        )
-        warnings += "container those of the data?"
-    facts = {
-        "engine": ENGINE,
-        "imported_from": source,
-        "derived": "\n".join(said),
-        "contact_history": "unknown: the settled state is the first frame, without what its contacts remember",
-        "packing_seed": packing,
-        "nudge_seed": replica,
-        **dict.fromkeys(("time_step", "wall_seconds"), np.nan),  # of the other code: not known
-        "warnings": warnings,
-        "code_version": gran_bench.__version__,
-        "made_at": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
+    warnings = f"spheres overlap by {deepest.max():.0%} of the diameter in frame {np.argmax(deepest)}: are radius and "
+    warnings = f"{warnings}container those of the data?" if deepest.max() > LARGEST_INITIAL_OVERLAP else ""
+    unknown = "unknown: the settled state is the first frame, without what its contacts remember"
+    facts = {"engine": ENGINE, "imported_from": source, "derived": "\n".join(said), "contact_history": unknown}
+    facts |= {"packing_seed": packing, "nudge_seed": replica, "warnings": warnings}
+    facts |= dict.fromkeys(("time_step", "wall_seconds"), np.nan)  # of the other code: not known
+    facts |= {"code_version": gran_bench.__version__, "made_at": datetime.now(UTC).isoformat(timespec="seconds")}
     arrays = hashlib.sha256(b"".join(values.tobytes() for values in (position, *moving.values(), radius, material)))
     key = {"kind": ENGINE, "format": FORMAT_VERSION, "scene": to_document(scene), "arrays": arrays.hexdigest()}
-    label = CaseSpec(scene, packing_seed=packing).label + (f"_replica{replica}" if replica else "")
-    file = Path(root) / FOLDER / f"{name or f'{label}_{key_hash(key)}'}.h5"
-    settled = ParticleState(
-        position[0], *(moving[key][0] for key in given), radius, scene.start_time, material=material
-    )
+    file = Path(root) / FOLDER / f"{name or f'{spec.label}_{key_hash(key)}'}.h5"
     trajectory = Trajectory(clock, position, **moving, radius=radius, diagnostics=diagnostics)
-    write_case(file, key, scene, trajectory, settled, facts)
+    write_case(file, key, scene, trajectory, states[0], facts)
     for line in (*said, *([f"warning: {warnings}"] if warnings else [])):
         tell(line)
     return file
-
-
-def touching(scene: Scene, poses: FloatArray, state: ParticleState) -> ContactHistory:
-    """The contacts of a state with their overlaps, as the DEM finds them, and no forces.
-
-    Args:
-        scene: its period and its outlet.
-        poses: ``(W, 22)`` of its walls at this instant.
-        state: N spheres.
-    """
-    inside = taking_part(scene, state.position)
-    here = np.arange(state.count) if inside is None else np.flatnonzero(inside)
-    position, radius = state.position[here], state.radius[here]
-    pairs = tree_pairs(position, 2.0 * float(radius.max(initial=0.0)), scene.period)
-    offset = nearest_image(position[pairs[:, 1]] - position[pairs[:, 0]], scene.period)
-    overlap = radius[pairs].sum(axis=1) - np.linalg.norm(offset, axis=1)
-    near = overlap > 0
-    found = [(here[pairs[near, 0]], here[pairs[near, 1]], overlap[near])]
-    for wall, (sphere, distance, _) in enumerate(wall_touching(poses, position, radius, ContactHistory.empty())[0]):
-        found.append((here[sphere], np.full(len(sphere), -1 - wall), radius[sphere] - distance))
-    first, second, overlap = map(np.concatenate, zip(*found, strict=True))
-    return ContactHistory(first, second, np.zeros((len(first), 3)), overlap)
-
-
-def _series(name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
-    values = np.asarray(values)
-    if values.dtype.kind not in "iuf" or values.ndim != 3 or values.shape != shape:
-        raise DatasetError(f"{name} has shape {values.shape} of {values.dtype}; give numbers of shape (F, N, 3)")
-    if shape[2] != 3:
-        raise DatasetError(f"{name} has {shape[2]} dimensions; scenes are of spheres in three, so give (F, N, 3)")
-    if shape[0] < 3 or shape[1] < 1:
-        raise DatasetError(f"{name} has {shape[0]} frames of {shape[1]} spheres; give three frames or more")
-    return values.astype(np.float64)
 
 
 def _timed(scene: Scene, time: Any, frames: int, interval: float | None, said: list[str]) -> tuple[Scene, FloatArray]:
@@ -201,20 +153,16 @@ def _timed(scene: Scene, time: Any, frames: int, interval: float | None, said: l
         time = scene.start_time + checked_value(float, positive("s"), interval, "frame_interval") * np.arange(frames)
         said.append(f"times are {interval:g} s apart, as --frame-interval says")
     time = np.asarray(time, np.float64)
-    if time.shape != (frames,) or not np.isfinite(time).all():
-        raise DatasetError(f"time has shape {time.shape}; give {frames} finite times, s")
-    step, usual = np.diff(time), float(np.median(np.diff(time)))
-    back, odd = step <= 0, abs(step - usual) > ROUNDING * usual
-    if back.any():
-        k = int(np.argmax(back))
-        raise DatasetError(
-            f"frames are out of order: frame {k + 1} at {time[k + 1]:g} s follows frame {k} at {time[k]:g} s; sort them"
-        )
+    if time.shape != (frames,):
+        raise DatasetError(f"time has shape {time.shape}; give {frames} times, s")
+    step = np.diff(time)
+    usual = float(np.median(step))
+    odd = ~((step > 0) & (abs(step - usual) <= ROUNDING * usual))
     if odd.any():
         k = int(np.argmax(odd))
         raise DatasetError(
-            f"frames are not equally spaced: frame {k + 1} at {time[k + 1]:g} s comes {step[k]:g} s after the last and "
-            f"others {usual:g} s; give frames of one interval"
+            f"frames are out of order or not equally spaced: frame {k + 1} at {time[k + 1]:g} s comes {step[k]:g} s "
+            f"after the last and others {usual:g} s; give frames in order, of one interval"
         )
     usual = float(f"{(time[-1] - time[0]) / (frames - 1):.9g}")  # without the rounding of a sum of steps
     if abs(scene.start_time - time[0]) > ROUNDING * usual:
@@ -223,21 +171,20 @@ def _timed(scene: Scene, time: Any, frames: int, interval: float | None, said: l
     return replace(scene, frame_interval=usual, end_time=end), time
 
 
-def _radii(scene: Scene, radius: Any, frames: int, refuse: Refuse, said: list[str]) -> FloatArray:
+def _radii(scene: Scene, radius: Any, frames: int, refuse: Callable, said: list[str]) -> FloatArray:
     filling, low, high = scene.filling, scene.filling.smallest_radius, scene.filling.largest_radius
+    if radius is None and low < high:
+        raise DatasetError("the data lack radius, and the scene's spheres have several; give radii")
     if radius is None:
-        if low < high:
-            raise DatasetError("the data lack radius, and the scene's spheres have several; give radii")
         said.append(f"radii are half of scene.filling.diameter={filling.diameter:g} m")
         return np.full(filling.count, filling.radius)
     radius = np.asarray(radius, np.float64)
     if radius.shape not in ((filling.count,), (frames, filling.count)):
         raise DatasetError(f"radius has shape {radius.shape}; give one for each of {filling.count} spheres, m")
     radius = np.broadcast_to(radius, (frames, filling.count))
-    refuse(~(np.isfinite(radius) & (radius > 0)), "a radius that is not positive and finite; repair it")
+    within = (radius >= low * (1 - ROUNDING)) & (radius <= high * (1 + ROUNDING))
+    refuse(~within, f"a radius that is not in the scene's {low:g} to {high:g} m; set scene.filling.diameter and sizes")
     refuse(abs(radius / radius[0] - 1.0) > ROUNDING, "another radius than in frame 0; give spheres that keep theirs")
-    outside = (radius < low * (1 - ROUNDING)) | (radius > high * (1 + ROUNDING))
-    refuse(outside, f"a radius that is not in the scene's {low:g} to {high:g} m; set scene.filling.diameter and sizes")
     # A dump rounds, and a model is asked for exactly the radius that it was trained on.
     return radius[0].copy() if low < high else np.full(filling.count, filling.radius)
 

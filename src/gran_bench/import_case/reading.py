@@ -21,13 +21,10 @@ import pandas as pd
 
 from gran_bench.dataset import DatasetError
 
-_VECTORS = {
-    "position": [("x", "y", "z"), ("xu", "yu", "zu")],
-    "velocity": [("vx", "vy", "vz")],
-    "angular_velocity": [("omegax", "omegay", "omegaz")],
-}
+_LINES = {"TIMESTEP": 1, "TIME": 1, "NUMBER": 1, "UNITS": 1, "BOX": 3}  # of each item but ATOMS
+_COLUMNS = {"position": [*"xyz"], "velocity": ["vx", "vy", "vz"], "angular_velocity": ["omegax", "omegay", "omegaz"]}
 # Arguments of `import_arrays` by the names of an archive's arrays.
-_ARRAYS = {name: name for name in ("position", "velocity", "angular_velocity", "time", "radius", "type", "id")}
+_ARRAYS = {name: name for name in (*_COLUMNS, "time", "radius", "type", "id")}
 _ARRAYS |= {"positions": "position", "velocities": "velocity", "radii": "radius", "times": "time", "ids": "id"}
 _ARRAYS |= dict.fromkeys(("material", "types", "particle_type", "particle_types"), "type")
 
@@ -56,95 +53,76 @@ def read_trajectory(
     try:
         if paths[0].suffix == ".npz":
             return _archive(paths[0], types, trajectory)
-        dumps = [list(_blocks(path)) for path in paths]
+        dumps = sorted((list(_frames(path, time_step, types)) for path in paths), key=lambda frames: frames[0][0])
+        return _joined([frame for frames in dumps for frame in frames], paths[0])
     except (OSError, EOFError, UnicodeDecodeError, zipfile.BadZipFile, pickle.UnpicklingError, ValueError) as error:
         raise DatasetError(f"{paths[0]} cannot be read: {str(error).splitlines()[0]}; write it again") from error
-    dumps.sort(key=lambda dump: dump[0][0].get("time", dump[0][0]["step"]))
-    return _joined([block for dump in dumps for block in dump], time_step, types, paths[0])
 
 
-def _blocks(path: Path) -> Iterator[tuple[dict[str, float], pd.DataFrame]]:
-    """Each frame's head (step, time) and its table, sorted by id."""
+def _frames(path: Path, time_step: float | None, types: Sequence[int]) -> Iterator[tuple[float, pd.DataFrame]]:
+    """Time, s, and table of each frame."""
     found, head = 0, {}
     with (gzip.open if path.suffix == ".gz" else open)(path, "rt") as file:
         for line in filter(str.strip, file):
-            item = line.removeprefix("ITEM:").strip()
-            if not line.startswith("ITEM:"):
-                raise DatasetError(f"{path} is no dump of LAMMPS or LIGGGHTS: frame {found} has the line {item[:40]!r}")
-            if item in ("TIMESTEP", "TIME", "NUMBER OF ATOMS"):
-                head[{"TIMESTEP": "step", "TIME": "time"}.get(item, "count")] = float(next(file, ""))
-            elif item == "UNITS" and (units := next(file, "").strip()) != "si":
-                raise DatasetError(f"{path} is in units {units}; write it in units si (m, s, kg)")
-            elif item.startswith("BOX BOUNDS"):
-                list(islice(file, 3))
-            elif item.startswith("ATOMS") and "count" in head:
-                lines = list(islice(file, int(head["count"])))
-                if len(lines) < head["count"]:
-                    raise DatasetError(
-                        f"{path} is cut short in frame {found}: {len(lines)} of {head['count']:.0f} spheres"
-                    )
-                yield {"step": found} | head, _table(path, found, item.split()[1:], lines)
-                found, head = found + 1, {}
-            elif item != "UNITS":
-                raise DatasetError(f"{path} is no dump of spheres: frame {found} has the unknown ITEM: {item}")
+            word, *columns = line.removeprefix("ITEM:").split()
+            if not line.startswith("ITEM:") or not (word in _LINES or (word == "ATOMS" and "NUMBER" in head)):
+                raise DatasetError(f"{path} is no dump of spheres: frame {found} has the line {line.strip()[:40]!r}")
+            count = _LINES.get(word) or int(head["NUMBER"])
+            lines = list(islice(file, count))
+            if len(lines) < count:
+                raise DatasetError(f"{path} is cut short in frame {found}: {len(lines)} of {count} lines of {word}")
+            if word == "UNITS" and lines[0].strip() != "si":
+                raise DatasetError(f"{path} is in units {lines[0].strip()}; write it in units si (m, s, kg)")
+            if word != "ATOMS":
+                head[word] = lines[0]
+                continue
+            if "TIME" not in head and time_step is None:
+                raise DatasetError(f"{path} counts steps and has no ITEM: TIME; give --time-step, s")
+            time = float(head["TIME"]) if "TIME" in head else time_step * float(head.get("TIMESTEP", "nan"))
+            yield time, _table(path, found, columns, lines, types)
+            found, head = found + 1, {}
     if not found:
         raise DatasetError(f"{path} has no frame; give a dump with ITEM: ATOMS")
 
 
-def _table(path: Path, frame: int, columns: list[str], lines: list[str]) -> pd.DataFrame:
-    triples = [triple for names in _VECTORS.values() for triple in names]
-    given = [triple for triple in triples if set(triple) & set(columns)]
-    wanted = ["id", *(name for triple in given or triples[:1] for name in triple)]
-    if not set(triples[0]) & set(columns) and not set(triples[1]) & set(columns):
-        wanted += triples[0]
-    missing = [name for name in dict.fromkeys(wanted) if name not in columns]
-    if missing:
+def _table(path: Path, frame: int, columns: list[str], lines: list[str], types: Sequence[int]) -> pd.DataFrame:
+    if "x" not in columns:  # unwrapped coordinates will do
+        columns = [name[0] if name in ("xu", "yu", "zu") else name for name in columns]
+    vectors = [triple for key, triple in _COLUMNS.items() if key == "position" or {*triple} & {*columns}]
+    wanted = ["id", *(["type"] if types else []), *(name for triple in vectors for name in triple)]
+    if missing := [name for name in wanted if name not in columns]:
         raise DatasetError(
             f"{path} lacks the column {', '.join(missing)} (it has {', '.join(columns)}); write it with dump custom "
             "id type x y z vx vy vz omegax omegay omegaz radius"
         )
     kept = [name for name in columns if name in (*wanted, "type", "radius", "diameter")]
     table = pd.read_csv(StringIO("".join(lines)), sep=r"\s+", names=columns, usecols=kept, index_col=False)
-    words = [name for name in kept if table[name].dtype.kind not in "iuf"]
-    if words:
+    for name in kept:
+        if table[name].dtype.kind not in "iuf":
+            raise DatasetError(f"{path}: frame {frame} has words in column {name}; give numbers there")
+    return table[table["type"].isin(types)] if types else table
+
+
+def _joined(frames: list[tuple[float, pd.DataFrame]], path: Path) -> dict[str, np.ndarray]:
+    tables = [table.assign(frame=k) for k, (_, table) in enumerate(frames)]
+    whole = pd.concat(tables, join="inner").sort_values(["frame", "id"], kind="stable")
+    if whole.empty:
+        raise DatasetError(f"{path} has no sphere to import; choose another --type")
+    times = pd.crosstab(whole["frame"], whole["id"]).reindex(range(len(frames)), fill_value=0)
+    for frame, column in np.argwhere(times.to_numpy() != 1)[:1]:
         raise DatasetError(
-            f"{path}: frame {frame} has words in column {words[0]}, where numbers belong; write it again"
+            f"{path}: frame {frame} has id {times.columns[column]:.0f} {times.iat[frame, column]} times; give a dump "
+            "that has every sphere once in each frame, or choose spheres with --type"
         )
-    return table.sort_values("id", kind="stable")
 
+    def of(columns: str | list[str]) -> np.ndarray:
+        return whole[columns].to_numpy(np.float64).reshape(len(frames), times.shape[1], -1)
 
-def _joined(
-    blocks: list[tuple[dict[str, float], pd.DataFrame]], time_step: float | None, types: Sequence[int], path: Path
-) -> dict[str, np.ndarray]:
-    timed = all("time" in head for head, _ in blocks)
-    if not timed and time_step is None:
-        raise DatasetError(f"{path} counts steps and has no ITEM: TIME; give --time-step, s")
-    tables = [table[table["type"].isin(types)] if types and "type" in table else table for _, table in blocks]
-    first = tables[0]["id"].to_numpy()
-    if not len(first):
-        raise DatasetError(f"{path} has no sphere{f' of type {list(types)}' if types else ''}; choose another --type")
-    for frame, table in enumerate(tables):
-        ids = table["id"].to_numpy()
-        faults = {"twice": ids[1:][np.diff(ids) == 0], "no more": np.setdiff1d(first, ids)}
-        for what, names in (faults | {"which frame 0 lacks": np.setdiff1d(ids, first)}).items():
-            if len(names):
-                more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-                raise DatasetError(
-                    f"{path}: frame {frame} has id {names[0]:.0f}{more} {what}; give a dump in which all spheres are "
-                    "there from first to last, or choose spheres with --type"
-                )
-    arrays = {
-        "time": np.array([head["time"] if timed else head["step"] * time_step for head, _ in blocks]),
-        "id": first,
-    }
-    shared = set.intersection(*(set(table) for table in tables))
-    for name, triples in _VECTORS.items():
-        for triple in filter(shared.issuperset, reversed(triples)):
-            arrays[name] = np.stack([table[list(triple)].to_numpy(np.float64) for table in tables])
-    for column, scale in (("diameter", 0.5), ("radius", 1.0)):
-        if column in shared:
-            arrays["radius"] = scale * np.stack([table[column].to_numpy(np.float64) for table in tables])
-    return arrays | ({"type": tables[0]["type"].to_numpy()} if "type" in shared else {})
+    arrays = {"time": np.array([time for time, _ in frames]), "id": times.columns.to_numpy()}
+    arrays |= {name: of(triple) for name, triple in _COLUMNS.items() if {*triple} <= {*whole}}
+    if "diameter" in whole or "radius" in whole:
+        arrays["radius"] = of("radius")[..., 0] if "radius" in whole else 0.5 * of("diameter")[..., 0]
+    return arrays | ({"type": of("type")[0, :, 0]} if "type" in whole else {})
 
 
 class _ArraysAlone(pickle.Unpickler):
@@ -159,15 +137,13 @@ class _ArraysAlone(pickle.Unpickler):
 def _archive(path: Path, types: Sequence[int], trajectory: int | None) -> dict[str, np.ndarray]:
     with zipfile.ZipFile(path) as archive:
         arrays = {name.removesuffix(".npy"): _member(archive, name) for name in archive.namelist()}
-    pairs = [values for values in arrays.values() if values.dtype.hasobject]
-    if pairs:
+    found = {_ARRAYS[name]: values for name, values in arrays.items() if name in _ARRAYS}
+    if pairs := [values for values in arrays.values() if values.dtype.hasobject]:
         pairs = list(pairs[0]) if "gns_data" in arrays else pairs
         if (trajectory is None and len(pairs) > 1) or not 0 <= (trajectory or 0) < len(pairs):
             raise DatasetError(f"{path} has {len(pairs)} trajectories; choose one with --trajectory, from 0")
         positions, kinds = pairs[trajectory or 0][:2]
         found = {"position": positions, "type": np.broadcast_to(kinds, np.shape(positions)[1:2])}
-    else:
-        found = {_ARRAYS[name]: values for name, values in arrays.items() if name in _ARRAYS}
     if "position" not in found:
         raise DatasetError(f"{path} lacks the array position or gns_data; it has {', '.join(arrays) or 'none'}")
     if types:
@@ -186,5 +162,5 @@ def _member(archive: zipfile.ZipFile, name: str) -> np.ndarray:
         shape, _, dtype = read_header(file)
         if dtype.hasobject:
             return np.asarray(_ArraysAlone(file).load(), object).reshape(shape)
-    with archive.open(name) as file:
+        file.seek(0)
         return np.lib.format.read_array(file, allow_pickle=False)
