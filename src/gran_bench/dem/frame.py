@@ -1,9 +1,4 @@
-"""A run between its frames: stretches of an engine, the walls' poses, who has left, and what may have gone wrong.
-
-What changes a run happens on a grid of steps counted from its start: every 10 ms spheres beyond the outlet leave and
-whoever came through a wall stops the run, every 50 ms particles are sorted anew. Frames are copies, so they change no
-bit; the last one comes with what another run needs to go on (``ParticleState.continuation``).
-"""
+"""A run between its frames: stretches of an engine, the walls' poses, who has left, and what may have gone wrong."""
 
 from __future__ import annotations
 
@@ -41,6 +36,9 @@ def steps_between_looks(time_step: float) -> int:
 class Run:
     """A state, in float64, on its way; it goes on from its continuation where that holds for this scene and step.
 
+    What changes a run follows from the count of its steps: at a look spheres beyond the outlet leave and whoever came
+    through a wall stops the run. Frames are copies, so they change no bit.
+
     ``engine`` is a module with a ``Stretch``, whose physics ``tuner`` gives; ``failed`` makes frames of a time, s, and
     positions, velocities and spins that a run ended with.
     """
@@ -52,14 +50,15 @@ class Run:
         self._engine, self._scene, self._time_step, self._tuner, self._failed = engine, scene, time_step, tuner, failed
         self._look_steps = steps_between_looks(time_step)
         self._sort_steps = LOOKS_BETWEEN_SORTS * self._look_steps
-        self._start, self._steps, self._held, self._state = state.time, 0, None, state
-        self._stretch, self._inside, self._peaks, self._now = None, None, Peaks(), None
+        # State and what is held of all where the stretch began; the stretch is None where it is still to begin.
+        self._whole, self._held, self._stretch = state, None, None
+        self._start, self._steps, self._peaks = state.time, 0, Peaks()
         with _compiling_notice():
             # Where the run goes on, this tells what the first frame's contacts do, and nothing else.
             self._begin()
         kept = state.continuation
         if kept is not None and kept.key == self._key(state):
-            self._peaks_of_stretch()
+            self._take_from_stretch()
             self._start, self._steps, self._held, self._stretch = kept.start, kept.steps, kept.held, None
 
     @property
@@ -75,12 +74,11 @@ class Run:
                 frames so far and its own.
         """
         while steps:
-            began = clock.perf_counter()
+            began, some = clock.perf_counter(), min(steps, self._to_look())
             if self._stretch is None:
                 self._begin()
-            elif self._steps == self._poses_end:
-                self._stretch.set_walls(self._next_poses())
-            some = min(steps, self._look_steps - self._steps % self._look_steps)
+            elif self._steps == self._posed_until:
+                self._stretch.set_walls(self._poses(self._to_look()))
             if self._stretch is not None:
                 with self._divergence():
                     self._stretch.run(some)
@@ -92,16 +90,15 @@ class Run:
     def state(self) -> ParticleState:
         """As it is now; spheres beyond the outlet keep the state that they left with."""
         if self._stretch is None:
-            return self._state
+            return self._whole
         if self._now is None:
             with self._divergence():
-                part = self._stretch.state()
-            self._now = part if self._inside is None else rejoined(self._state, self._inside, part)
+                self._now = rejoined(self._whole, self._inside, self._stretch.state())
         return self._now
 
     def take_peaks(self) -> Peaks:
         """Largest overlaps and approach since they were last asked for."""
-        self._peaks_of_stretch()
+        self._take_from_stretch()
         peaks, self._peaks = self._peaks, Peaks()
         return peaks
 
@@ -118,61 +115,51 @@ class Run:
         if self._stretch is not None:
             self._check(self.state(), walls=True)
 
+    def _to_look(self) -> int:
+        """Steps from here to the next look."""
+        return self._look_steps - self._steps % self._look_steps
+
+    def _poses(self, steps: int) -> FloatArray:
+        self._posed_until = self._steps + steps
+        return wall_poses(self._scene, self._start, self._time_step, steps, self._steps)
+
     def _begin(self) -> None:
         """A stretch from here on; none where nobody takes part."""
-        part, held, self._begun, self._spent = self._state, self._held, self._steps, 0.0
-        if held is None or self._steps % self._look_steps == 0:
-            inside = taking_part(self._scene, part.position)
-        else:
-            inside = np.zeros(part.count, bool)
-            inside[held.order] = True
-        self._inside = None if inside is None or inside.all() else inside
-        number = self._number()
+        whole, held, self._begun, self._spent, self._now = self._whole, self._held, self._steps, 0.0, None
+        self._inside = inside = taking_part(self._scene, whole.position)
+        if held is not None and self._steps % self._look_steps:
+            self._inside = inside = np.isin(np.arange(whole.count), held.order)  # nobody leaves between two looks
+        number = np.flatnonzero(inside)
         if held is not None:
             order = None
             if self._steps % self._sort_steps and len(held.order) == len(number):
                 # Nothing is sorted, so all is as it was left.
-                part, order = replace(part, position=held.position), np.searchsorted(number, held.order)
+                whole, order = replace(whole, position=held.position), np.searchsorted(number, held.order)
+            self._held = held._replace(order=number)
             held = Held(*(array[number] for array in held[:3]), order)
-        if self._inside is not None:
-            part = part_of(part, inside)
-        poses = self._next_poses()
-        if part.count:
+        if len(number):
+            part, poses = part_of(whole, inside), self._poses(self._to_look())
             with self._divergence():
                 self._stretch = self._engine.Stretch(part, self._tuner.physics, self._time_step, poses, held)
-        elif held is not None:
-            self._held = self._held._replace(order=number)
-
-    def _next_poses(self) -> FloatArray:
-        """Poses from here to the next look."""
-        first = self._steps
-        steps = self._look_steps - first % self._look_steps
-        self._poses_begin, self._poses_end = first, first + steps
-        self._poses = wall_poses(self._scene, self._start, self._time_step, steps, first)
-        return self._poses
-
-    def _number(self) -> np.ndarray:
-        """Indices of those that take part."""
-        return np.arange(self._state.count) if self._inside is None else np.flatnonzero(self._inside)
 
     def _look(self) -> None:
         """Who came through a wall, and who has left; after some of the looks a new stretch begins."""
         state = self.state()
-        self._peaks_of_stretch()
+        self._take_from_stretch()
         # A centre that is beyond a wall by its radius lies in it by its diameter.
         self._check(state, walls=self._peaks.share > 0.99)
-        inside = taking_part(self._scene, state.position)
-        left = (state.count if inside is None else np.count_nonzero(inside)) < len(self._number())
+        left = np.count_nonzero(taking_part(self._scene, state.position)) < np.count_nonzero(self._inside)
         if left or self._steps % self._sort_steps == 0:
-            self._held, self._state, self._stretch = self._holds(), state, None
+            self._held, self._whole, self._stretch = self._holds(), state, None
             if self._steps - self._begun == self._sort_steps:
                 self._tuner.took(self._spent)
 
     def _check(self, state: ParticleState, walls: bool) -> None:
         scene, gone = self._scene, ()
         if walls:
-            excess = largest_excess(scene, self._poses[self._steps - self._poses_begin], state.position)
-            gone = np.flatnonzero((excess > state.radius) & (True if self._inside is None else self._inside))
+            poses = wall_poses(scene, self._start, self._time_step, 0, self._steps)[0]
+            excess = largest_excess(scene, poses, state.position)
+            gone = np.flatnonzero((excess > state.radius) & self._inside)
         if len(gone):
             what = f"particle {gone[0]} is {excess[gone[0]]:.3g} m beyond a wall, more than its radius"
         elif len(gone := leaked(scene, state.position)):
@@ -189,16 +176,12 @@ class Run:
         """What goes on beside the state, of all particles."""
         if self._stretch is None:
             return self._held
-        held, inside = self._stretch.held(), self._inside
-        if inside is None:
-            return held
-        position = self._state.position.copy()
-        position[inside] = held.position
-        loads = np.zeros((2, *position.shape))
-        loads[:, inside] = held.force, held.torque
-        return Held(position, *loads, np.flatnonzero(inside)[held.order])
+        held, whole = self._stretch.held(), np.zeros((3, self._whole.count, 3))
+        whole[0] = self._whole.position
+        whole[:, self._inside] = held[:3]
+        return Held(*whole, np.flatnonzero(self._inside)[held.order])
 
-    def _peaks_of_stretch(self) -> None:
+    def _take_from_stretch(self) -> None:
         if self._stretch is not None:
             self._peaks = self._peaks.and_of(self._stretch.take_peaks())
 
@@ -222,7 +205,7 @@ class Run:
         try:
             yield
         except Divergence as divergence:
-            whole, number = self._state, self._number()
+            whole, number = self._whole, np.flatnonzero(self._inside)
             frame = [np.array(a, np.float64) for a in (whole.position, whole.velocity, whole.angular_velocity)]
             found = (divergence.position, divergence.velocity, divergence.angular_velocity)
             for array, part in zip(frame, found, strict=True):
@@ -239,12 +222,10 @@ class Run:
 
 
 @contextmanager
-def _compiling_notice(patience: float = 1.0) -> Iterator[None]:
-    """Says on stderr what a user waits for when the kernels are not in Numba's cache."""
-    # A cached load takes less than the patience, so nothing has to be known of how Numba caches.
-    notice = threading.Timer(
-        patience, lambda: print("compiling the DEM kernels (once, 10 to 20 s) …", file=sys.stderr, flush=True)
-    )
+def _compiling_notice() -> Iterator[None]:
+    """Says on stderr what a user waits for when the kernels are not in Numba's cache, from where they load sooner."""
+    said = "compiling the DEM kernels (once, 10 to 20 s) …"
+    notice = threading.Timer(1.0, print, (said,), {"file": sys.stderr, "flush": True})
     notice.daemon = True
     notice.start()
     collects = gc.isenabled()

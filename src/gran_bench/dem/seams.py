@@ -1,10 +1,7 @@
 """One contact where pieces of one surface meet.
 
-A sphere over the edge of two pieces is near both, but touches their surface once: where the surface is closest. The
-contact of a piece is left out when its closest point lies on another piece of the surface that is nearer, or as near
-and earlier among the walls. Two real contacts, as in the corner of a tube and its lid, have closest points inside their
-pieces and both stay. What a contact remembers goes over to the piece that answers in its place, so that a sphere rolls
-over a seam as over one piece.
+A piece does not answer a sphere where its closest point lies on another piece of the surface that is nearer, or as near
+and earlier among the walls. What its contact remembers goes over to the piece that answers in its place.
 """
 
 from __future__ import annotations
@@ -17,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gran_bench.dem.fast.wall_list import shape_of, toward_wall
-from gran_bench.dem.walls import REVOLUTION, SURFACE, wall_contact
+from gran_bench.dem.walls import SURFACE, wall_contact
 from gran_bench.neighbors.kernel import kernel
 from gran_bench.scene.seams import SAME_POINT
 from gran_bench.state import ContactHistory, FloatArray
@@ -42,7 +39,9 @@ def wall_touching(
     touches = [distance < radius for distance, _ in reached]
     answers, merged = one_contact_each(poses, poses[:, SURFACE], position, radius, reached, touches)
     for w, v, i in merged:
-        history = _handed_over(history, w, v, i[answers[v][i]])
+        own = history.first[history.second == -1 - v]
+        leaving = (history.second == -1 - w) & np.isin(history.first, np.setdiff1d(i[answers[v][i]], own))
+        history = replace(history, second=np.where(leaving, -1 - v, history.second))
     found = map(np.flatnonzero, answers)
     return [Touching(i, d[i], n[i]) for i, (d, n) in zip(found, reached, strict=True)], history
 
@@ -78,35 +77,16 @@ def one_contact_each(
     return answers, merged
 
 
-def _handed_over(history: ContactHistory, source: int, target: int, spheres: np.ndarray) -> ContactHistory:
-    """The history in which contacts of some spheres with one wall are with another, where they have none with it."""
-    own = history.first[history.second == -1 - target]
-    leaving = (history.second == -1 - source) & np.isin(history.first, np.setdiff1d(spheres, own))
-    if not leaving.any():
-        return history
-    return replace(history, second=np.where(leaving, -1 - target, history.second))
-
-
 @kernel
 def another_answers(walls, w, x, y, z, radius, distance, nx, ny, nz):
     """Whether another piece of wall w's surface answers a sphere at x, y, z that w is this far from, in this way."""
     for v in range(len(walls)):
-        if v != w and walls[v, 21] == walls[w, 21] and not _is_far(walls, v, x, y, z, radius):
+        if v != w and walls[v, 21] == walls[w, 21]:
             other = shape_of(walls, v)
             away = toward_wall(other, x, y, z)[0]
             if away < radius and _goes_before(other, v, away, w, x, y, z, radius, distance, nx, ny, nz):
                 return True
     return False
-
-
-@kernel
-def _is_far(walls, v, x, y, z, radius):
-    """Whether a sphere lies before or behind the whole of wall v: what is cheap to see, and true of most."""
-    if walls[v, 0] != REVOLUTION:
-        return False
-    along = (x - walls[v, 1]) * walls[v, 4] + (y - walls[v, 2]) * walls[v, 5] + (z - walls[v, 3]) * walls[v, 6]
-    s0, s1 = walls[v, 8], walls[v, 10]
-    return along < min(s0, s1) - radius or along > max(s0, s1) + radius
 
 
 @kernel
@@ -119,17 +99,11 @@ def hand_over(walls, w, p, x, y, z, radius, distance, wall_i, start, memory, tou
     for v in range(len(walls)):
         if v == w or walls[v, 21] != walls[w, 21]:
             continue
-        low, high = start[v], start[v + 1]
-        while low < high:
-            middle = (low + high) // 2
-            if wall_i[middle] < i:
-                low = middle + 1
-            else:
-                high = middle
-        if low == start[v + 1] or wall_i[low] != i:
+        place = start[v] + np.searchsorted(wall_i[start[v] : start[v + 1]], i)
+        if place == start[v + 1] or wall_i[place] != i:
             continue
-        row = memory[low]
-        if 0 < row < remembered and touched[row] == low:
+        row = memory[place]
+        if 0 < row < remembered and touched[row] == place:
             away, nx, ny, nz = toward_wall(shape_of(walls, v), x, y, z)
             shape = shape_of(walls, w)
             if away < np.inf and _goes_before(shape, w, distance, v, x, y, z, radius, away, nx, ny, nz):

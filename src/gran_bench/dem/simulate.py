@@ -86,20 +86,20 @@ def simulate(
     judged = max(impact_speed(scene), closing)
     if closing == judged:
         said += check_closing_speed(scene, smallest, time_step, closing, dem.allow_unsafe_step)
-    names, substeps = ("position", "velocity", "angular_velocity", "radius"), round(scene.frame_interval / time_step)
+    substeps, names = round(scene.frame_interval / time_step), ("position", "velocity", "angular_velocity", "radius")
     state = replace(state, **{name: np.array(getattr(state, name), np.float64) for name in names})
     record = FrameRecord(scene, state.radius)
     tuner = _tuner(scene, largest, count, dem)
     run = Run(ENGINES[dem.engine], state, scene, time_step, tuner, lambda *frame: record.trajectory(tuple(frame)))
     state = replace(state, history=run.state().history)  # of the contacts that touch
-    record.add(state, state.time, run.take_peaks())
+    record.add(state, run.take_peaks())
     started = clock.perf_counter()
     with _followed(progress, len(times) * substeps, "DEM") as follow:
         for time in times:
             run.advance(substeps)
             # The frame's clock, not the sum of its steps: a restart finds the same number.
             state = replace(run.state(), time=time)
-            record.add(state, time, run.take_peaks())
+            record.add(state, run.take_peaks())
             follow(substeps, time)
     run.check_escapes()
     return SimulationResult(
@@ -197,7 +197,6 @@ def _frame_times(scene: Scene, start: float, end: float) -> list[float]:
 
 
 def _sorted_history(history: ContactHistory) -> ContactHistory:
-    """By first, then second, whatever order an engine found the contacts in."""
     order = np.lexsort((history.second, history.first))
     return ContactHistory(*(array[order] for array in vars(history).values()))
 

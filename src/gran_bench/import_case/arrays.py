@@ -116,9 +116,8 @@ def import_arrays(
     clock = scene.start_time + scene.frame_interval * np.arange(frames)
     poses = wall_poses(scene, scene.start_time, scene.frame_interval, frames - 1)
     beyond = np.array([largest_excess(scene, *both) for both in zip(poses, position, strict=True)]) > radius
-    inside = (taking_part(scene, centre) for centre in position)
     refuse(
-        beyond & [np.ones(count, bool) if part is None else part for part in inside],
+        beyond & [taking_part(scene, centre) for centre in position],
         f"its centre outside the walls of scene {scene.name!r} by more than its radius; give the container of the data "
         "(a drum lies along y, and gravity is scene.gravity)",
     )
@@ -168,8 +167,7 @@ def touching(scene: Scene, poses: FloatArray, state: ParticleState) -> ContactHi
         poses: ``(W, 22)`` of its walls at this instant.
         state: N spheres.
     """
-    inside = taking_part(scene, state.position)
-    here = np.arange(state.count) if inside is None else np.flatnonzero(inside)
+    here = np.flatnonzero(taking_part(scene, state.position))
     position, radius = state.position[here], state.radius[here]
     pairs = tree_pairs(position, 2.0 * float(radius.max(initial=0.0)), scene.period)
     offset = nearest_image(position[pairs[:, 1]] - position[pairs[:, 0]], scene.period)

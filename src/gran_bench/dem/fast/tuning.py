@@ -1,7 +1,6 @@
 """Skin and threads of the fast engine, chosen by the clock while the run goes on; neither changes a bit of the result.
 
-Every stretch is timed. A better neighbour of the present choice is looked for at the start and again from time to time:
-a bed that falls wants another skin than one that rests, and a machine that others use another number of threads.
+Every stretch is timed; a better neighbour of the present choice is looked for at the start and from time to time again.
 """
 
 from __future__ import annotations
