@@ -1,7 +1,4 @@
-"""The reference engine: the laws of the other files, vectorised, one step after the other, to be read and trusted.
-
-Pairs come from a KD-tree at every step; nothing is sorted, packed or remembered but the contacts themselves.
-"""
+"""The reference engine: the laws of the other files, vectorised, one step after the other, to be read and trusted."""
 
 from __future__ import annotations
 

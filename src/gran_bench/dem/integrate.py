@@ -3,10 +3,8 @@
     v_{n+1/2} = v_n + ½ a_n Δt,   x_{n+1} = x_n + v_{n+1/2} Δt,   v_{n+1} = v_{n+1/2} + ½ a_{n+1} Δt
 
 with a_{n+1} from x_{n+1}, v_{n+1/2} and the walls' speed at the middle of the step; spin likewise. The damping of the
-normal force takes v_{n+1/2} + ½ a_n Δt, the prediction of v_{n+1}: with v_{n+1/2} alone, which lags by half a step,
-an impact of e = 0.3 loses up to 1.2e-3 of its restitution at a step of t_c/200, more than it may. The two halves of a
-kick are two, rounded at v_n, so that it makes no difference whether anybody looks at v_n. A run starts with the forces
-of its state alone: nothing is added to histories.
+normal force takes v_{n+1/2} + ½ a_n Δt, the prediction of v_{n+1}. The two halves of a kick are rounded apart, so that
+looking at v_n changes nothing. A run starts with the forces of its state alone: nothing is added to histories.
 """
 
 from __future__ import annotations
@@ -91,7 +89,7 @@ class Physics:
     density: FloatArray  # ``(S,)`` of the materials, kg/m³
     gravity: FloatArray  # ``(3,)`` m/s²
     period: float  # length of the periodic y axis, m; 0 for none
-    skin: float  # m by which the neighbour list reaches beyond contact for the two fastest particles (contact_list.py).
+    skin: float  # m by which the neighbour list reaches beyond contact, for the two fastest particles (lists.py)
     tangential: bool  # and rolling: whether friction, and with it spin, and the rolling model are computed
     rolling: bool
     threads: int = 1  # how many work together, where there are particles enough; changes no bit of the result

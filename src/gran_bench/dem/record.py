@@ -68,8 +68,9 @@ def impact_warnings(
             f"t = {times[worst]:.6g} s: Hertz's law is for less than {LARGEST_INITIAL_OVERLAP:.0%}, and deeper spheres "
             "pass through each other or through walls; choose a stiffer material or lower speeds"
         )
-    if (speed := peaks[fastest].approach) > judged and (said := unresolved(scene, radius, time_step, speed)[0]):
-        warnings.append(f"an impact at {speed:.3g} m/s by t = {times[fastest]:.6g} s: {said}")
+    if (speed := peaks[fastest].approach) > judged:
+        given = f"an impact at {speed:.3g} m/s by t = {times[fastest]:.6g} s: dem.time_step={time_step:g} s"
+        warnings += unresolved(scene, time_step, given, True, radius, speed)
     return tuple(warnings)
 
 

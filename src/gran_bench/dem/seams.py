@@ -99,7 +99,13 @@ def hand_over(walls, w, p, x, y, z, radius, distance, wall_i, start, memory, tou
     for v in range(len(walls)):
         if v == w or walls[v, 21] != walls[w, 21]:
             continue
-        place = start[v] + np.searchsorted(wall_i[start[v] : start[v + 1]], i)
+        place, high = start[v], start[v + 1]
+        while place < high:
+            middle = (place + high) // 2
+            if wall_i[middle] < i:
+                place = middle + 1
+            else:
+                high = middle
         if place == start[v + 1] or wall_i[place] != i:
             continue
         row = memory[place]

@@ -23,7 +23,7 @@ from gran_bench.dem.initial_checks import STIFFEN, check_initial_speed, check_in
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.record import FrameRecord, SimulationError, impact_warnings
 from gran_bench.dem.rest import Rest
-from gran_bench.dem.time_step import TimeStepError, check_closing_speed, choose_time_step, dividing_step, impact_speed
+from gran_bench.dem.time_step import TimeStepError, choose_time_step, dividing_step, impact_speed, unresolved
 from gran_bench.scene import Scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
 
@@ -77,19 +77,19 @@ def simulate(
     check_dem(dem)
     times = _frame_times(scene, state.time, end_time)
     check_initial_state(scene, state)
-    filling, count = scene.filling, state.count
-    smallest = float(state.radius.min()) if count else filling.smallest_radius
-    largest = float(state.radius.max()) if count else filling.largest_radius
+    ends = state.radius if state.count else np.array((scene.filling.smallest_radius, scene.filling.largest_radius))
+    smallest, largest = float(ends.min()), float(ends.max())
     time_step, said = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step, smallest)
     check_initial_speed(state, time_step)
     closing = closing_speed(state)
     judged = max(impact_speed(scene), closing)
     if closing == judged:
-        said += check_closing_speed(scene, smallest, time_step, closing, dem.allow_unsafe_step)
+        given = f"spheres of the first state close in at up to {closing:.3g} m/s: dem.time_step={time_step:g} s"
+        said += unresolved(scene, time_step, given, dem.allow_unsafe_step, smallest, closing)
     substeps, names = round(scene.frame_interval / time_step), ("position", "velocity", "angular_velocity", "radius")
     state = replace(state, **{name: np.array(getattr(state, name), np.float64) for name in names})
     record = FrameRecord(scene, state.radius)
-    tuner = _tuner(scene, largest, count, dem)
+    tuner = _tuner(scene, largest, state.count, dem)
     run = Run(ENGINES[dem.engine], state, scene, time_step, tuner, lambda *frame: record.trajectory(tuple(frame)))
     state = replace(state, history=run.state().history)  # of the contacts that touch
     record.add(state, run.take_peaks())
@@ -191,9 +191,9 @@ def _frame_times(scene: Scene, start: float, end: float) -> list[float]:
     exact, passed = (end - start) / interval, round((start - scene.start_time) / interval)
     if abs(exact - round(exact)) > 1e-6 * max(1.0, abs(exact)):
         raise ValueError(f"end_time={end:g} s is not a whole number of frames of {interval:g} s after {start:g} s")
-    if abs(scene.start_time + passed * interval - start) >= 1e-6 * interval:
-        return [start + k * interval for k in range(1, round(exact) + 1)]
-    return [scene.start_time + (passed + k) * interval for k in range(1, round(exact) + 1)]
+    on_grid = abs(scene.start_time + passed * interval - start) < 1e-6 * interval
+    first, passed = (scene.start_time, passed) if on_grid else (start, 0)
+    return [first + (passed + k) * interval for k in range(1, round(exact) + 1)]
 
 
 def _sorted_history(history: ContactHistory) -> ContactHistory:
@@ -204,8 +204,7 @@ def _sorted_history(history: ContactHistory) -> ContactHistory:
 @contextmanager
 def _followed(progress: bool | Callable[[float], None], total: int | None, label: str) -> Iterator[Callable[..., None]]:
     """What is called with steps, time in s and more words: it moves a bar, or tells a listener the time."""
-    # None: silent where stderr is no terminal.
-    silent = None if progress is True else True
+    silent = None if progress is True else True  # None: where stderr is no terminal
     with tqdm(total=total, desc=label, unit=" steps", unit_scale=True, leave=False, disable=silent) as bar:
 
         def follow(steps: int, time: float, said: str = "") -> None:

@@ -1,7 +1,4 @@
-"""How pieces that run for every particle are jitted.
-
-``error_model="numpy"`` is what lets loops with divisions run in SIMD: a division may then not raise.
-"""
+"""How pieces that run for every particle are jitted: divisions may not raise, so that loops with them run in SIMD."""
 
 from __future__ import annotations
 
@@ -16,10 +13,9 @@ kernel = njit(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=Tru
 
 
 def cached(*rooms: Path, **options) -> Callable[[Callable], Callable]:
-    """Compile a function and keep it on disk, named by a digest of all source that it may depend on.
+    """Compile a function, with options of ``numba.njit``, and keep it on disk, named by a digest of its ``rooms``.
 
-    Numba keys its cache by the file of the function alone; a kernel of another file that changed would be found under
-    the old key. That code is in ``rooms``, folders with all below them; the options are those of ``numba.njit``.
+    Numba keys its cache by the function's own file: what changed in another would be found under the old key.
     """
     files = [path for room in rooms for path in sorted(room.rglob("*.py"))]
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()

@@ -75,11 +75,6 @@ class Filling:
         return max(self.radii, default=self.radius * self.sizes.largest)
 
     @property
-    def largest_speed(self) -> float:
-        """Of the placed spheres, m/s."""
-        return max((math.hypot(*velocity) for velocity in self.velocities), default=0.0)
-
-    @property
     def spacing(self) -> float:
         """Distance of lattice sites, m."""
         return self.lattice_spacing * 2.0 * self.largest_radius

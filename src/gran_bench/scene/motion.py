@@ -79,11 +79,6 @@ class Rotation:
         return not any(self.speeds_rpm)
 
     @property
-    def is_constant(self) -> bool:
-        """Whether there is one speed, from the first knot on."""
-        return len(set(self.speeds_rpm)) == 1
-
-    @property
     def largest_angular_speed(self) -> float:
         """max |ω|, rad/s."""
         return max(abs(s) for s in self.speeds_rpm) * RADIANS_PER_SECOND_PER_RPM

@@ -176,7 +176,7 @@ class Scene:
     @property
     def takes_speeds(self) -> bool:
         """Whether the cases of a data set give it their speeds: a drum that has no schedule of its own."""
-        return self.drum_radius is not None and self.rotation.is_constant
+        return self.drum_radius is not None and len(set(self.rotation.speeds_rpm)) == 1
 
     @property
     def fall_height(self) -> float | None:

@@ -1,8 +1,7 @@
 """The laws of many contacts at once, in SIMD: those of contact.py and rolling.py, to which tests hold them (jitted).
 
-A block of contacts is laid out as columns of one flat buffer, one lane a contact. Quantities that a body keeps as a row
-of four come as four columns at once (rows.py). Loops are short: in long ones each contact would wait for a chain of
-roots and divisions too long to overlap with the next ones.
+A block is laid out as columns of one flat buffer, one lane a contact. Loops are short: in long ones each contact would
+wait for a chain of roots and divisions too long to overlap with the next ones.
 """
 
 from __future__ import annotations

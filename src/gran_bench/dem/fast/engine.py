@@ -1,12 +1,8 @@
 """The fast engine: a stretch of steps on one or more threads, jitted from one neighbour search to the next.
 
-Bodies are rows of four doubles, sorted in space and moved as SIMD vectors (rows.py). Pairs are flat half lists, pruned
-often, searched for rarely, with dense histories (contact_list.py). A branchless filter packs the touching ones; blocks
-of them are gathered into columns, computed in SIMD, and scattered (contact_forces.py). Threads own chunks of
-neighbouring particles for the whole stretch and meet twice a step (barrier.py).
-
-Neither pauses nor skin nor threads change a bit: lists are in one order, and the chunks, each with loads of its own
-that are added in one order, depend on the number of particles alone.
+Threads own chunks of neighbouring particles for the whole stretch and meet twice a step. Lists are in one order, and
+the chunks, each with loads of its own that are added in one order, depend on the number of particles alone: so neither
+pauses nor skin nor threads change a bit.
 """
 
 from __future__ import annotations

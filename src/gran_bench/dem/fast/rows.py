@@ -1,9 +1,7 @@
 """Rows of four and columns of a block: SIMD loads, transposes and stores that Numba does not find by itself.
 
-Bodies are rows of four doubles in arrays ``(N, 4)``; the laws run over columns, one lane a contact, in a flat buffer
-whose column c begins at ``c × BLOCK``. These functions carry four contacts at a time from one to the other, in the
-place of loops like ``for lane, c: buffer[(first + c) * BLOCK + k + lane] = a[i[lane], c] - a[j[lane], c]``; tests hold
-them against such loops. The buffer may be float32 while the bodies are float64.
+Bodies are rows of four doubles in arrays ``(N, 4)``; column c of a block begins at ``c × BLOCK`` of a flat buffer of
+float64 or float32, one lane a contact. These functions carry four contacts at a time from one to the other.
 """
 
 from __future__ import annotations
