@@ -9,7 +9,7 @@ import numpy as np
 from gran_bench.dem.contact import ContactForce, ContactLaw, contact_force, sphere_mass
 from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, into_period
 from gran_bench.dem.rolling import CONTACT_INERTIA, rolling_moment
-from gran_bench.dem.seams import Touching, wall_touching
+from gran_bench.dem.seams import wall_touching
 from gran_bench.dem.walls import SPIN, surface_velocity
 from gran_bench.neighbors import nearest_image, tree_pairs
 from gran_bench.state import ContactHistory, FloatArray, Held, ParticleState
@@ -99,7 +99,7 @@ class Stretch:
         walls = self._walls[self._step - self._first_pose]
         parts = [self._pair_loads(duration)]
         on_walls, self._history = wall_touching(walls, self._position, self._radius, self._history)
-        parts += [self._wall_loads(w, walls[w], touching, duration) for w, touching in enumerate(on_walls)]
+        parts += [self._wall_loads(w, walls[w], *touching, duration) for w, touching in enumerate(on_walls)]
         names = ("first", "second", "force", "overlap", "rolling_moment")
         self._history = ContactHistory(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
@@ -137,9 +137,10 @@ class Stretch:
             self._torque += _sums(i, moment, count) - _sums(j, moment, count)
         return history
 
-    def _wall_loads(self, index: int, pose: FloatArray, touching: Touching, duration: float) -> ContactHistory:
+    def _wall_loads(
+        self, index: int, pose: FloatArray, i: np.ndarray, distance: FloatArray, normal: FloatArray, duration: float
+    ) -> ContactHistory:
         """Adds the loads of one wall; returns what its contacts remember."""
-        i, distance, normal = touching
         radius, mass, spin, physics = self._radius[i], self._mass[i], self._spin[i], self._physics
         point = self._position[i] + distance[:, None] * normal
         arm = (radius if physics.full_radius else distance)[:, None]
@@ -177,7 +178,7 @@ class Stretch:
         if len(first):
             approach = np.einsum("mk,mk->m", given["velocity"], given["normal"]).max()
             found = Peaks(share=float((overlap / diameter).max()), approach=float(approach))
-            self._peaks = self._peaks.and_of(found._replace(**{peak: float(overlap.max())}))
+            self._peaks = Peaks(*map(max, self._peaks, found._replace(**{peak: float(overlap.max())})))
         if self._physics.rolling:
             moment, remembered = rolling_moment(
                 old.rolling_moment, spin, given["normal"], overlap, old.overlap, given["effective_radius"], inertia,

@@ -106,14 +106,28 @@ class Run:
         """The state, which is the present one, with what another run needs to go on from it."""
         return replace(state, continuation=Continuation(self._key(state), self._start, self._steps, self._holds()))
 
-    def check_escapes(self) -> None:
+    def check_escapes(self, walls: bool = True) -> None:
         """Looks whether anybody came through a wall, who would be found at the next look.
 
         Raises:
             SimulationError: a centre further than its radius outside the container, or beyond the outlet's rim.
         """
-        if self._stretch is not None:
-            self._check(self.state(), walls=True)
+        scene, state, gone = self._scene, self.state(), ()
+        if walls:
+            poses = wall_poses(scene, self._start, self._time_step, 0, self._steps)[0]
+            excess = largest_excess(scene, poses, state.position)
+            gone = np.flatnonzero((excess > state.radius) & self._inside)
+        if len(gone):
+            what = f"particle {gone[0]} is {excess[gone[0]]:.3g} m beyond a wall, more than its radius"
+        elif len(gone := leaked(scene, state.position)):
+            what = f"past the outlet more than {scene.outlet.radius:g} m from its middle, so through a wall"
+        else:
+            return
+        raise SimulationError(
+            f"{name_some(gone)} escaped by t = {self.time:.6g} s: {what}; choose a smaller dem.time_step or a "
+            "stiffer material",
+            self._failed(self.time, state.position, state.velocity, state.angular_velocity),
+        )
 
     def _to_look(self) -> int:
         """Steps from here to the next look."""
@@ -147,30 +161,12 @@ class Run:
         state = self.state()
         self._take_from_stretch()
         # A centre that is beyond a wall by its radius lies in it by its diameter.
-        self._check(state, walls=self._peaks.share > 0.99)
+        self.check_escapes(walls=self._peaks.share > 0.99)
         left = np.count_nonzero(taking_part(self._scene, state.position)) < np.count_nonzero(self._inside)
         if left or self._steps % self._sort_steps == 0:
             self._held, self._whole, self._stretch = self._holds(), state, None
             if self._steps - self._begun == self._sort_steps:
                 self._tuner.took(self._spent)
-
-    def _check(self, state: ParticleState, walls: bool) -> None:
-        scene, gone = self._scene, ()
-        if walls:
-            poses = wall_poses(scene, self._start, self._time_step, 0, self._steps)[0]
-            excess = largest_excess(scene, poses, state.position)
-            gone = np.flatnonzero((excess > state.radius) & self._inside)
-        if len(gone):
-            what = f"particle {gone[0]} is {excess[gone[0]]:.3g} m beyond a wall, more than its radius"
-        elif len(gone := leaked(scene, state.position)):
-            what = f"past the outlet more than {scene.outlet.radius:g} m from its middle, so through a wall"
-        else:
-            return
-        raise SimulationError(
-            f"{name_some(gone)} escaped by t = {self.time:.6g} s: {what}; choose a smaller dem.time_step or a "
-            "stiffer material",
-            self._failed(self.time, state.position, state.velocity, state.angular_velocity),
-        )
 
     def _holds(self) -> Held | None:
         """What goes on beside the state, of all particles."""
@@ -183,7 +179,7 @@ class Run:
 
     def _take_from_stretch(self) -> None:
         if self._stretch is not None:
-            self._peaks = self._peaks.and_of(self._stretch.take_peaks())
+            self._peaks = Peaks(*map(max, self._peaks, self._stretch.take_peaks()))
 
     def _key(self, state: ParticleState) -> str:
         """Of everything that a continuation holds for; frames, threads, skin and engine are not part of it."""
@@ -207,8 +203,7 @@ class Run:
         except Divergence as divergence:
             whole, number = self._whole, np.flatnonzero(self._inside)
             frame = [np.array(a, np.float64) for a in (whole.position, whole.velocity, whole.angular_velocity)]
-            found = (divergence.position, divergence.velocity, divergence.angular_velocity)
-            for array, part in zip(frame, found, strict=True):
+            for array, part in zip(frame, divergence.moving, strict=True):
                 array[number] = part
             when = self._start + (self._begun + divergence.steps) * self._time_step
             i = number[divergence.particle]

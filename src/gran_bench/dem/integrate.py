@@ -9,7 +9,6 @@ looking at v_n changes nothing. A run starts with the forces of its state alone:
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -36,12 +35,10 @@ class Divergence(ArithmeticError):
     Positions, velocities and spins are as they were found after so many steps of the stretch, finite or not.
     """
 
-    def __init__(
-        self, particle: int, steps: int, position: FloatArray, velocity: FloatArray, angular_velocity: FloatArray
-    ) -> None:
+    def __init__(self, particle: int, steps: int, *moving: FloatArray) -> None:
         super().__init__(f"particle {particle} diverged")
-        self.particle, self.steps = particle, steps
-        self.position, self.velocity, self.angular_velocity = position, velocity, angular_velocity
+        self.particle, self.steps, self.moving = particle, steps, moving
+        self.position, self.velocity, self.angular_velocity = moving
 
 
 def check_finite(steps: int, *moving: FloatArray) -> None:
@@ -50,10 +47,8 @@ def check_finite(steps: int, *moving: FloatArray) -> None:
     Raises:
         Divergence: the first particle of which one is not finite.
     """
-    if all(math.isfinite(np.vdot(array, array)) for array in moving):
-        return
+    position, velocity, spin = moving
     with np.errstate(over="ignore", invalid="ignore"):
-        position, velocity, spin = moving
         sound = np.isfinite(np.einsum("nk,nk->n", velocity, velocity))
     wild = np.flatnonzero(~(sound & np.isfinite(position).all(axis=1) & np.isfinite(spin).all(axis=1)))
     if len(wild):
@@ -71,10 +66,6 @@ class Peaks(NamedTuple):
     wall_overlap: float = 0.0
     share: float = 0.0
     approach: float = 0.0
-
-    def and_of(self, later: Peaks) -> Peaks:
-        """Those of both spans."""
-        return Peaks(*map(max, self, later))
 
 
 @dataclass(frozen=True)

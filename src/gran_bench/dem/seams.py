@@ -9,32 +9,26 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from gran_bench.dem.fast.wall_list import shape_of, toward_wall
 from gran_bench.dem.walls import SURFACE, wall_contact
 from gran_bench.neighbors.kernel import kernel
-from gran_bench.scene.seams import SAME_POINT
+from gran_bench.scene.walls import SAME_POINT
 from gran_bench.state import ContactHistory, FloatArray
 
 # Sphere radii within which two distances are equal: well above rounding, and too little to tilt a contact.
 EQUAL = 1e-10
 
 
-class Touching(NamedTuple):
-    """Spheres that a wall answers."""
-
-    sphere: np.ndarray  # (M,) their indices
-    distance: FloatArray  # (M,) of their centres, m
-    normal: FloatArray  # (M, 3) unit vectors from them to the wall
-
-
 def wall_touching(
     poses: FloatArray, position: FloatArray, radius: FloatArray, history: ContactHistory
-) -> tuple[list[Touching], ContactHistory]:
-    """What each of the walls answers, and the last history with what goes over between pieces of a surface."""
+) -> tuple[list[tuple[np.ndarray, FloatArray, FloatArray]], ContactHistory]:
+    """What each of the walls answers, and the last history with what goes over between pieces of a surface.
+
+    Of each wall ``(M,)`` indices of spheres, ``(M,)`` distances of their centres, m, ``(M, 3)`` unit vectors to it.
+    """
     reached = [wall_contact(pose, position) for pose in poses]
     touches = [distance < radius for distance, _ in reached]
     answers, merged = one_contact_each(poses, poses[:, SURFACE], position, radius, reached, touches)
@@ -43,7 +37,7 @@ def wall_touching(
         leaving = (history.second == -1 - w) & np.isin(history.first, np.setdiff1d(i[answers[v][i]], own))
         history = replace(history, second=np.where(leaving, -1 - v, history.second))
     found = map(np.flatnonzero, answers)
-    return [Touching(i, d[i], n[i]) for i, (d, n) in zip(found, reached, strict=True)], history
+    return [(i, d[i], n[i]) for i, (d, n) in zip(found, reached, strict=True)], history
 
 
 def one_contact_each(

@@ -23,13 +23,9 @@ from gran_bench.dem.initial_checks import STIFFEN, check_initial_speed, check_in
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.record import FrameRecord, SimulationError, impact_warnings
 from gran_bench.dem.rest import Rest
-from gran_bench.dem.time_step import TimeStepError, choose_time_step, dividing_step, impact_speed, unresolved
+from gran_bench.dem.time_step import choose_time_step, impact_speed, unresolved
 from gran_bench.scene import Scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
-
-__all__ = [
-    "SimulationError", "SimulationResult", "TimeStepError", "choose_time_step", "dividing_step", "settle", "simulate",
-]  # fmt: skip
 
 ENGINES: dict[str, ModuleType] = {"numba": engine_numba, "numpy": engine_numpy}
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gran_bench.scene import Motion, Plane, Rotation, Scene, Translation, Vibration, Wall
+from gran_bench.scene import Motion, Plane, Rotation, Scene, Wall
 from gran_bench.scene.walls import turns_into_itself
 from gran_bench.state import FloatArray
 
@@ -71,41 +71,34 @@ def _moved(
     wall: Wall, drawn: FloatArray, motion: Motion | None, end: FloatArray, middle: FloatArray, time_step: float
 ) -> FloatArray:
     """Rows of one wall, ``(1, 22)`` where all are equal, else ``(steps + 1, 22)``."""
+    rows = np.tile(drawn, (len(end), 1))
     if isinstance(motion, Rotation):
-        rows = _turned(wall, drawn, motion, end, middle)
+        axis, point = np.asarray(motion.axis), np.asarray(motion.point)
+        rows[:, SPIN], rows[:, REFERENCE] = np.outer(motion.angular_speed(middle), axis), point
+        if not turns_into_itself(wall, motion.axis, motion.point):
+            angle, center = motion.angles(end), np.asarray(wall.point) - point
+            rows[:, POINT] = point + _rotated(center, axis, angle)
+            rows[:, DIRECTION] = _rotated(drawn[DIRECTION], axis, angle)
+            # No point of the shape is farther from the axis than this, and nothing turns faster.
+            reach = np.linalg.norm(np.cross(center, axis)) + max(np.hypot(r, s) for r, s in wall.meridian)
+            rows[1:, PATH] = motion.largest_angular_speed * np.diff(end) * reach
+        elif end[0] >= motion.times[-1]:
+            rows = rows[:1]
     elif motion is not None:
-        rows = np.tile(drawn, (len(end), 1))
         rows[:, POINT] += motion.displacement(end)
-        rows[:, VELOCITY] = motion.velocity(middle)
-        rows[1:, PATH] = _path(wall, motion, time_step)
+        rows[:, VELOCITY], velocity = motion.velocity(middle), motion.extreme_velocities
+        if wall.contains:  # without an end: what moves along itself travels nothing
+            along = np.outer(velocity @ np.asarray(wall.direction), wall.direction)
+            velocity = along if isinstance(wall, Plane) else velocity - along
+        rows[1:, PATH] = np.linalg.norm(velocity, axis=1).max() * time_step
     else:
-        rows = drawn[None]
+        rows = rows[:1]
     if wall.opens is not None:
         # A clock that was added up may be a rounding error short of the opening.
         gone = end >= wall.opens - 1e-9 * max(1.0, abs(wall.opens))
         if gone.any():
-            rows = np.repeat(rows, len(end), axis=0) if len(rows) == 1 else rows
+            rows = np.array(np.broadcast_to(rows, (len(end), COLUMNS)))
             rows[gone, KIND] = ABSENT
-    return rows
-
-
-def _turned(wall: Wall, drawn: FloatArray, turn: Rotation, end: FloatArray, middle: FloatArray) -> FloatArray:
-    axis, point = np.asarray(turn.axis), np.asarray(turn.point)
-    symmetric = turns_into_itself(wall, turn.axis, turn.point)
-    if symmetric and end[0] >= turn.times[-1]:
-        rows = drawn[None]
-        rows[:, SPIN], rows[:, REFERENCE] = turn.angular_speed(end[0]) * axis, point
-        return rows
-    rows = np.tile(drawn, (len(end), 1))
-    rows[:, SPIN], rows[:, REFERENCE] = np.outer(turn.angular_speed(middle), axis), point
-    if symmetric:
-        return rows
-    angle, center = turn.angles(end), np.asarray(wall.point) - point
-    rows[:, POINT] = point + _rotated(center, axis, angle)
-    rows[:, DIRECTION] = _rotated(drawn[DIRECTION], axis, angle)
-    # No point of the shape is farther from the axis than this, and nothing turns faster.
-    reach = np.linalg.norm(np.cross(center, axis)) + max(np.hypot(r, s) for r, s in wall.meridian)
-    rows[1:, PATH] = turn.largest_angular_speed * np.diff(end) * reach
     return rows
 
 
@@ -113,15 +106,6 @@ def _rotated(vector: FloatArray, axis: FloatArray, angle: FloatArray) -> FloatAr
     """A vector turned about a unit axis by each angle, ``(T, 3)`` (Rodrigues' formula)."""
     along = (vector @ axis) * axis
     return along + np.outer(np.cos(angle), vector - along) + np.outer(np.sin(angle), np.cross(axis, vector))
-
-
-def _path(wall: Wall, motion: Translation | Vibration, time_step: float) -> float:
-    """Most that a shape can travel in a step, m; a wall without an end that moves along itself travels nothing."""
-    velocity = motion.extreme_velocities
-    if wall.contains:
-        along = np.outer(velocity @ np.asarray(wall.direction), wall.direction)
-        velocity = along if isinstance(wall, Plane) else velocity - along
-    return float(np.linalg.norm(velocity, axis=1).max()) * time_step
 
 
 def wall_contact(pose: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -89,7 +89,7 @@ def _surface(wall: Wall, scene: Scene, lower: FloatArray, upper: FloatArray) -> 
     if not hasattr(wall, "meridian"):
         return None
     if wall.meridian is not None:
-        return _revolved(wall.point, wall.axis, *wall.meridian)
+        return _revolved(wall.point, wall.direction, *wall.meridian)
     along = (corner - np.array(wall.point)) @ np.array(wall.axis)
     return _revolved(wall.point, wall.axis, (wall.radius, along.min()), (wall.radius, along.max()))
 
