@@ -151,7 +151,7 @@ def test_a_step_that_cannot_resolve_an_impact_of_the_first_state_is_refused(engi
     assert step < 0.1 * nominal, "nothing is wrong with it otherwise"
     scene, state = replace(scene, frame_interval=step), head_on(200.0, 0.05)
     dem = DemConfig(engine=engine, time_step=step)
-    with pytest.raises(TimeStepError, match=r"close in at up to 400 m/s: .* cannot resolve it; the largest safe step"):
+    with pytest.raises(TimeStepError, match=r"close in at up to 400 m/s: .* cannot resolve it; set dem\.time_step"):
         simulate(scene, state, step, dem=dem)
     allowed = simulate(scene, state, step, dem=replace(dem, allow_unsafe_step=True))
     assert any("cannot resolve it" in flag for flag in allowed.warnings)

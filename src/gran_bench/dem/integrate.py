@@ -30,10 +30,7 @@ LEAST_SKIN_DIAMETERS = 0.05
 
 
 class Divergence(ArithmeticError):
-    """A particle, by index, that crosses a quarter of the smallest radius in one step, or whose speed is not finite.
-
-    Positions, velocities and spins are as they were found after so many steps of the stretch, finite or not.
-    """
+    """A particle that crosses a quarter of the smallest radius in a step, or is not finite, and what was found then."""
 
     def __init__(self, particle: int, steps: int, *moving: FloatArray) -> None:
         super().__init__(f"particle {particle} diverged")
@@ -70,10 +67,7 @@ class Peaks(NamedTuple):
 
 @dataclass(frozen=True)
 class Physics:
-    """A scene as the engines read it.
-
-    A law is (4/3 E*, 8 G*, α, μ, μ_r) in SI.
-    """
+    """A scene as the engines read it; a law is (4/3 E*, 8 G*, α, μ, μ_r) in SI."""
 
     pair_laws: FloatArray  # ``(S, S, 5)`` between particles of S materials
     wall_laws: FloatArray  # ``(S, W, 5)`` between particles and walls

@@ -16,11 +16,7 @@ from gran_bench.state import FloatArray, ParticleState, Trajectory
 
 
 class SimulationError(RuntimeError):
-    """A run that cannot go on; the message names particle and time.
-
-    Attributes:
-        trajectory: the frames up to the failure, the failed one last. Its values may not be finite.
-    """
+    """A run that cannot go on, with the frames up to the failure; the failed one comes last and may not be finite."""
 
     def __init__(self, message: str, trajectory: Trajectory) -> None:
         super().__init__(message)

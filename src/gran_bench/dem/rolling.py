@@ -39,13 +39,11 @@ def rolling_moment(
     """Moment on the first particle of each contact after a step, and its new history, both ``(M, 3)`` N m.
 
     Args:
-        history: ``(M, 3)`` elastic moment, N m; zero for a new contact.
+        history, normal: ``(M, 3)`` elastic moment, N m, zero for a new contact; unit vectors.
         spin: ``(M, 3)`` angular velocity of the first relative to the second, rad/s.
-        normal: ``(M, 3)`` unit vectors.
         overlap, overlap_before: ``(M,)`` δ, m, and when the history was stored; 0 for a new contact.
         effective_radius, effective_inertia: ``(M,)`` R*, m, and I_r, kg m².
-        effective_modulus, coefficient: E*, Pa, and μ_r, −.
-        time_step: s.
+        effective_modulus, coefficient, time_step: E*, Pa, μ_r, −, and s.
     """
     stiffness = rolling_stiffness(effective_modulus, coefficient, effective_radius, overlap)
     load = 4.0 / 3.0 * effective_modulus * np.sqrt(effective_radius * overlap) * overlap

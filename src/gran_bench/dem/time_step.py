@@ -134,7 +134,7 @@ def unresolved(
     fatal, safe = share >= ERROR_FRACTION, WARNING_FRACTION * contact_time * (1.0 - 1e-6)
     said = (
         f"{given} is {share:.2g} of the shortest contact time {contact_time:.3g} s and "
-        f"{'cannot resolve it' if fatal else 'restitution depends on the step'}; "
+        f"{'cannot resolve it' if fatal else 'lets restitution depend on the step'}; set dem.time_step to less: "
         f"the largest safe step is {dividing_step(scene.frame_interval, safe):.10g} s"
     )
     if fatal and not allow_unsafe:

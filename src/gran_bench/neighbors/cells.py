@@ -8,8 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from gran_bench.neighbors.kernel import entry, kernel
-from gran_bench.neighbors.llvm import LANES, clear_lowest, lowest_lane, near_lanes
+from gran_bench.neighbors.kernel import LANES, clear_lowest, entry, kernel, lowest_lane, near_lanes
 from gran_bench.neighbors.tree import IndexArray, check_period, wrapped
 from gran_bench.state import FloatArray
 
@@ -17,14 +16,10 @@ from gran_bench.state import FloatArray
 def cell_neighbors(
     query: FloatArray, source: FloatArray, reach: float, period: float = 0.0
 ) -> tuple[IndexArray, IndexArray]:
-    """Every source point closer than ``reach``, m, to every query point, without a cap.
+    """Query and source index, ``(M,)`` each, of every source point closer than ``reach``, m, to every query point.
 
-    Args:
-        query, source: ``(Q, 3)`` and ``(S, 3)`` m.
-        period: length of the periodic y axis, m; 0 for none.
-
-    Returns:
-        Query and source index of each hit, ``(M,)`` each, sorted by query; a point among both is its own neighbour.
+    They are sorted by query; a point among both is its own neighbour. Of ``(Q, 3)`` and ``(S, 3)`` m, and the length of
+    the periodic y axis, m; 0 for none.
 
     Raises:
         ValueError: a period that is shorter than twice the reach.

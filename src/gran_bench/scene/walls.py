@@ -200,8 +200,7 @@ def surfaces(
 ) -> tuple[int, ...]:
     """Number of the surface that each wall is a piece of, from 1; 0 for a wall that meets no other.
 
-    Two walls meet where a rim of one comes within ``tolerance``, m, of the other, and where two walls without an end
-    are the same. Of walls that travel relative to each other nobody knows in advance: they may meet.
+    Walls meet within ``tolerance``, m. Walls that travel relative to each other may meet.
     """
     number = list(range(len(walls)))
     moving = [travels(wall, motion) for wall, motion in zip(walls, motions, strict=True)]
@@ -240,8 +239,7 @@ def _meet(one: Wall, other: Wall, tolerance: float, together: bool) -> bool:
 def _rims(wall: Wall) -> list[tuple[FloatArray, float]]:
     """Points of each rim, ``(256, 3)`` m, and half the arc from one to the next."""
     axis, angle = np.asarray(wall.direction), 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    across /= np.linalg.norm(across)
+    across = any_normal_to(axis)
     around = np.outer(np.cos(angle), across) + np.outer(np.sin(angle), np.cross(axis, across))
     return [(wall.point + rho * around + s * axis, np.pi * rho / RIM_POINTS) for rho, s in wall.meridian or ()]
 
@@ -255,7 +253,18 @@ def _distance(wall: Wall, points: FloatArray) -> FloatArray:
     reach = np.linalg.norm(offset - np.outer(along, direction), axis=1)
     if wall.meridian is None:
         return np.abs(reach - wall.radius)
-    (r0, s0), (r1, s1) = wall.meridian
+    return np.hypot(*toward_segment(np.ravel(wall.meridian), reach, along))
+
+
+def toward_segment(segment: FloatArray, reach: FloatArray, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Way to the closest point of (ρ₀, s₀, ρ₁, s₁) in the half plane, from points at (ρ, s) = (reach, along), m."""
+    r0, s0, r1, s1 = segment
     dr, ds = r1 - r0, s1 - s0
     share = np.clip(((reach - r0) * dr + (along - s0) * ds) / (dr * dr + ds * ds), 0.0, 1.0)
-    return np.hypot(r0 + share * dr - reach, s0 + share * ds - along)
+    return r0 + share * dr - reach, s0 + share * ds - along
+
+
+def any_normal_to(direction: FloatArray) -> FloatArray:
+    """A unit vector across a unit vector, the same every time: where all ways out from an axis are alike."""
+    across = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    return across / np.linalg.norm(across)

@@ -11,8 +11,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from gran_bench.neighbors.kernel import kernel
-from gran_bench.neighbors.llvm import emitted
+from gran_bench.neighbors.kernel import emitted, kernel
 
 # Places of a gate, a cache line apart.
 ARRIVED, ROUND, ABANDONED = 0, 8, 16

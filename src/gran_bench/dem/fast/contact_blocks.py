@@ -119,8 +119,7 @@ def normal_law(buffer, size, dt):
 def slip_and_turn(buffer, size):
     """Slip velocity into the columns of the spins; the history turned with the contact plane, not yet of its length.
 
-    What leaves the plane is removed, and the length will be kept but for √(δ / δ before) where the contact shrinks;
-    ``RESCALE`` is the square of what that takes. A new contact, whose overlap before is zero, remembers nothing.
+    ``RESCALE`` becomes the square of what restores the length. A new contact, with zero before, remembers nothing.
     """
     zero = buffer.dtype.type(0.0)
     for k in range(size):

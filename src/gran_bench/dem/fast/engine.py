@@ -41,8 +41,7 @@ class Stretch:
     """Steps that share an order of the particles; it pauses wherever its state is asked for.
 
     Args:
-        state: where it starts; at least one particle.
-        physics, time_step: laws, gravity, skin, threads and precision; Δt, s.
+        state, physics, time_step: where it starts, one particle or more; laws, skin, threads, precision; Δt, s.
         walls: ``(steps + 1, W, 22)`` poses of the walls at each force evaluation (walls.py).
         held: forces and order that the state comes with; None where both are its own. Then forces load no history.
 

@@ -10,7 +10,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from gran_bench.neighbors.llvm import DOUBLE, INT64, Argument, Emitter, emitted
+from gran_bench.neighbors.kernel import DOUBLE, INT64, Argument, Emitter, emitted
 
 BLOCK = 64  # contacts of a block: its buffer stays in the first-level cache
 
@@ -118,16 +118,16 @@ def gather_rows(e, buffer, first, place, body, i):
     e.to_columns(e.rows(body, i), buffer, first, place)
 
 
-@emitted(types.void, _Rows)
-def gather_difference(e, buffer, first, place, body, i, j):
-    """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i] − body[j]."""
-    e.to_columns(list(map(e.builder.fsub, e.rows(body, i), e.rows(body, j))), buffer, first, place)
+def _gathered(operation: str):
+    """An intrinsic as `gather_rows` of two rows of a body, body[i] and body[j], added or subtracted."""
+
+    def gather(e, buffer, first, place, body, i, j):
+        e.to_columns(list(map(getattr(e.builder, operation), e.rows(body, i), e.rows(body, j))), buffer, first, place)
+
+    return emitted(types.void, _Rows)(gather)
 
 
-@emitted(types.void, _Rows)
-def gather_sum(e, buffer, first, place, body, i, j):
-    """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i] + body[j]."""
-    e.to_columns(list(map(e.builder.fadd, e.rows(body, i), e.rows(body, j))), buffer, first, place)
+gather_difference, gather_sum = _gathered("fsub"), _gathered("fadd")
 
 
 @emitted(types.void, _Rows)

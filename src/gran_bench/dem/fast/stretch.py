@@ -88,7 +88,7 @@ def march(
             remembered, walls_remembered = pairs, wall_contacts
             progress[PAIRS], progress[WALLS], progress[DUE] = pairs, wall_contacts, 0
             meet(gate, threads)
-            take_over(force, torque, bounds, reach, chunk, stop, tangential)
+            _take_over(force, torque, bounds, reach, chunk, stop, tangential)
         if step == progress[PAUSE]:
             told[thread, TRAVELLED] = travelled
             return np.int64(PAUSED)
@@ -160,7 +160,7 @@ def _prune_chunks(
 
 
 @kernel
-def take_over(force, torque, bounds, reach, chunk, stop, tangential):
+def _take_over(force, torque, bounds, reach, chunk, stop, tangential):
     """Moves what earlier chunks left for the particles of ``chunk … stop − 1`` to the loads of their own chunk."""
     for c in range(chunk, stop):
         for earlier in range(c):

@@ -25,10 +25,7 @@ def available_threads() -> int:
 
 
 class Tuner:
-    """Gives each stretch of N particles its skin and threads, and learns from the time that it took.
-
-    The skin of ``physics`` is the usual one, which stays where the user chose it; so do threads unless None.
-    """
+    """Gives each stretch of N particles its skin and threads, where the user left them open, by the times they took."""
 
     def __init__(self, physics: Physics, count: int, skin_is_given: bool, threads: int | None) -> None:
         self._physics, self._usual_skin = physics, physics.skin
