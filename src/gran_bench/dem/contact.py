@@ -91,12 +91,10 @@ def contact_force(
     """Forces of M touching contacts by the law at the head of this file, vectorised.
 
     Args:
-        law: constants.
-        normal: ``(M, 3)`` unit vectors from the first to the second.
+        law, normal: constants; ``(M, 3)`` unit vectors from the first to the second.
         overlap, effective_radius, effective_mass: ``(M,)`` δ > 0 and R*, m, and m*, kg.
         velocity: ``(M, 3)`` of the first centre relative to the second centre (or to the wall's point), m/s.
-        velocity_gain: ``(M, 3)`` what that velocity still gains until the end of the step, m/s; the damping of the
-            normal force counts it in.
+        velocity_gain: ``(M, 3)`` what that velocity still gains until the end of the step, m/s.
         surface_spin: ``(M, 3)`` Σ lever arm × ω of both, m/s; its cross product with n adds to the slip.
         history: ``(M, 3)`` elastic tangential force on the first, N.
         overlap_before: ``(M,)`` overlap when it was stored, m; 0 for a new contact.

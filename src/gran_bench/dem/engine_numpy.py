@@ -49,11 +49,7 @@ class Stretch:
         self._walls, self._first_pose = walls, self._step
 
     def run(self, steps: int) -> None:
-        """Goes on, so many steps.
-
-        Raises:
-            Divergence: a speed that crosses a quarter of a radius in a step, or is not finite.
-        """
+        """Goes on, so many steps; a :class:`Divergence` where a speed crosses a quarter of a radius in a step."""
         fastest = 0.25 * self._radius.min() / self._dt
         for _ in range(steps):
             self._kick()
@@ -168,10 +164,7 @@ class Stretch:
         self, first: np.ndarray, second: np.ndarray, laws: FloatArray, peak: str, diameter: FloatArray,
         spin: FloatArray, inertia: FloatArray, **given: FloatArray | float,
     ) -> tuple[ContactForce, FloatArray, ContactHistory]:  # fmt: skip
-        """What contacts of one kind do, their rolling moments and what they remember; the most of them is kept.
-
-        Spin and inertia are those of rolling; what is ``given`` goes to :func:`contact_force`.
-        """
+        """What contacts of one kind do, by :func:`contact_force`, their rolling moments, and what they remember."""
         law, old = ContactLaw.from_constants(laws), _recall(self._history, first, second)
         contact = contact_force(law, history=old.force, overlap_before=old.overlap, **given)
         overlap, moment, remembered = given["overlap"], old.rolling_moment, old.rolling_moment

@@ -7,7 +7,7 @@ import hashlib
 import sys
 import threading
 import time as clock
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from types import ModuleType
@@ -17,10 +17,10 @@ import numpy as np
 from gran_bench.dem.fast.tuning import Tuner
 from gran_bench.dem.integrate import Divergence, Peaks
 from gran_bench.dem.outlet import leaked, part_of, rejoined, taking_part
-from gran_bench.dem.record import SimulationError
+from gran_bench.dem.record import FrameRecord, SimulationError
 from gran_bench.dem.walls import largest_excess, wall_poses
 from gran_bench.scene import Scene
-from gran_bench.state import Continuation, FloatArray, Held, ParticleState, Trajectory, name_some
+from gran_bench.state import Continuation, FloatArray, Held, ParticleState, name_some
 
 # Between two looks at who leaves and who escaped, s.
 LOOK = 0.01
@@ -39,15 +39,14 @@ class Run:
     What changes a run follows from the count of its steps: at a look spheres beyond the outlet leave and whoever came
     through a wall stops the run. Frames are copies, so they change no bit.
 
-    ``engine`` is a module with a ``Stretch``, whose physics ``tuner`` gives; ``failed`` makes frames of a time, s, and
-    positions, velocities and spins that a run ended with.
+    ``engine`` is a module with a ``Stretch``, whose physics ``tuner`` gives; ``record`` has the frames so far.
     """
 
     def __init__(
         self, engine: ModuleType, state: ParticleState, scene: Scene, time_step: float, tuner: Tuner,
-        failed: Callable[..., Trajectory],
+        record: FrameRecord,
     ) -> None:  # fmt: skip
-        self._engine, self._scene, self._time_step, self._tuner, self._failed = engine, scene, time_step, tuner, failed
+        self._engine, self._scene, self._time_step, self._tuner, self._record = engine, scene, time_step, tuner, record
         self._look_steps = steps_between_looks(time_step)
         self._sort_steps = LOOKS_BETWEEN_SORTS * self._look_steps
         # State and what is held of all where the stretch began; the stretch is None where it is still to begin.
@@ -126,7 +125,7 @@ class Run:
         raise SimulationError(
             f"{name_some(gone)} escaped by t = {self.time:.6g} s: {what}; choose a smaller dem.time_step or a "
             "stiffer material",
-            self._failed(self.time, state.position, state.velocity, state.angular_velocity),
+            self._record.trajectory((self.time, state.position, state.velocity, state.angular_velocity)),
         )
 
     def _to_look(self) -> int:
@@ -212,7 +211,7 @@ class Run:
                 f"more than a quarter of the smallest radius in one step of {self._time_step:g} s; choose a smaller "
                 "dem.time_step",
                 # Of the step that was begun: a frame may have been taken where it began.
-                self._failed(when + self._time_step, *frame),
+                self._record.trajectory((when + self._time_step, *frame)),
             ) from divergence
 
 

@@ -53,16 +53,12 @@ def check_finite(steps: int, *moving: FloatArray) -> None:
 
 
 class Peaks(NamedTuple):
-    """The most of every contact in every step of some span.
+    """The most of every contact in every step of some span."""
 
-    Largest overlap of a pair and with a wall, m; largest as a share of the pair's mean diameter, or of the diameter at
-    a wall; fastest approach of two surfaces that touch, along their normal, m/s.
-    """
-
-    overlap: float = 0.0
-    wall_overlap: float = 0.0
-    share: float = 0.0
-    approach: float = 0.0
+    overlap: float = 0.0  # of a pair, m
+    wall_overlap: float = 0.0  # m
+    share: float = 0.0  # of the pair's mean diameter, or of the diameter at a wall
+    approach: float = 0.0  # of two surfaces that touch, along their normal, m/s
 
 
 @dataclass(frozen=True)

@@ -44,15 +44,12 @@ def one_contact_each(
     shapes: FloatArray, surfaces: Sequence[float], position: FloatArray, radius: FloatArray,
     reached: Sequence[tuple[FloatArray, FloatArray]], touches: Sequence[np.ndarray],
 ) -> tuple[list[np.ndarray], list[tuple[int, int, np.ndarray]]]:  # fmt: skip
-    """Which spheres each of W walls answers, where a surface answers a sphere once, and what goes over.
+    """``(N,)`` bool of each wall, whom it answers, and triples (w, v, i): wall v answers spheres i in the place of w.
 
     Args:
         shapes, surfaces: ``(W, ≥ 11)`` first columns of their poses, ``(W,)`` number of the surface of each, or 0.
         position, radius: ``(N, 3)`` and ``(N,)`` m.
         reached, touches: of each wall, as of :func:`wall_contact`, and ``(N,)`` bool whether it would answer alone.
-
-    Returns:
-        ``(N,)`` bool of each wall, and triples (w, v, i): wall v answers the spheres i in the place of wall w.
     """
     surfaces = np.asarray(surfaces)
     answers, merged = [near.copy() for near in touches], []
@@ -85,10 +82,7 @@ def another_answers(walls, w, x, y, z, radius, distance, nx, ny, nz):
 
 @kernel
 def hand_over(walls, w, p, x, y, z, radius, distance, wall_i, start, memory, touched, remembered):
-    """Gives a new contact, at place p with wall w, what the contact that it takes the place of remembers.
-
-    The lists are those of :func:`contact_forces.wall_forces`; ``memory[p]`` and ``touched`` change.
-    """
+    """Gives a new contact, at place p with wall w, what the contact that it takes the place of remembers."""
     i = wall_i[p]
     for v in range(len(walls)):
         if v == w or walls[v, 21] != walls[w, 21]:

@@ -25,7 +25,7 @@ from gran_bench.dem.record import FrameRecord, SimulationError, impact_warnings
 from gran_bench.dem.rest import Rest
 from gran_bench.dem.time_step import choose_time_step, impact_speed, unresolved
 from gran_bench.scene import Scene
-from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
+from gran_bench.state import ContactHistory, ParticleState, Trajectory
 
 ENGINES: dict[str, ModuleType] = {"numba": engine_numba, "numpy": engine_numpy}
 
@@ -86,7 +86,7 @@ def simulate(
     state = replace(state, **{name: np.array(getattr(state, name), np.float64) for name in names})
     record = FrameRecord(scene, state.radius)
     tuner = _tuner(scene, largest, state.count, dem)
-    run = Run(ENGINES[dem.engine], state, scene, time_step, tuner, lambda *frame: record.trajectory(tuple(frame)))
+    run = Run(ENGINES[dem.engine], state, scene, time_step, tuner, record)
     state = replace(state, history=run.state().history)  # of the contacts that touch
     record.add(state, run.take_peaks())
     started = clock.perf_counter()
@@ -143,18 +143,15 @@ def settle(
     rest = Rest(still)
     substeps = min(steps_between_looks(time_step), max(1, round(rest.look_interval / time_step)))
     tuner = _tuner(still, filling.largest_radius, state.count, dem)
-
-    def one_frame(time: float, *frame: FloatArray) -> Trajectory:
-        return Trajectory(np.array([time]), *(array[None] for array in frame), state.radius)
-
-    run, rests = Run(ENGINES[dem.engine], state, still, time_step, tuner, one_frame), False
+    record = FrameRecord(still, state.radius)  # of no frames but one where it fails
+    run, rests = Run(ENGINES[dem.engine], state, still, time_step, tuner, record), False
     with _followed(progress, None, "settling") as follow:
         while state.count and (not rests or state.time < scene.start_time - 1e-9):
             if not rests and state.time > filling.longest_settling:
                 raise SimulationError(
                     f"the bed of {scene.name!r} is not at rest after {filling.longest_settling:g} s of settling: "
                     f"{rest.what_moves()}",
-                    one_frame(state.time, state.position, state.velocity, state.angular_velocity),
+                    record.trajectory((state.time, state.position, state.velocity, state.angular_velocity)),
                 )
             run.advance(substeps)
             state = replace(run.state(), time=run.time)

@@ -95,8 +95,7 @@ def list_pairs(
 
     Args:
         sphere, margin: ``(N, 4)`` x, y, z and radius, m; radius 0 makes ``margin`` the distance of centres, m.
-        period: length of the periodic y axis, m; 0 for none.
-        begin, end: only pairs whose first is in ``begin … end − 1``; all where ``end`` is negative.
+        period, begin, end: of y, m, or 0; only pairs whose first is in ``begin … end − 1``, all where that is −1.
 
     Raises:
         ValueError: a coordinate or a size that is not finite, or a reach of nothing.
@@ -162,11 +161,7 @@ def find_pairs(sphere, margin, period, begin, stop, order, start, cells, x, y, z
 
 @kernel
 def _half_shell(cell, cells, start, period, run_begin, run_end):
-    """The runs of ranks that a cell may meet: itself and the 13 of its 26 neighbours that come after it.
-
-    Three cells of a row are one run, so the half shell is five: the rest of the row, the next row, and three rows of
-    the layer above. Returns how many particles they hold.
-    """
+    """Five runs of ranks: a cell and the 13 neighbours that come after it; returns how many particles they hold."""
     nx, ny, nz = cells[0], cells[1], cells[2]
     column, line, layer = cell % nx, (cell // nx) % ny, cell // (nx * ny)
     left, right = max(0, column - 1), min(nx - 1, column + 1)

@@ -1,8 +1,4 @@
-"""How walls move: schedules that are piecewise linear in time, and sinusoidal vibration.
-
-Every motion is a pure function of the scene's clock, so that a run that goes on from a frame finds its walls where
-the run that did not stop had them.
-"""
+"""How walls move: pure functions of the scene's clock, piecewise linear in time or sinusoidal."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Analytic walls, a few lines each: where they are, how they move, and until when they are there.
+"""Analytic walls: where they are, how they move, and until when they are there.
 
-A flat wall and an infinite cylinder contain: particles live on one side. Every other wall is a thin surface of
-revolution, given by a straight segment in the half plane of (distance from the axis, height along it); particles
-may touch it from both sides and at its rims.
+A flat wall and an infinite cylinder contain. Every other wall is thin, with two sides: a surface of revolution, given
+by a straight segment in the half plane of (distance from the axis, height along it).
 """
 
 from __future__ import annotations

@@ -78,9 +78,8 @@ def pair_geometry(buffer, size):
 def slip_spins(buffer, size, unequal, full_radius):
     """Σ ω of a block → Σ arm × ω, with which spins add to the slip; and the lever arms of unequal spheres.
 
-    Contacts end on the plane of the circle where the spheres intersect: arm₁ = ½ d + s and arm₂ = ½ d − s with
-    s = (r₁² − r₂²) / 2 d, so that Σ arm × ω = ½ d (ω₁ + ω₂) + s (ω₁ − ω₂). With full radii, slip takes r₁ and r₂ in
-    the place of the arms: ½ (r₁ + r₂) (ω₁ + ω₂) + ½ (r₁ − r₂) (ω₁ − ω₂).
+    With arm₁ = ½ d + s, arm₂ = ½ d − s and s = (r₁² − r₂²) / 2 d this is ½ d (ω₁ + ω₂) + s (ω₁ − ω₂); with full radii,
+    ½ (r₁ + r₂) (ω₁ + ω₂) + ½ (r₁ − r₂) (ω₁ − ω₂).
     """
     quarter, half = buffer.dtype.type(0.25), buffer.dtype.type(0.5)
     for k in range(size):

@@ -96,10 +96,8 @@ def wall_forces(
     sphere, velocity, spin, ahead, material, force, torque, wall_i, wall_w, memory, start, touched, remembered, active,
     contacts, geometry, old_slot, slot, old_moment, moment, buffer, laws, walls, tangential, rolling, full_radius, dt,
 ):  # fmt: skip
-    """Adds the forces and torques of the touching walls of a chunk, each by the law of its material and wall.
-
-    ``start`` has the place of the chunk's first contact with each wall, and of the end of the last; ``geometry`` gets
-    direction and distance of the touching ones. The rest is as in :func:`pair_forces`, or in `Lists`.
+    """As :func:`pair_forces` of the touching walls of a chunk, whose contacts with each wall begin at ``start``;
+    ``geometry`` gets direction and distance of the touching ones.
     """
     found = contacts
     for w in range(len(walls)):

@@ -95,11 +95,7 @@ class Stretch:
         self._lists_end = [bool(self._walls[:, :, PATH].any())] * self.threads
 
     def run(self, steps: int) -> None:
-        """Goes on, so many steps.
-
-        Raises:
-            Divergence: a speed that crosses a quarter of a radius in a step, or is not finite.
-        """
+        """Goes on, so many steps; a :class:`Divergence` where a speed crosses a quarter of a radius in a step."""
         self._progress[:, PAUSE] = self._progress[0, STEP] + steps
         culprit = barrier.run_together(self._march, self.threads, self.gate)[0]
         if culprit >= 0:
@@ -146,11 +142,7 @@ class Stretch:
         return self._lists[thread].known(last % 2, progress[PAIRS], progress[WALLS])
 
     def state(self) -> ParticleState:
-        """The state of this pause, with its touching contacts and what they remember.
-
-        Raises:
-            Divergence: a value that is not finite.
-        """
+        """The state of this pause, with its touching contacts and what they remember; or a :class:`Divergence`."""
         position, velocity, spin = as_given(self.bodies._replace(**self._whole_velocities()))
         steps = int(self._progress[0, STEP])
         threads = 1 if self._last_evaluation(0) == self._known_at[0] else self.threads

@@ -76,10 +76,7 @@ def search(
     bodies: Bodies, bounds: np.ndarray, chunk: int, stop: int, walls: np.ndarray, row: int, last: int,
     physics: Physics, known: tuple[Known, Known],
 ) -> Lists:  # fmt: skip
-    """Lists of the pairs and walls that spheres of ``chunk … stop − 1`` may touch, with what they remember.
-
-    ``row`` of the poses belongs to these positions; ``known`` touched in evaluation ``last``.
-    """
+    """The lists at ``row`` of the poses for ``chunk … stop − 1``; ``known`` touched in evaluation ``last``."""
     sphere, velocity, rolling = bodies.sphere, bodies.velocity, physics.rolling
     count, begin, end = len(sphere) - 2, int(bounds[chunk]), int(bounds[stop])
     pairs, on_walls = known
@@ -116,10 +113,7 @@ def _history(known: Known, contacts: int, evaluation: int, rolling: bool) -> tup
 
 
 def zeros(*shape: int, dtype: type = np.float64) -> np.ndarray:
-    """Zeros from the beginning of a cache line on: rows and columns that cross lines take a tenth longer.
-
-    They come from the operating system: what is never touched costs nothing.
-    """
+    """Zeros from the beginning of a cache line on: rows and columns that cross lines take a tenth longer."""
     size, line = math.prod(shape) * np.dtype(dtype).itemsize, 64
     room = np.zeros(size + line, np.uint8)
     skipped = -room.__array_interface__["data"][0] % line

@@ -175,11 +175,7 @@ def squared_gap(e, sphere, i, j):
 
 @emitted(types.void, _Rows)
 def kick_row(e, body, load, i, gx, gy, gz, closing, ahead, opening):
-    """body[i] += closing × a, then body[i] += opening × a, with a = body[i, 3] load[i] + g; load[i] = 0.
-
-    Rounded in between, as where a step ends. ahead[i] becomes opening × a. The fourth place of a body is its 1/m or
-    1/I, and stays: the fourth of a load is zero.
-    """
+    """body[i] += closing × a, then body[i] += opening × a = ahead[i], with a = body[i, 3] load[i] + g; load[i] = 0."""
     gravity = ir.Constant(_QUAD, [0.0] * _LANES)
     for axis, component in enumerate((gx, gy, gz)):
         gravity = e.builder.insert_element(gravity, component.value, ir.Constant(ir.IntType(32), axis))
@@ -188,7 +184,7 @@ def kick_row(e, body, load, i, gx, gy, gz, closing, ahead, opening):
 
 @emitted(types.void, _Rows)
 def twist_row(e, body, load, i, closing, opening):
-    """body[i] += closing × a, then body[i] += opening × a, with a = body[i, 3] load[i]; load[i] = 0."""
+    """The same without g and ahead."""
     _kick(e, body, load, i, None, closing, opening)
 
 

@@ -1,7 +1,4 @@
-"""Skin and threads of the fast engine, chosen by the clock while the run goes on; neither changes a bit of the result.
-
-Every stretch is timed; a better neighbour of the present choice is looked for at the start and from time to time again.
-"""
+"""Skin and threads of the fast engine, chosen by the clock from stretch to stretch; neither changes a bit."""
 
 from __future__ import annotations
 
