@@ -223,7 +223,7 @@ def test_a_lid_that_opens_leaves_the_ring_its_edge(advance):
     scene = scene_with(FILL, RING, gravity=(0.0, 0.0, -9.81))
     opening = replace(scene, walls=(replace(FILL, opens=0.05), RING))
     state = one_sphere((0.1 - 1e-3, 0, R - 1e-5))
-    held, falls = (after(advance, s, state, 900, 2e-4) for s in (scene, opening))
+    held, falls = (after(advance, s, state, 2000, 2e-4) for s in (scene, opening))
     assert held.position[0, 2] == pytest.approx(R, abs=2e-4)
     assert falls.position[0, 2] < -0.05
 
