@@ -94,8 +94,7 @@ def main(rounds: int, output: Path | None) -> None:
     for name, duration in RUNS_FOR.items():
         scene = shipped_scene(name)
         bed = simulate(scene, settle(scene, 0), scene.start_time + duration).final
-        inside = taking_part(scene, bed.position)  # without the spheres that have left
-        bed = bed if inside is None else part_of(bed, inside)
+        bed = part_of(bed, taking_part(scene, bed.position))  # without the spheres that have left
         cases, times = rows(scene, bed), {}
         for turn in range(rounds + 1):
             for row, both in cases.items():

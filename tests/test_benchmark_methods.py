@@ -11,7 +11,7 @@ from gran_bench.benchmark.contest import Contest, largest_allowed_step, why_unfi
 from gran_bench.compose import checked_config, compose
 from gran_bench.config import BenchmarkConfig
 from gran_bench.config.rules import ConfigError
-from gran_bench.dem.simulate import TimeStepError, choose_time_step
+from gran_bench.dem.time_step import TimeStepError, choose_time_step
 from gran_bench.shipped import shipped_model, shipped_scene
 from gran_bench.surrogate.checkpoint import load_card
 

@@ -15,7 +15,7 @@ USE = """
 import json, subprocess
 import numpy as np
 from gran_bench.config import ContainerConfig, FillingConfig, SceneConfig
-from gran_bench.dem.fast import engine, contact_list, wall_list
+from gran_bench.dem.fast import engine, lists, wall_list
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.walls import wall_poses
 from gran_bench.neighbors import cells
@@ -30,7 +30,7 @@ scene = build_scene(SceneConfig(container=ContainerConfig(diameter=0.3, length=0
 physics, bed = Physics.of(scene, scene.filling.radius), scene.fresh_filling(0)
 engine.Stretch(bed, physics, 1e-4, wall_poses(scene, 0.0, 1e-4, 3), HELD)
 entries = (
-    engine.march, wall_list.list_wall_contacts, contact_list.sorted_pairs,
+    engine.march, wall_list.list_wall_contacts, lists.sorted_pairs,
     cells.sort_into_cells, cells.find_pairs,
 )
 began = [len(entry.overloads) for entry in entries]

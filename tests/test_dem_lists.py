@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gran_bench.config import ContainerConfig, FillingConfig, SceneConfig
-from gran_bench.dem.fast.contact_list import LEAST_MARGIN, sorted_pairs, with_margins
+from gran_bench.dem.fast.lists import LEAST_MARGIN, sorted_pairs, with_margins
 from gran_bench.dem.fast.wall_list import list_wall_contacts
 from gran_bench.dem.integrate import LEAST_SKIN_DIAMETERS, SKIN_DIAMETERS, Physics
 from gran_bench.dem.walls import COLUMNS, wall_contact, wall_poses

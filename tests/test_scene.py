@@ -43,7 +43,7 @@ from gran_bench.scene import (
     Vibration,
     build_scene,
 )
-from gran_bench.scene.sizes import apportioned
+from gran_bench.scene.filling import apportioned
 from gran_bench.shipped import shipped_scene
 
 GLASS, STEEL = Material(1e7, 0.25, 2500.0, 0.9, 0.1, 0.04), Material(4e7, 0.3, 7800.0, 0.4, 0.4, 0.01)

@@ -15,8 +15,7 @@ from gran_bench.benchmark.jobs import BASELINES, with_modulus
 from gran_bench.config import BenchmarkConfig, DemConfig, SceneConfig
 from gran_bench.config.reading import read_config
 from gran_bench.dataset import CaseSpec, half_step, read_attributes, replicas, to_document
-from gran_bench.dem.simulate import choose_time_step, dividing_step
-from gran_bench.dem.time_step import ERROR_FRACTION, contact_times
+from gran_bench.dem.time_step import ERROR_FRACTION, choose_time_step, contact_times, dividing_step
 from gran_bench.scene import Scene, build_scene
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card
 

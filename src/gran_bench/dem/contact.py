@@ -10,12 +10,8 @@ Tangential force on the first particle, with slip velocity v_t of its contact po
 
 where the elastic part h is the history. It is turned with the contact plane at constant length, reduced by
 √(δ/δ_before) when the normal load drops, and then loaded by −8 G* a v_t Δt, where a is √(R* δ), or while δ grows its
-mean over the step: with the last value alone, the spin that a sticking impact gives is wrong by 2 % at t_c/200. When
-f_t slips, h and f_t are rescaled together.
-
-v_t counts the spins in with the lever arms that the torque has: it is the slip of the contact points. LAMMPS `granular`
-(granular_model.cpp, 22 Jul 2025) measures it with the full radii R, as ``dem.slip=full_radius`` does for comparison;
-a bed that turns as one body at ω then slips at each contact by ω δ.
+mean over the step. When f_t slips, h and f_t are rescaled together. v_t counts the spins in with the lever arms that
+the torque has; LAMMPS `granular` measures it with the full radii R, as ``dem.slip=full_radius`` does.
 """
 
 from __future__ import annotations
@@ -34,8 +30,7 @@ from gran_bench.scene import Material
 from gran_bench.state import FloatArray
 
 # The damping of a contact counts in what the velocity still gains until the step's end, times
-# max(0, 1 − PREDICTION_FADE γ Δt / m*), γ the drag of the contact. A prediction halves the step up to which damping is
-# stable: so it fades out as γΔt/m* nears a third, which three and more contacts of a sphere in a bed make one.
+# max(0, 1 − PREDICTION_FADE γ Δt / m*), γ its drag: a prediction halves the step up to which damping is stable.
 PREDICTION_FADE = 3.0
 # Contact time of an elastic Hertzian impact in units of δmax/v: 2.94 in every textbook, 4/5 √π Γ(2/5)/Γ(9/10) exactly.
 CONTACT_TIME_FACTOR = 0.8 * math.sqrt(math.pi) * math.gamma(0.4) / math.gamma(0.9)
@@ -57,16 +52,14 @@ class ContactLaw:
         return cls.of(first, second, second.restitution, second.friction, second.rolling_friction)
 
     @classmethod
-    def of(
-        cls, first: Material, second: Material, restitution: float, friction: float, rolling_friction: float
-    ) -> ContactLaw:
-        """The law of a contact between two materials that has these coefficients.
+    def of(cls, first: Material, second: Material, restitution: float, *frictions: float) -> ContactLaw:
+        """The law of a contact between two materials that has this restitution, μ and μ_r.
 
         1/E* = (1 − ν₁²)/E₁ + (1 − ν₂²)/E₂ and 1/G* = (2 − ν₁)/G₁ + (2 − ν₂)/G₂ (Johnson 1985, eqs. 4.20 and 7.42).
         """
         normal = sum((1.0 - m.poisson_ratio**2) / m.youngs_modulus for m in (first, second))
         shear = sum((2.0 - m.poisson_ratio) / m.shear_modulus for m in (first, second))
-        return cls(1.0 / normal, 1.0 / shear, damping_coefficient(restitution), friction, rolling_friction)
+        return cls(1.0 / normal, 1.0 / shear, damping_coefficient(restitution), *frictions)
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -98,12 +91,10 @@ def contact_force(
     """Forces of M touching contacts by the law at the head of this file, vectorised.
 
     Args:
-        law: constants.
-        normal: ``(M, 3)`` unit vectors from the first to the second.
+        law, normal: constants; ``(M, 3)`` unit vectors from the first to the second.
         overlap, effective_radius, effective_mass: ``(M,)`` δ > 0 and R*, m, and m*, kg.
         velocity: ``(M, 3)`` of the first centre relative to the second centre (or to the wall's point), m/s.
-        velocity_gain: ``(M, 3)`` what that velocity still gains until the end of the step, m/s; the damping of the
-            normal force counts it in.
+        velocity_gain: ``(M, 3)`` what that velocity still gains until the end of the step, m/s.
         surface_spin: ``(M, 3)`` Σ lever arm × ω of both, m/s; its cross product with n adds to the slip.
         history: ``(M, 3)`` elastic tangential force on the first, N.
         overlap_before: ``(M,)`` overlap when it was stored, m; 0 for a new contact.
@@ -144,7 +135,7 @@ def restitution_of(damping: float) -> float:
     if damping == 0.0:
         return 1.0
 
-    def acceleration(_: float, y: list[float]) -> tuple[float, float]:
+    def rates(_: float, y: list[float]) -> tuple[float, float]:
         x = max(y[0], 0.0)
         return y[1], -damping * x**0.25 * y[1] - x**1.5
 
@@ -153,10 +144,8 @@ def restitution_of(damping: float) -> float:
         return max(y[0], 0.0) ** 1.25 + damping * y[1]
 
     force_vanishes.terminal, force_vanishes.direction = True, -1.0
-    # Overdamped impacts creep apart; their time scales with α.
-    impact = solve_ivp(
-        acceleration, (0.0, 20.0 + 20.0 * damping), (0.0, 1.0), events=force_vanishes, rtol=1e-9, atol=1e-12
-    )
+    span = (0.0, 20.0 + 20.0 * damping)  # overdamped impacts creep apart
+    impact = solve_ivp(rates, span, (0.0, 1.0), events=force_vanishes, rtol=1e-9, atol=1e-12)
     return -float(impact.y_events[0][0][1])
 
 

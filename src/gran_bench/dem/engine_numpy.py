@@ -1,7 +1,4 @@
-"""The reference engine: the laws of the other files, vectorised, one step after the other, to be read and trusted.
-
-Pairs come from a KD-tree at every step; nothing is sorted, packed or remembered but the contacts themselves.
-"""
+"""The reference engine: the laws of the other files, vectorised, one step after the other, to be read and trusted."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ import numpy as np
 from gran_bench.dem.contact import ContactForce, ContactLaw, contact_force, sphere_mass
 from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, into_period
 from gran_bench.dem.rolling import CONTACT_INERTIA, rolling_moment
-from gran_bench.dem.seams import Touching, wall_touching
+from gran_bench.dem.seams import wall_touching
 from gran_bench.dem.walls import SPIN, surface_velocity
 from gran_bench.neighbors import nearest_image, tree_pairs
 from gran_bench.state import ContactHistory, FloatArray, Held, ParticleState
@@ -52,11 +49,7 @@ class Stretch:
         self._walls, self._first_pose = walls, self._step
 
     def run(self, steps: int) -> None:
-        """Goes on, so many steps.
-
-        Raises:
-            Divergence: a speed that crosses a quarter of a radius in a step, or is not finite.
-        """
+        """Goes on, so many steps; a :class:`Divergence` where a speed crosses a quarter of a radius in a step."""
         fastest = 0.25 * self._radius.min() / self._dt
         for _ in range(steps):
             self._kick()
@@ -102,7 +95,7 @@ class Stretch:
         walls = self._walls[self._step - self._first_pose]
         parts = [self._pair_loads(duration)]
         on_walls, self._history = wall_touching(walls, self._position, self._radius, self._history)
-        parts += [self._wall_loads(w, walls[w], touching, duration) for w, touching in enumerate(on_walls)]
+        parts += [self._wall_loads(w, walls[w], *touching, duration) for w, touching in enumerate(on_walls)]
         names = ("first", "second", "force", "overlap", "rolling_moment")
         self._history = ContactHistory(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
@@ -140,9 +133,10 @@ class Stretch:
             self._torque += _sums(i, moment, count) - _sums(j, moment, count)
         return history
 
-    def _wall_loads(self, index: int, pose: FloatArray, touching: Touching, duration: float) -> ContactHistory:
+    def _wall_loads(
+        self, index: int, pose: FloatArray, i: np.ndarray, distance: FloatArray, normal: FloatArray, duration: float
+    ) -> ContactHistory:
         """Adds the loads of one wall; returns what its contacts remember."""
-        i, distance, normal = touching
         radius, mass, spin, physics = self._radius[i], self._mass[i], self._spin[i], self._physics
         point = self._position[i] + distance[:, None] * normal
         arm = (radius if physics.full_radius else distance)[:, None]
@@ -170,17 +164,14 @@ class Stretch:
         self, first: np.ndarray, second: np.ndarray, laws: FloatArray, peak: str, diameter: FloatArray,
         spin: FloatArray, inertia: FloatArray, **given: FloatArray | float,
     ) -> tuple[ContactForce, FloatArray, ContactHistory]:  # fmt: skip
-        """What contacts of one kind do, their rolling moments and what they remember; the most of them is kept.
-
-        Spin and inertia are those of rolling; what is ``given`` goes to :func:`contact_force`.
-        """
+        """What contacts of one kind do, by :func:`contact_force`, their rolling moments, and what they remember."""
         law, old = ContactLaw.from_constants(laws), _recall(self._history, first, second)
         contact = contact_force(law, history=old.force, overlap_before=old.overlap, **given)
         overlap, moment, remembered = given["overlap"], old.rolling_moment, old.rolling_moment
         if len(first):
             approach = np.einsum("mk,mk->m", given["velocity"], given["normal"]).max()
             found = Peaks(share=float((overlap / diameter).max()), approach=float(approach))
-            self._peaks = self._peaks.and_of(found._replace(**{peak: float(overlap.max())}))
+            self._peaks = Peaks(*map(max, self._peaks, found._replace(**{peak: float(overlap.max())})))
         if self._physics.rolling:
             moment, remembered = rolling_moment(
                 old.rolling_moment, spin, given["normal"], overlap, old.overlap, given["effective_radius"], inertia,

@@ -1,9 +1,4 @@
-"""A run between its frames: stretches of an engine, the walls' poses, who has left, and what may have gone wrong.
-
-What changes a run happens on a grid of steps counted from its start: every 10 ms spheres beyond the outlet leave and
-whoever came through a wall stops the run, every 50 ms particles are sorted anew. Frames are copies, so they change no
-bit; the last one comes with what another run needs to go on (``ParticleState.continuation``).
-"""
+"""A run between its frames: stretches of an engine, the walls' poses, who has left, and what may have gone wrong."""
 
 from __future__ import annotations
 
@@ -12,7 +7,7 @@ import hashlib
 import sys
 import threading
 import time as clock
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from types import ModuleType
@@ -22,10 +17,10 @@ import numpy as np
 from gran_bench.dem.fast.tuning import Tuner
 from gran_bench.dem.integrate import Divergence, Peaks
 from gran_bench.dem.outlet import leaked, part_of, rejoined, taking_part
-from gran_bench.dem.record import SimulationError
+from gran_bench.dem.record import FrameRecord, SimulationError
 from gran_bench.dem.walls import largest_excess, wall_poses
 from gran_bench.scene import Scene
-from gran_bench.state import Continuation, FloatArray, Held, ParticleState, Trajectory, name_some
+from gran_bench.state import Continuation, FloatArray, Held, ParticleState, name_some
 
 # Between two looks at who leaves and who escaped, s.
 LOOK = 0.01
@@ -41,25 +36,28 @@ def steps_between_looks(time_step: float) -> int:
 class Run:
     """A state, in float64, on its way; it goes on from its continuation where that holds for this scene and step.
 
-    ``engine`` is a module with a ``Stretch``, whose physics ``tuner`` gives; ``failed`` makes frames of a time, s, and
-    positions, velocities and spins that a run ended with.
+    What changes a run follows from the count of its steps: at a look spheres beyond the outlet leave and whoever came
+    through a wall stops the run. Frames are copies, so they change no bit.
+
+    ``engine`` is a module with a ``Stretch``, whose physics ``tuner`` gives; ``record`` has the frames so far.
     """
 
     def __init__(
         self, engine: ModuleType, state: ParticleState, scene: Scene, time_step: float, tuner: Tuner,
-        failed: Callable[..., Trajectory],
+        record: FrameRecord,
     ) -> None:  # fmt: skip
-        self._engine, self._scene, self._time_step, self._tuner, self._failed = engine, scene, time_step, tuner, failed
+        self._engine, self._scene, self._time_step, self._tuner, self._record = engine, scene, time_step, tuner, record
         self._look_steps = steps_between_looks(time_step)
         self._sort_steps = LOOKS_BETWEEN_SORTS * self._look_steps
-        self._start, self._steps, self._held, self._state = state.time, 0, None, state
-        self._stretch, self._inside, self._peaks, self._now = None, None, Peaks(), None
+        # State and what is held of all where the stretch began; the stretch is None where it is still to begin.
+        self._whole, self._held, self._stretch = state, None, None
+        self._start, self._steps, self._peaks = state.time, 0, Peaks()
         with _compiling_notice():
             # Where the run goes on, this tells what the first frame's contacts do, and nothing else.
             self._begin()
         kept = state.continuation
         if kept is not None and kept.key == self._key(state):
-            self._peaks_of_stretch()
+            self._take_from_stretch()
             self._start, self._steps, self._held, self._stretch = kept.start, kept.steps, kept.held, None
 
     @property
@@ -75,12 +73,11 @@ class Run:
                 frames so far and its own.
         """
         while steps:
-            began = clock.perf_counter()
+            began, some = clock.perf_counter(), min(steps, self._to_look())
             if self._stretch is None:
                 self._begin()
-            elif self._steps == self._poses_end:
-                self._stretch.set_walls(self._next_poses())
-            some = min(steps, self._look_steps - self._steps % self._look_steps)
+            elif self._steps == self._posed_until:
+                self._stretch.set_walls(self._poses(self._to_look()))
             if self._stretch is not None:
                 with self._divergence():
                     self._stretch.run(some)
@@ -92,16 +89,15 @@ class Run:
     def state(self) -> ParticleState:
         """As it is now; spheres beyond the outlet keep the state that they left with."""
         if self._stretch is None:
-            return self._state
+            return self._whole
         if self._now is None:
             with self._divergence():
-                part = self._stretch.state()
-            self._now = part if self._inside is None else rejoined(self._state, self._inside, part)
+                self._now = rejoined(self._whole, self._inside, self._stretch.state())
         return self._now
 
     def take_peaks(self) -> Peaks:
         """Largest overlaps and approach since they were last asked for."""
-        self._peaks_of_stretch()
+        self._take_from_stretch()
         peaks, self._peaks = self._peaks, Peaks()
         return peaks
 
@@ -109,70 +105,17 @@ class Run:
         """The state, which is the present one, with what another run needs to go on from it."""
         return replace(state, continuation=Continuation(self._key(state), self._start, self._steps, self._holds()))
 
-    def check_escapes(self) -> None:
+    def check_escapes(self, walls: bool = True) -> None:
         """Looks whether anybody came through a wall, who would be found at the next look.
 
         Raises:
             SimulationError: a centre further than its radius outside the container, or beyond the outlet's rim.
         """
-        if self._stretch is not None:
-            self._check(self.state(), walls=True)
-
-    def _begin(self) -> None:
-        """A stretch from here on; none where nobody takes part."""
-        part, held, self._begun, self._spent = self._state, self._held, self._steps, 0.0
-        if held is None or self._steps % self._look_steps == 0:
-            inside = taking_part(self._scene, part.position)
-        else:
-            inside = np.zeros(part.count, bool)
-            inside[held.order] = True
-        self._inside = None if inside is None or inside.all() else inside
-        number = self._number()
-        if held is not None:
-            order = None
-            if self._steps % self._sort_steps and len(held.order) == len(number):
-                # Nothing is sorted, so all is as it was left.
-                part, order = replace(part, position=held.position), np.searchsorted(number, held.order)
-            held = Held(*(array[number] for array in held[:3]), order)
-        if self._inside is not None:
-            part = part_of(part, inside)
-        poses = self._next_poses()
-        if part.count:
-            with self._divergence():
-                self._stretch = self._engine.Stretch(part, self._tuner.physics, self._time_step, poses, held)
-        elif held is not None:
-            self._held = self._held._replace(order=number)
-
-    def _next_poses(self) -> FloatArray:
-        """Poses from here to the next look."""
-        first = self._steps
-        steps = self._look_steps - first % self._look_steps
-        self._poses_begin, self._poses_end = first, first + steps
-        self._poses = wall_poses(self._scene, self._start, self._time_step, steps, first)
-        return self._poses
-
-    def _number(self) -> np.ndarray:
-        """Indices of those that take part."""
-        return np.arange(self._state.count) if self._inside is None else np.flatnonzero(self._inside)
-
-    def _look(self) -> None:
-        """Who came through a wall, and who has left; after some of the looks a new stretch begins."""
-        state = self.state()
-        self._peaks_of_stretch()
-        # A centre that is beyond a wall by its radius lies in it by its diameter.
-        self._check(state, walls=self._peaks.share > 0.99)
-        inside = taking_part(self._scene, state.position)
-        left = (state.count if inside is None else np.count_nonzero(inside)) < len(self._number())
-        if left or self._steps % self._sort_steps == 0:
-            self._held, self._state, self._stretch = self._holds(), state, None
-            if self._steps - self._begun == self._sort_steps:
-                self._tuner.took(self._spent)
-
-    def _check(self, state: ParticleState, walls: bool) -> None:
-        scene, gone = self._scene, ()
+        scene, state, gone = self._scene, self.state(), ()
         if walls:
-            excess = largest_excess(scene, self._poses[self._steps - self._poses_begin], state.position)
-            gone = np.flatnonzero((excess > state.radius) & (True if self._inside is None else self._inside))
+            poses = wall_poses(scene, self._start, self._time_step, 0, self._steps)[0]
+            excess = largest_excess(scene, poses, state.position)
+            gone = np.flatnonzero((excess > state.radius) & self._inside)
         if len(gone):
             what = f"particle {gone[0]} is {excess[gone[0]]:.3g} m beyond a wall, more than its radius"
         elif len(gone := leaked(scene, state.position)):
@@ -182,25 +125,60 @@ class Run:
         raise SimulationError(
             f"{name_some(gone)} escaped by t = {self.time:.6g} s: {what}; choose a smaller dem.time_step or a "
             "stiffer material",
-            self._failed(self.time, state.position, state.velocity, state.angular_velocity),
+            self._record.trajectory((self.time, state.position, state.velocity, state.angular_velocity)),
         )
+
+    def _to_look(self) -> int:
+        """Steps from here to the next look."""
+        return self._look_steps - self._steps % self._look_steps
+
+    def _poses(self, steps: int) -> FloatArray:
+        self._posed_until = self._steps + steps
+        return wall_poses(self._scene, self._start, self._time_step, steps, self._steps)
+
+    def _begin(self) -> None:
+        """A stretch from here on; none where nobody takes part."""
+        whole, held, self._begun, self._spent, self._now = self._whole, self._held, self._steps, 0.0, None
+        self._inside = inside = taking_part(self._scene, whole.position)
+        if held is not None and self._steps % self._look_steps:
+            self._inside = inside = np.isin(np.arange(whole.count), held.order)  # nobody leaves between two looks
+        number = np.flatnonzero(inside)
+        if held is not None:
+            order = None
+            if self._steps % self._sort_steps and len(held.order) == len(number):
+                # Nothing is sorted, so all is as it was left.
+                whole, order = replace(whole, position=held.position), np.searchsorted(number, held.order)
+            self._held = held._replace(order=number)
+            held = Held(*(array[number] for array in held[:3]), order)
+        if len(number):
+            part, poses = part_of(whole, inside), self._poses(self._to_look())
+            with self._divergence():
+                self._stretch = self._engine.Stretch(part, self._tuner.physics, self._time_step, poses, held)
+
+    def _look(self) -> None:
+        """Who came through a wall, and who has left; after some of the looks a new stretch begins."""
+        state = self.state()
+        self._take_from_stretch()
+        # A centre that is beyond a wall by its radius lies in it by its diameter.
+        self.check_escapes(walls=self._peaks.share > 0.99)
+        left = np.count_nonzero(taking_part(self._scene, state.position)) < np.count_nonzero(self._inside)
+        if left or self._steps % self._sort_steps == 0:
+            self._held, self._whole, self._stretch = self._holds(), state, None
+            if self._steps - self._begun == self._sort_steps:
+                self._tuner.took(self._spent)
 
     def _holds(self) -> Held | None:
         """What goes on beside the state, of all particles."""
         if self._stretch is None:
             return self._held
-        held, inside = self._stretch.held(), self._inside
-        if inside is None:
-            return held
-        position = self._state.position.copy()
-        position[inside] = held.position
-        loads = np.zeros((2, *position.shape))
-        loads[:, inside] = held.force, held.torque
-        return Held(position, *loads, np.flatnonzero(inside)[held.order])
+        held, whole = self._stretch.held(), np.zeros((3, self._whole.count, 3))
+        whole[0] = self._whole.position
+        whole[:, self._inside] = held[:3]
+        return Held(*whole, np.flatnonzero(self._inside)[held.order])
 
-    def _peaks_of_stretch(self) -> None:
+    def _take_from_stretch(self) -> None:
         if self._stretch is not None:
-            self._peaks = self._peaks.and_of(self._stretch.take_peaks())
+            self._peaks = Peaks(*map(max, self._peaks, self._stretch.take_peaks()))
 
     def _key(self, state: ParticleState) -> str:
         """Of everything that a continuation holds for; frames, threads, skin and engine are not part of it."""
@@ -222,10 +200,9 @@ class Run:
         try:
             yield
         except Divergence as divergence:
-            whole, number = self._state, self._number()
+            whole, number = self._whole, np.flatnonzero(self._inside)
             frame = [np.array(a, np.float64) for a in (whole.position, whole.velocity, whole.angular_velocity)]
-            found = (divergence.position, divergence.velocity, divergence.angular_velocity)
-            for array, part in zip(frame, found, strict=True):
+            for array, part in zip(frame, divergence.moving, strict=True):
                 array[number] = part
             when = self._start + (self._begun + divergence.steps) * self._time_step
             i = number[divergence.particle]
@@ -234,17 +211,15 @@ class Run:
                 f"more than a quarter of the smallest radius in one step of {self._time_step:g} s; choose a smaller "
                 "dem.time_step",
                 # Of the step that was begun: a frame may have been taken where it began.
-                self._failed(when + self._time_step, *frame),
+                self._record.trajectory((when + self._time_step, *frame)),
             ) from divergence
 
 
 @contextmanager
-def _compiling_notice(patience: float = 1.0) -> Iterator[None]:
-    """Says on stderr what a user waits for when the kernels are not in Numba's cache."""
-    # A cached load takes less than the patience, so nothing has to be known of how Numba caches.
-    notice = threading.Timer(
-        patience, lambda: print("compiling the DEM kernels (once, 10 to 20 s) …", file=sys.stderr, flush=True)
-    )
+def _compiling_notice() -> Iterator[None]:
+    """Says on stderr what a user waits for when the kernels are not in Numba's cache, from where they load sooner."""
+    said = "compiling the DEM kernels (once, 10 to 20 s) …"
+    notice = threading.Timer(1.0, print, (said,), {"file": sys.stderr, "flush": True})
     notice.daemon = True
     notice.start()
     collects = gc.isenabled()

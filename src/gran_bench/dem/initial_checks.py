@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from gran_bench.dem.outlet import part_of, taking_part
+from gran_bench.dem.outlet import taking_part
 from gran_bench.dem.walls import largest_excess, wall_contact, wall_poses
 from gran_bench.neighbors import nearest_image, tree_pairs
 from gran_bench.scene import Scene
-from gran_bench.state import ParticleState, StateError, name_some
+from gran_bench.state import FloatArray, ParticleState, StateError, name_some
 
 # Of the mean diameter of a pair, of the diameter at a wall: Hertz's law is for less, and the stored energy explodes.
 LARGEST_INITIAL_OVERLAP = 0.2
@@ -30,12 +30,11 @@ def check_initial_state(scene: Scene, state: ParticleState, remedy: str | None =
             f"{name_some(unknown, 'is', 'are')} of a material that the scene does not have (it has "
             f"{len(scene.materials)}); describe it or choose another material"
         )
-    inside = taking_part(scene, state.position)
-    number = np.arange(state.count) if inside is None else np.flatnonzero(inside)
+    number = np.flatnonzero(taking_part(scene, state.position))
     if len(number):
-        here = state if inside is None else part_of(state, inside)
-        _check_overlaps(scene, here, number, remedy or "move them apart before the run")
-        _check_walls(scene, here, number, remedy or "move them inside before the run")
+        position, radius = state.position[number], state.radius[number]
+        _check_pairs(scene, position, radius, number, remedy or "move them apart before the run")
+        _check_walls(scene, state.time, position, radius, number, remedy or "move them inside before the run")
     history = state.history
     known = (history.first >= 0) & (history.first < state.count)
     known &= (history.second < state.count) & (history.second >= -len(scene.walls))
@@ -78,15 +77,13 @@ def closing_speed(state: ParticleState) -> float:
     return float(max(apart, np.linalg.norm(velocity, axis=1).max()))
 
 
-def _check_overlaps(scene: Scene, state: ParticleState, number: np.ndarray, remedy: str) -> None:
-    pairs = tree_pairs(state.position, 2.0 * float(state.radius.max()), scene.period)
-    offset = nearest_image(state.position[pairs[:, 1]] - state.position[pairs[:, 0]], scene.period)
-    distance = np.linalg.norm(offset, axis=1)
-    same = number[pairs[distance == 0.0]]
+def _check_pairs(scene: Scene, position: FloatArray, radius: FloatArray, number: np.ndarray, remedy: str) -> None:
+    pairs = tree_pairs(position, 2.0 * float(radius.max()), scene.period)
+    distance = np.linalg.norm(nearest_image(position[pairs[:, 1]] - position[pairs[:, 0]], scene.period), axis=1)
+    reach = radius[pairs].sum(axis=1)
+    same, squeezed = number[pairs[distance == 0.0]], number[pairs[reach - distance >= LARGEST_INITIAL_OVERLAP * reach]]
     if len(same):
         raise StateError(f"particles {_name_pairs(same)} have the same position; remove the duplicates before the run")
-    reach = state.radius[pairs[:, 0]] + state.radius[pairs[:, 1]]
-    squeezed = number[pairs[reach - distance >= LARGEST_INITIAL_OVERLAP * reach]]
     if len(squeezed):
         raise StateError(
             f"particles {_name_pairs(squeezed)} overlap by {LARGEST_INITIAL_OVERLAP:.0%} of their mean diameter "
@@ -94,14 +91,16 @@ def _check_overlaps(scene: Scene, state: ParticleState, number: np.ndarray, reme
         )
 
 
-def _check_walls(scene: Scene, state: ParticleState, number: np.ndarray, remedy: str) -> None:
-    poses = wall_poses(scene, state.time, 0.0, 0)[0]
-    outside = number[largest_excess(scene, poses, state.position) > 0]
+def _check_walls(
+    scene: Scene, time: float, position: FloatArray, radius: FloatArray, number: np.ndarray, remedy: str
+) -> None:
+    poses = wall_poses(scene, time, 0.0, 0)[0]
+    outside = number[largest_excess(scene, poses, position) > 0]
     if len(outside):
         raise StateError(f"{name_some(outside, 'has its centre', 'have their centre')} outside the container; {remedy}")
     for index, pose in enumerate(poses):
-        overlap = state.radius - wall_contact(pose, state.position)[0]
-        squeezed = number[overlap >= LARGEST_INITIAL_OVERLAP * 2.0 * state.radius]
+        overlap = radius - wall_contact(pose, position)[0]
+        squeezed = number[overlap >= LARGEST_INITIAL_OVERLAP * 2.0 * radius]
         if len(squeezed):
             raise StateError(
                 f"{name_some(squeezed, 'overlaps', 'overlap')} wall {index} by {LARGEST_INITIAL_OVERLAP:.0%} of the "

@@ -3,15 +3,12 @@
     v_{n+1/2} = v_n + ½ a_n Δt,   x_{n+1} = x_n + v_{n+1/2} Δt,   v_{n+1} = v_{n+1/2} + ½ a_{n+1} Δt
 
 with a_{n+1} from x_{n+1}, v_{n+1/2} and the walls' speed at the middle of the step; spin likewise. The damping of the
-normal force takes v_{n+1/2} + ½ a_n Δt, the prediction of v_{n+1}: with v_{n+1/2} alone, which lags by half a step,
-an impact of e = 0.3 loses up to 1.2e-3 of its restitution at a step of t_c/200, more than it may. The two halves of a
-kick are two, rounded at v_n, so that it makes no difference whether anybody looks at v_n. A run starts with the forces
-of its state alone: nothing is added to histories.
+normal force takes v_{n+1/2} + ½ a_n Δt, the prediction of v_{n+1}. The two halves of a kick are rounded apart, so that
+looking at v_n changes nothing. A run starts with the forces of its state alone: nothing is added to histories.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -33,17 +30,12 @@ LEAST_SKIN_DIAMETERS = 0.05
 
 
 class Divergence(ArithmeticError):
-    """A particle, by index, that crosses a quarter of the smallest radius in one step, or whose speed is not finite.
+    """A particle that crosses a quarter of the smallest radius in a step, or is not finite, and what was found then."""
 
-    Positions, velocities and spins are as they were found after so many steps of the stretch, finite or not.
-    """
-
-    def __init__(
-        self, particle: int, steps: int, position: FloatArray, velocity: FloatArray, angular_velocity: FloatArray
-    ) -> None:
+    def __init__(self, particle: int, steps: int, *moving: FloatArray) -> None:
         super().__init__(f"particle {particle} diverged")
-        self.particle, self.steps = particle, steps
-        self.position, self.velocity, self.angular_velocity = position, velocity, angular_velocity
+        self.particle, self.steps, self.moving = particle, steps, moving
+        self.position, self.velocity, self.angular_velocity = moving
 
 
 def check_finite(steps: int, *moving: FloatArray) -> None:
@@ -52,10 +44,8 @@ def check_finite(steps: int, *moving: FloatArray) -> None:
     Raises:
         Divergence: the first particle of which one is not finite.
     """
-    if all(math.isfinite(np.vdot(array, array)) for array in moving):
-        return
+    position, velocity, spin = moving
     with np.errstate(over="ignore", invalid="ignore"):
-        position, velocity, spin = moving
         sound = np.isfinite(np.einsum("nk,nk->n", velocity, velocity))
     wild = np.flatnonzero(~(sound & np.isfinite(position).all(axis=1) & np.isfinite(spin).all(axis=1)))
     if len(wild):
@@ -63,35 +53,24 @@ def check_finite(steps: int, *moving: FloatArray) -> None:
 
 
 class Peaks(NamedTuple):
-    """The most of every contact in every step of some span.
+    """The most of every contact in every step of some span."""
 
-    Largest overlap of a pair and with a wall, m; largest as a share of the pair's mean diameter, or of the diameter at
-    a wall; fastest approach of two surfaces that touch, along their normal, m/s.
-    """
-
-    overlap: float = 0.0
-    wall_overlap: float = 0.0
-    share: float = 0.0
-    approach: float = 0.0
-
-    def and_of(self, later: Peaks) -> Peaks:
-        """Those of both spans."""
-        return Peaks(*map(max, self, later))
+    overlap: float = 0.0  # of a pair, m
+    wall_overlap: float = 0.0  # m
+    share: float = 0.0  # of the pair's mean diameter, or of the diameter at a wall
+    approach: float = 0.0  # of two surfaces that touch, along their normal, m/s
 
 
 @dataclass(frozen=True)
 class Physics:
-    """A scene as the engines read it.
-
-    A law is (4/3 E*, 8 G*, α, μ, μ_r) in SI.
-    """
+    """A scene as the engines read it; a law is (4/3 E*, 8 G*, α, μ, μ_r) in SI."""
 
     pair_laws: FloatArray  # ``(S, S, 5)`` between particles of S materials
     wall_laws: FloatArray  # ``(S, W, 5)`` between particles and walls
     density: FloatArray  # ``(S,)`` of the materials, kg/m³
     gravity: FloatArray  # ``(3,)`` m/s²
     period: float  # length of the periodic y axis, m; 0 for none
-    skin: float  # m by which the neighbour list reaches beyond contact for the two fastest particles (contact_list.py).
+    skin: float  # m by which the neighbour list reaches beyond contact, for the two fastest particles (lists.py)
     tangential: bool  # and rolling: whether friction, and with it spin, and the rolling model are computed
     rolling: bool
     threads: int = 1  # how many work together, where there are particles enough; changes no bit of the result

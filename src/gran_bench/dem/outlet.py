@@ -1,7 +1,4 @@
-"""Spheres that leave: who takes part in a stretch, and how those who don't keep their last state.
-
-Who takes part follows from positions alone; when it is decided does not depend on frames (frame.py).
-"""
+"""Spheres that leave: who takes part in a stretch, and how those who don't keep their last state."""
 
 from __future__ import annotations
 
@@ -15,12 +12,11 @@ from gran_bench.state import ContactHistory, FloatArray, ParticleState
 _BY_PARTICLE = ("position", "velocity", "angular_velocity", "radius", "material")
 
 
-def taking_part(scene: Scene, position: FloatArray) -> np.ndarray | None:
-    """Whether each centre is on the near side of the outlet, ``(N,)`` bool; None where all are."""
+def taking_part(scene: Scene, position: FloatArray) -> np.ndarray:
+    """Whether each centre is on the near side of the outlet, ``(N,)`` bool."""
     if scene.outlet is None:
-        return None
-    inside = (position - np.asarray(scene.outlet.point)) @ np.asarray(scene.outlet.normal) >= 0.0
-    return None if inside.all() else inside
+        return np.ones(len(position), bool)
+    return (position - np.asarray(scene.outlet.point)) @ np.asarray(scene.outlet.normal) >= 0.0
 
 
 def leaked(scene: Scene, position: FloatArray) -> np.ndarray:
@@ -35,11 +31,10 @@ def leaked(scene: Scene, position: FloatArray) -> np.ndarray:
 
 def part_of(state: ParticleState, inside: np.ndarray) -> ParticleState:
     """The particles where ``inside`` is true, with what their contacts among themselves and with walls remember."""
-    name = np.cumsum(inside) - 1
-    history, walls = state.history, state.history.second < 0
-    kept = inside[history.first] & (walls | inside[np.where(walls, 0, history.second)])
-    second = np.where(walls, history.second, name[np.where(walls, 0, history.second)])
-    renamed = replace(history, first=name[history.first], second=second)
+    history, walls, name = state.history, state.history.second < 0, np.cumsum(inside) - 1
+    other = np.where(walls, 0, history.second)
+    kept = inside[history.first] & (walls | inside[other])
+    renamed = replace(history, first=name[history.first], second=np.where(walls, history.second, name[other]))
     memory = ContactHistory(*(array[kept] for array in vars(renamed).values()))
     return replace(state, history=memory, **{field: getattr(state, field)[inside] for field in _BY_PARTICLE})
 

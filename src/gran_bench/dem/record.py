@@ -16,11 +16,7 @@ from gran_bench.state import FloatArray, ParticleState, Trajectory
 
 
 class SimulationError(RuntimeError):
-    """A run that cannot go on; the message names particle and time.
-
-    Attributes:
-        trajectory: the frames up to the failure, the failed one last. Its values may not be finite.
-    """
+    """A run that cannot go on, with the frames up to the failure; the failed one comes last and may not be finite."""
 
     def __init__(self, message: str, trajectory: Trajectory) -> None:
         super().__init__(message)
@@ -33,10 +29,9 @@ def contact_diagnostics(scene: Scene, state: ParticleState) -> dict[str, float]:
     ½ Σ m v² and ½ Σ I ω² in J; mean and largest overlap of touching pairs and walls in m, 0 where none touch. In a
     scene with an outlet, the number of spheres that have left, which count in no other figure.
     """
-    mass = sphere_mass(np.array([material.density for material in scene.materials])[state.material], state.radius)
     inside = taking_part(scene, state.position)
-    if inside is not None:
-        mass = np.where(inside, mass, 0.0)
+    mass = sphere_mass(np.array([material.density for material in scene.materials])[state.material], state.radius)
+    mass = np.where(inside, mass, 0.0)
     inertia = 0.4 * mass * state.radius**2
     touching_wall = state.history.second < 0
     figures = {
@@ -46,10 +41,10 @@ def contact_diagnostics(scene: Scene, state: ParticleState) -> dict[str, float]:
     for prefix, touching in (("", ~touching_wall), ("wall_", touching_wall)):
         overlap = state.history.overlap[touching]
         figures[f"{prefix}overlap_mean"] = float(overlap.mean()) if len(overlap) else 0.0
-        figures[f"{prefix}overlap_max"] = float(overlap.max()) if len(overlap) else 0.0
+        figures[f"{prefix}overlap_max"] = float(overlap.max(initial=0.0))
         figures[f"{prefix}contact_count"] = float(len(overlap))
     if scene.outlet is not None:
-        figures["discharged"] = 0.0 if inside is None else float(np.count_nonzero(~inside))
+        figures["discharged"] = float(np.count_nonzero(~inside))
     return figures
 
 
@@ -69,8 +64,9 @@ def impact_warnings(
             f"t = {times[worst]:.6g} s: Hertz's law is for less than {LARGEST_INITIAL_OVERLAP:.0%}, and deeper spheres "
             "pass through each other or through walls; choose a stiffer material or lower speeds"
         )
-    if (speed := peaks[fastest].approach) > judged and (said := unresolved(scene, radius, time_step, speed)[0]):
-        warnings.append(f"an impact at {speed:.3g} m/s by t = {times[fastest]:.6g} s: {said}")
+    if (speed := peaks[fastest].approach) > judged:
+        given = f"an impact at {speed:.3g} m/s by t = {times[fastest]:.6g} s: dem.time_step={time_step:g} s"
+        warnings += unresolved(scene, time_step, given, True, radius, speed)
     return tuple(warnings)
 
 
@@ -84,22 +80,19 @@ class FrameRecord:
         self.time: list[float] = []
         self.peaks: list[Peaks] = []
 
-    def add(self, state: ParticleState, time: float, peaks: Peaks) -> None:
-        """A state, and the most of any contact in any step since the last frame (of the first, in its state alone).
-
-        The most is the largest overlap of a pair and with a wall in m, the largest overlap as a share of the pair's
-        mean diameter (of the diameter at a wall), the fastest approach in m/s; 0 where nothing touched.
-        """
-        self.time.append(time)
+    def add(self, state: ParticleState, peaks: Peaks) -> None:
+        """A state, and the most of any contact in any step since the last frame (of the first, in its state alone)."""
+        self.time.append(state.time)
         self.peaks.append(peaks)
-        self._frames.append((time, state.position, state.velocity, state.angular_velocity))
+        self._frames.append((state.time, state.position, state.velocity, state.angular_velocity))
         names = ("overlap_peak", "wall_overlap_peak", "overlap_share_peak", "approach_peak")
         self._figures.append(contact_diagnostics(self._scene, state) | dict(zip(names, peaks, strict=True)))
 
     def trajectory(self, *failed: tuple[float, FloatArray, FloatArray, FloatArray]) -> Trajectory:
         """All frames, and a failed one that has no diagnostics."""
-        nothing = dict.fromkeys(self._figures[0], np.nan) if self._figures else {}
-        figures = self._figures + [nothing for _ in failed]
-        time, position, velocity, spin = (np.array(column) for column in zip(*self._frames, *failed, strict=True))
-        diagnostics = {name: np.array([f[name] for f in figures]) for name in figures[0]}
+        time, position, velocity, spin = map(np.array, zip(*self._frames, *failed, strict=True))
+        diagnostics = {
+            name: np.array([of[name] for of in self._figures] + [np.nan for _ in failed])
+            for name in (self._figures or [{}])[0]
+        }
         return Trajectory(time, position, velocity, spin, self._radius, diagnostics=diagnostics)

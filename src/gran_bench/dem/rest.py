@@ -1,16 +1,11 @@
-"""When a bed is at rest: not at one instant, but when it stays at rest for as long as its slowest swing can hide.
+"""When a bed is at rest: when it stays slow for as long as its slowest swing can hide.
 
-A ball at the top of its bounce has no speed. Nor has a bed at the turning point of its swing, and a quarter of a period
-later it is fastest. So the spheres must be slow at every look during half the period of the slowest free motion in the
-container: a sphere that rolls in a trough as wide as the container is high,
+That is half the period of a sphere that rolls in a trough as wide as the height H that a sphere can fall,
 
     T/2 = π √(7/5 · H/2 / g)
 
-with H the height that a sphere can fall. A free sphere falls by 3.5 H in that time, far more than any overlap.
-
 Slow means that the root mean square of the speeds lies below v = ``filling.settled_speed``, and that none is faster
-than a few tens of v, which many at rest would hide. Spin does not count: nothing brakes a sphere that spins about its
-contact's normal. Nor do spheres beyond the outlet.
+than 30 v. Spin does not count: nothing brakes a sphere that spins about its contact's normal.
 """
 
 from __future__ import annotations
@@ -44,12 +39,9 @@ class Rest:
     def look(self, state: ParticleState) -> bool:
         """Whether the bed has been slow for long enough, as often as it was looked at."""
         inside = taking_part(self._scene, state.position)
-        speed = np.linalg.norm(state.velocity, axis=1)
-        speed = speed if inside is None else np.where(inside, speed, 0.0)
-        among = state.count if inside is None else max(1, int(inside.sum()))
-        self.speed = math.sqrt(float(np.square(speed).sum()) / among)
-        self._fastest = int(speed.argmax())
-        self._fastest_speed = float(speed[self._fastest])
+        speed = np.where(inside, np.linalg.norm(state.velocity, axis=1), 0.0)
+        self.speed = math.sqrt(float(np.square(speed).sum()) / max(1, np.count_nonzero(inside)))
+        self._fastest, self._fastest_speed = int(speed.argmax()), float(speed.max())
         limit = self._scene.filling.settled_speed
         if self.speed >= limit or self._fastest_speed >= LONE_SPHERE * limit:
             self._slow_since = math.inf

@@ -1,19 +1,12 @@
 """Rolling resistance of type C: an elastic–plastic spring with a dashpot against relative rolling, off where μ_r = 0.
 
-The moment on the first particle is spring and dashpot together, limited; ω_r is the relative angular velocity in the
-contact plane:
-
     M = M_k − C_r ω_r,    |M| ≤ μ_r R* F,    F = K δ^{3/2}
 
-The elastic part M_k is the history. It is projected on the contact plane, reduced by √(δ/δ_before) when the overlap
-shrinks (the spring then softens, and would hand back more than it took), and loaded by −k_r ω_r Δt. Where M reaches
-the limit, M and M_k are cut together, as the friction force is (contact.py).
+ω_r is the relative angular velocity in the contact plane. The elastic part M_k is the history: projected on that plane,
+reduced by √(δ/δ_before) when the overlap shrinks, and loaded by −k_r ω_r Δt. At the limit M and M_k are cut together.
 
     k_r = 2.25 k_n (μ_r R*)²,    k_n = 2 E* √(R* δ)
     C_r = 2 √(I_r k_r),    1/I_r = 1/(I₁ + m₁ r₁²) + 1/(I₂ + m₂ r₂²),    I = 2/5 m r²
-
-C_r damps critically a sphere that rolls about its contact point with a wall: one that rolling friction has stopped does
-not rock. What is left of its speed decays with √(I_r/k_r); what it loses while it rolls is the limit's alone.
 
 Source: Ai, Chen, Rotter & Ooi (2011), Powder Technology 206, 269–282, model C, at the damping ratio η_r = 1, with one
 limit for the sum (Luding 2008, Granular Matter 10, 235) by the elastic load, so that damping does not resist rolling.
@@ -46,13 +39,11 @@ def rolling_moment(
     """Moment on the first particle of each contact after a step, and its new history, both ``(M, 3)`` N m.
 
     Args:
-        history: ``(M, 3)`` elastic moment, N m; zero for a new contact.
+        history, normal: ``(M, 3)`` elastic moment, N m, zero for a new contact; unit vectors.
         spin: ``(M, 3)`` angular velocity of the first relative to the second, rad/s.
-        normal: ``(M, 3)`` unit vectors.
         overlap, overlap_before: ``(M,)`` δ, m, and when the history was stored; 0 for a new contact.
         effective_radius, effective_inertia: ``(M,)`` R*, m, and I_r, kg m².
-        effective_modulus, coefficient: E*, Pa, and μ_r, −.
-        time_step: s.
+        effective_modulus, coefficient, time_step: E*, Pa, μ_r, −, and s.
     """
     stiffness = rolling_stiffness(effective_modulus, coefficient, effective_radius, overlap)
     load = 4.0 / 3.0 * effective_modulus * np.sqrt(effective_radius * overlap) * overlap

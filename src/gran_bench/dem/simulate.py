@@ -23,13 +23,9 @@ from gran_bench.dem.initial_checks import STIFFEN, check_initial_speed, check_in
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.record import FrameRecord, SimulationError, impact_warnings
 from gran_bench.dem.rest import Rest
-from gran_bench.dem.time_step import TimeStepError, check_closing_speed, choose_time_step, dividing_step, impact_speed
+from gran_bench.dem.time_step import choose_time_step, impact_speed, unresolved
 from gran_bench.scene import Scene
-from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
-
-__all__ = [
-    "SimulationError", "SimulationResult", "TimeStepError", "choose_time_step", "dividing_step", "settle", "simulate",
-]  # fmt: skip
+from gran_bench.state import ContactHistory, ParticleState, Trajectory
 
 ENGINES: dict[str, ModuleType] = {"numba": engine_numba, "numpy": engine_numpy}
 
@@ -77,29 +73,29 @@ def simulate(
     check_dem(dem)
     times = _frame_times(scene, state.time, end_time)
     check_initial_state(scene, state)
-    filling, count = scene.filling, state.count
-    smallest = float(state.radius.min()) if count else filling.smallest_radius
-    largest = float(state.radius.max()) if count else filling.largest_radius
+    ends = state.radius if state.count else np.array((scene.filling.smallest_radius, scene.filling.largest_radius))
+    smallest, largest = float(ends.min()), float(ends.max())
     time_step, said = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step, smallest)
     check_initial_speed(state, time_step)
     closing = closing_speed(state)
     judged = max(impact_speed(scene), closing)
     if closing == judged:
-        said += check_closing_speed(scene, smallest, time_step, closing, dem.allow_unsafe_step)
-    names, substeps = ("position", "velocity", "angular_velocity", "radius"), round(scene.frame_interval / time_step)
+        given = f"spheres of the first state close in at up to {closing:.3g} m/s: dem.time_step={time_step:g} s"
+        said += unresolved(scene, time_step, given, dem.allow_unsafe_step, smallest, closing)
+    substeps, names = round(scene.frame_interval / time_step), ("position", "velocity", "angular_velocity", "radius")
     state = replace(state, **{name: np.array(getattr(state, name), np.float64) for name in names})
     record = FrameRecord(scene, state.radius)
-    tuner = _tuner(scene, largest, count, dem)
-    run = Run(ENGINES[dem.engine], state, scene, time_step, tuner, lambda *frame: record.trajectory(tuple(frame)))
+    tuner = _tuner(scene, largest, state.count, dem)
+    run = Run(ENGINES[dem.engine], state, scene, time_step, tuner, record)
     state = replace(state, history=run.state().history)  # of the contacts that touch
-    record.add(state, state.time, run.take_peaks())
+    record.add(state, run.take_peaks())
     started = clock.perf_counter()
     with _followed(progress, len(times) * substeps, "DEM") as follow:
         for time in times:
             run.advance(substeps)
             # The frame's clock, not the sum of its steps: a restart finds the same number.
             state = replace(run.state(), time=time)
-            record.add(state, time, run.take_peaks())
+            record.add(state, run.take_peaks())
             follow(substeps, time)
     run.check_escapes()
     return SimulationResult(
@@ -147,18 +143,15 @@ def settle(
     rest = Rest(still)
     substeps = min(steps_between_looks(time_step), max(1, round(rest.look_interval / time_step)))
     tuner = _tuner(still, filling.largest_radius, state.count, dem)
-
-    def one_frame(time: float, *frame: FloatArray) -> Trajectory:
-        return Trajectory(np.array([time]), *(array[None] for array in frame), state.radius)
-
-    run, rests = Run(ENGINES[dem.engine], state, still, time_step, tuner, one_frame), False
+    record = FrameRecord(still, state.radius)  # of no frames but one where it fails
+    run, rests = Run(ENGINES[dem.engine], state, still, time_step, tuner, record), False
     with _followed(progress, None, "settling") as follow:
         while state.count and (not rests or state.time < scene.start_time - 1e-9):
             if not rests and state.time > filling.longest_settling:
                 raise SimulationError(
                     f"the bed of {scene.name!r} is not at rest after {filling.longest_settling:g} s of settling: "
                     f"{rest.what_moves()}",
-                    one_frame(state.time, state.position, state.velocity, state.angular_velocity),
+                    record.trajectory((state.time, state.position, state.velocity, state.angular_velocity)),
                 )
             run.advance(substeps)
             state = replace(run.state(), time=run.time)
@@ -191,13 +184,12 @@ def _frame_times(scene: Scene, start: float, end: float) -> list[float]:
     exact, passed = (end - start) / interval, round((start - scene.start_time) / interval)
     if abs(exact - round(exact)) > 1e-6 * max(1.0, abs(exact)):
         raise ValueError(f"end_time={end:g} s is not a whole number of frames of {interval:g} s after {start:g} s")
-    if abs(scene.start_time + passed * interval - start) >= 1e-6 * interval:
-        return [start + k * interval for k in range(1, round(exact) + 1)]
-    return [scene.start_time + (passed + k) * interval for k in range(1, round(exact) + 1)]
+    on_grid = abs(scene.start_time + passed * interval - start) < 1e-6 * interval
+    first, passed = (scene.start_time, passed) if on_grid else (start, 0)
+    return [first + (passed + k) * interval for k in range(1, round(exact) + 1)]
 
 
 def _sorted_history(history: ContactHistory) -> ContactHistory:
-    """By first, then second, whatever order an engine found the contacts in."""
     order = np.lexsort((history.second, history.first))
     return ContactHistory(*(array[order] for array in vars(history).values()))
 
@@ -205,8 +197,7 @@ def _sorted_history(history: ContactHistory) -> ContactHistory:
 @contextmanager
 def _followed(progress: bool | Callable[[float], None], total: int | None, label: str) -> Iterator[Callable[..., None]]:
     """What is called with steps, time in s and more words: it moves a bar, or tells a listener the time."""
-    # None: silent where stderr is no terminal.
-    silent = None if progress is True else True
+    silent = None if progress is True else True  # None: where stderr is no terminal
     with tqdm(total=total, desc=label, unit=" steps", unit_scale=True, leave=False, disable=silent) as bar:
 
         def follow(steps: int, time: float, said: str = "") -> None:

@@ -24,7 +24,6 @@ ERROR_FRACTION = 0.2  # of the contact time; a contact is no longer resolved
 ROUNDING = 1e-9  # relative; what is within it of a bound is at the bound
 # Height of fall that the impact speed is judged by where no drum states one.
 NOMINAL_FALL = 1.0  # m
-ALLOWED_BY = " (dem.allow_unsafe_step=true runs it all the same)"
 
 
 class TimeStepError(ValueError):
@@ -46,7 +45,7 @@ def impact_speed(scene: Scene) -> float:
     the speed of the walls.
     """
     fall, turning, reaches = scene.fall_height or NOMINAL_FALL, 0.0, []
-    speeds = [math.sqrt(2.0 * scene.gravity_strength * fall), 2.0 * scene.filling.largest_speed]
+    speeds = [math.sqrt(2.0 * scene.gravity_strength * fall), *(2.0 * math.hypot(*v) for v in scene.filling.velocities)]
     for wall in scene.walls:
         motion = scene.motion_of(wall)
         if isinstance(motion, Rotation):
@@ -60,11 +59,9 @@ def impact_speed(scene: Scene) -> float:
 
 
 def contact_times(scene: Scene, radius: float | None = None, speed: float | None = None) -> tuple[float, float]:
-    """Duration of an elastic impact, and the time of the damping at its deepest.
+    """Duration of an elastic impact and time of the damping at its deepest, s; the shortest of all meetings.
 
-    That is m*/γ with γ = α √(m* K) δmax^{1/4}, or I*/C_r of the dashpot against rolling (rolling.py) with
-    I* = 2/5 m* r², what two spheres turn against each other with. Of all pairs of materials and walls the shortest,
-    s; inf at speed 0.
+    The latter is m*/γ with γ = α √(m* K) δmax^{1/4}, or I*/C_r of rolling.py with I* = 2/5 m* r²; inf at speed 0.
 
     The radius of the smallest sphere, m, is the filling's where None; the speed, m/s, that of :func:`impact_speed`.
     """
@@ -108,71 +105,41 @@ def choose_time_step(
         TimeStepError: one beyond 0.2 t_c that is not allowed.
     """
     contact_time, damping_time = contact_times(scene, radius)
-    warnings: list[str] = []
     if requested is None:
         r = scene.filling.smallest_radius if radius is None else radius
         rayleigh = min(rayleigh_time(r, m.density, m.shear_modulus, m.poisson_ratio) for m in scene.materials)
         largest = min(TIME_STEP_FRACTION * min(rayleigh, contact_time), DAMPING_FRACTION * damping_time)
         return dividing_step(scene.frame_interval, largest), ()
     requested = checked(DemConfig, "time_step", requested)
-    step, given = dividing_step(scene.frame_interval, requested), f"dem.time_step={requested:g} s"
+    step, given, shortened = dividing_step(scene.frame_interval, requested), f"dem.time_step={requested:g} s", ()
     if step < requested * (1.0 - ROUNDING):
+        whole = f"a whole fraction of the frame interval {scene.frame_interval:g} s"
+        shortened = (f"{given} was shortened to {step:.6g} s, {whole}",)
         given += f", shortened to {step:.6g} s,"
-        warnings.append(
-            f"dem.time_step={requested:g} s was shortened to {step:.6g} s, "
-            f"a whole fraction of the frame interval {scene.frame_interval:g} s"
-        )
-    share = step / contact_time * (1.0 + ROUNDING)
-    if share >= ERROR_FRACTION:
-        message = (
-            f"{given} is {step / contact_time:.2g} of the shortest contact time {contact_time:.3g} s "
-            f"and cannot resolve it; the largest safe step is {_safe_step(scene, contact_time):.10g} s"
-        )
-        if not allow_unsafe:
-            raise TimeStepError(message + ALLOWED_BY)
-        warnings.append(message)
-    elif share >= WARNING_FRACTION:
-        warnings.append(
-            f"{given} is {step / contact_time:.2g} of the shortest contact time {contact_time:.3g} s; "
-            "from a tenth on, restitution depends on the step"
-        )
-    return step, tuple(warnings)
+    return step, shortened + unresolved(scene, step, given, allow_unsafe, radius)
 
 
-def unresolved(scene: Scene, radius: float, time_step: float, speed: float) -> tuple[str, bool]:
-    """What is wrong with a step where spheres meet walls or each other at a speed, m/s, and whether it is an error.
-
-    Empty where nothing is. ``radius`` is of the smallest sphere, m; ``time_step`` in s.
-    """
-    contact_time, _ = contact_times(scene, radius, speed)
-    share = time_step / contact_time * (1.0 + ROUNDING)
-    if share < WARNING_FRACTION:
-        return "", False
-    fatal = share >= ERROR_FRACTION
-    return (
-        f"the step of {time_step:g} s is {share:.2g} of the contact time {contact_time:.3g} s at that speed and "
-        f"{'cannot resolve it' if fatal else 'lets restitution depend on the step'}; set dem.time_step to at most "
-        f"{_safe_step(scene, contact_time):.10g} s"
-    ), fatal
-
-
-def check_closing_speed(
-    scene: Scene, radius: float, time_step: float, speed: float, allow_unsafe: bool
+def unresolved(
+    scene: Scene, step: float, given: str, allow_unsafe: bool, radius: float | None, speed: float | None = None
 ) -> tuple[str, ...]:
-    """What is :func:`unresolved` at the speed at which the spheres of a first state close in; nothing, or a warning.
+    """A warning that begins with ``given`` if a step, s, is too long for :func:`contact_times`, else nothing.
 
     Raises:
         TimeStepError: a step beyond 0.2 t_c that is not allowed.
     """
-    said, fatal = unresolved(scene, radius, time_step, speed)
-    message = f"spheres of the first state close in at up to {speed:.3g} m/s: {said}"
+    contact_time, _ = contact_times(scene, radius, speed)
+    share = step / contact_time * (1.0 + ROUNDING)
+    if share < WARNING_FRACTION:
+        return ()
+    fatal, safe = share >= ERROR_FRACTION, WARNING_FRACTION * contact_time * (1.0 - 1e-6)
+    said = (
+        f"{given} is {share:.2g} of the shortest contact time {contact_time:.3g} s and "
+        f"{'cannot resolve it' if fatal else 'lets restitution depend on the step'}; set dem.time_step to less: "
+        f"the largest safe step is {dividing_step(scene.frame_interval, safe):.10g} s"
+    )
     if fatal and not allow_unsafe:
-        raise TimeStepError(message + ALLOWED_BY)
-    return (message,) if said else ()
-
-
-def _safe_step(scene: Scene, contact_time: float) -> float:
-    return dividing_step(scene.frame_interval, WARNING_FRACTION * contact_time * (1.0 - 1e-6))
+        raise TimeStepError(f"{said} (dem.allow_unsafe_step=true runs it all the same)")
+    return (said,)
 
 
 def dividing_step(interval: float, largest: float) -> float:

@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gran_bench.scene import Motion, Plane, Rotation, Scene, Translation, Vibration, Wall
-from gran_bench.scene.walls import turns_into_itself
+from gran_bench.scene import Motion, Plane, Rotation, Scene, Wall
+from gran_bench.scene.walls import any_normal_to, toward_segment, turns_into_itself
 from gran_bench.state import FloatArray
 
 PLANE, CYLINDER, REVOLUTION, ABSENT = 0.0, 1.0, 2.0, -1.0
@@ -31,10 +31,8 @@ COLUMNS = 22
 def wall_poses(scene: Scene, start: float, time_step: float, steps: int, first: int = 0) -> FloatArray:
     """Every wall at every force evaluation of a stretch, ``(steps + 1, W, 22)``.
 
-    Row 0 is where the stretch starts. Row k has the walls' shape at the end of its step k and their velocity at that
-    step's middle. Where nothing changes the rows are one row, broadcast. Times come from whole steps, not from sums, so
-    that a pose does not depend on where stretches begin: the stretch comes ``first`` steps after ``start``, in s of the
-    scene's clock.
+    Row 0 is where the stretch starts, ``first`` steps after ``start``, s; row k has the shapes at the end of its step k
+    and the velocities at that step's middle. Where nothing changes the rows are one row, broadcast.
     """
     table = np.array([_drawn(wall) for wall in scene.walls]).reshape(1, -1, COLUMNS)
     table[..., SURFACE] = scene.surfaces
@@ -71,41 +69,34 @@ def _moved(
     wall: Wall, drawn: FloatArray, motion: Motion | None, end: FloatArray, middle: FloatArray, time_step: float
 ) -> FloatArray:
     """Rows of one wall, ``(1, 22)`` where all are equal, else ``(steps + 1, 22)``."""
+    rows = np.tile(drawn, (len(end), 1))
     if isinstance(motion, Rotation):
-        rows = _turned(wall, drawn, motion, end, middle)
+        axis, point = np.asarray(motion.axis), np.asarray(motion.point)
+        rows[:, SPIN], rows[:, REFERENCE] = np.outer(motion.angular_speed(middle), axis), point
+        if not turns_into_itself(wall, motion.axis, motion.point):
+            angle, center = motion.angles(end), np.asarray(wall.point) - point
+            rows[:, POINT] = point + _rotated(center, axis, angle)
+            rows[:, DIRECTION] = _rotated(drawn[DIRECTION], axis, angle)
+            # No point of the shape is farther from the axis than this, and nothing turns faster.
+            reach = np.linalg.norm(np.cross(center, axis)) + max(np.hypot(r, s) for r, s in wall.meridian)
+            rows[1:, PATH] = motion.largest_angular_speed * np.diff(end) * reach
+        elif end[0] >= motion.times[-1]:
+            rows = rows[:1]
     elif motion is not None:
-        rows = np.tile(drawn, (len(end), 1))
         rows[:, POINT] += motion.displacement(end)
-        rows[:, VELOCITY] = motion.velocity(middle)
-        rows[1:, PATH] = _path(wall, motion, time_step)
+        rows[:, VELOCITY], velocity = motion.velocity(middle), motion.extreme_velocities
+        if wall.contains:  # without an end: what moves along itself travels nothing
+            along = np.outer(velocity @ np.asarray(wall.direction), wall.direction)
+            velocity = along if isinstance(wall, Plane) else velocity - along
+        rows[1:, PATH] = np.linalg.norm(velocity, axis=1).max() * time_step
     else:
-        rows = drawn[None]
+        rows = rows[:1]
     if wall.opens is not None:
         # A clock that was added up may be a rounding error short of the opening.
         gone = end >= wall.opens - 1e-9 * max(1.0, abs(wall.opens))
         if gone.any():
-            rows = np.repeat(rows, len(end), axis=0) if len(rows) == 1 else rows
+            rows = np.array(np.broadcast_to(rows, (len(end), COLUMNS)))
             rows[gone, KIND] = ABSENT
-    return rows
-
-
-def _turned(wall: Wall, drawn: FloatArray, turn: Rotation, end: FloatArray, middle: FloatArray) -> FloatArray:
-    axis, point = np.asarray(turn.axis), np.asarray(turn.point)
-    symmetric = turns_into_itself(wall, turn.axis, turn.point)
-    if symmetric and end[0] >= turn.times[-1]:
-        rows = drawn[None]
-        rows[:, SPIN], rows[:, REFERENCE] = turn.angular_speed(end[0]) * axis, point
-        return rows
-    rows = np.tile(drawn, (len(end), 1))
-    rows[:, SPIN], rows[:, REFERENCE] = np.outer(turn.angular_speed(middle), axis), point
-    if symmetric:
-        return rows
-    angle, center = turn.angles(end), np.asarray(wall.point) - point
-    rows[:, POINT] = point + _rotated(center, axis, angle)
-    rows[:, DIRECTION] = _rotated(drawn[DIRECTION], axis, angle)
-    # No point of the shape is farther from the axis than this, and nothing turns faster.
-    reach = np.linalg.norm(np.cross(center, axis)) + max(np.hypot(r, s) for r, s in wall.meridian)
-    rows[1:, PATH] = turn.largest_angular_speed * np.diff(end) * reach
     return rows
 
 
@@ -115,26 +106,12 @@ def _rotated(vector: FloatArray, axis: FloatArray, angle: FloatArray) -> FloatAr
     return along + np.outer(np.cos(angle), vector - along) + np.outer(np.sin(angle), np.cross(axis, vector))
 
 
-def _path(wall: Wall, motion: Translation | Vibration, time_step: float) -> float:
-    """Most that a shape can travel in a step, m; a wall without an end that moves along itself travels nothing."""
-    velocity = motion.extreme_velocities
-    if wall.contains:
-        along = np.outer(velocity @ np.asarray(wall.direction), wall.direction)
-        velocity = along if isinstance(wall, Plane) else velocity - along
-    return float(np.linalg.norm(velocity, axis=1).max()) * time_step
-
-
 def wall_contact(pose: FloatArray, position: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Closest point of a wall: distance of each centre, and the unit vector from it to the wall.
 
-    Args:
-        pose: ``(22,)`` a row of the table.
-        position: ``(N, 3)`` m.
-
-    Returns:
-        ``(N,)`` m, negative beyond a plane or a cylinder, never negative for a surface that has two sides, and
-        infinite for an absent wall; and ``(N, 3)``. On the axis of a cylinder without an end, and right on a surface
-        that has two sides, no direction is closer than another: there the vector is zero, and no force acts.
+    Of a ``(22,)`` row of the table and ``(N, 3)`` positions, m: ``(N,)`` m, negative beyond a plane or a cylinder and
+    infinite for an absent wall; and ``(N, 3)``. On the axis of a cylinder without an end, and right on a surface that
+    has two sides, no direction is closer than another: there the vector is zero, and no force acts.
     """
     kind, direction = pose[KIND], pose[DIRECTION]
     offset = position - pose[POINT]
@@ -148,22 +125,11 @@ def wall_contact(pose: FloatArray, position: FloatArray) -> tuple[FloatArray, Fl
     outward = np.divide(radial, reach[:, None], out=np.zeros_like(radial), where=reach[:, None] > 0)
     if kind == CYLINDER:
         return pose[7] - reach, outward
-    # In the half plane (distance from the axis, height along it) the closest point is that of a straight segment.
-    r0, s0, r1, s1 = pose[SIZES]
-    dr, ds = r1 - r0, s1 - s0
-    share = np.clip(((reach - r0) * dr + (along - s0) * ds) / (dr * dr + ds * ds), 0.0, 1.0)
-    across, up = r0 + share * dr - reach, s0 + share * ds - along
+    across, up = toward_segment(pose[SIZES], reach, along)
     distance = np.hypot(across, up)
     outward[reach == 0.0] = any_normal_to(direction)
     vector = across[:, None] * outward + np.outer(up, direction)
     return distance, np.divide(vector, distance[:, None], out=np.zeros_like(vector), where=distance[:, None] > 0)
-
-
-def any_normal_to(direction: FloatArray) -> FloatArray:
-    """A unit vector across a unit vector, the same every time: where all ways out from an axis are alike."""
-    smallest = int(np.argmin(np.abs(direction)))
-    across = np.cross(direction, np.eye(3)[smallest])
-    return across / np.linalg.norm(across)
 
 
 def surface_velocity(pose: FloatArray, point: FloatArray) -> FloatArray:
@@ -172,10 +138,7 @@ def surface_velocity(pose: FloatArray, point: FloatArray) -> FloatArray:
 
 
 def largest_excess(scene: Scene, poses: FloatArray, position: FloatArray) -> FloatArray:
-    """How far each centre lies beyond the containing wall that it passed furthest, ``(N,)`` m; negative inside.
-
-    Only walls that have one side contain; ``poses`` are ``(W, 22)`` of this instant.
-    """
+    """How far each centre lies beyond the wall with one side that it passed furthest, ``(N,)`` m; negative inside."""
     excess = np.full(len(position), -np.inf)
     for wall, pose in zip(scene.walls, poses, strict=True):
         if wall.contains:

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation as Turn
 
 from gran_bench.dataset import Case
-from gran_bench.dem.walls import ABSENT, KIND, any_normal_to, surface_velocity, wall_poses
+from gran_bench.dem.walls import ABSENT, KIND, surface_velocity, wall_poses
 from gran_bench.scene import Plane, Rotation, Scene, Wall
+from gran_bench.scene.walls import any_normal_to
 from gran_bench.state import FloatArray
 
 AROUND = 72  # points on a circle
@@ -67,7 +68,7 @@ def container(case: Case) -> tuple[FloatArray, FloatArray]:
 
 def _surface(wall: Wall, scene: Scene, corner: FloatArray) -> tuple[FloatArray, np.ndarray]:
     if isinstance(wall, Plane) and scene.drum_radius is not None:
-        return _revolved(wall.point, wall.normal, (0.0, 0.0), (scene.drum_radius, 0.0))
+        return _revolved(wall.point, wall.direction, (0.0, 0.0), (scene.drum_radius, 0.0))
     offset = corner - np.array(wall.point)
     if isinstance(wall, Plane):  # the part before the box
         first = any_normal_to(np.array(wall.normal))
@@ -75,9 +76,9 @@ def _surface(wall: Wall, scene: Scene, corner: FloatArray) -> tuple[FloatArray, 
         a, b = offset @ first, offset @ second
         ends = [(a.min(), b.min()), (a.max(), b.min()), (a.max(), b.max()), (a.min(), b.max())]
         return np.array([wall.point + s * first + t * second for s, t in ends]), np.array([[0, 1, 2], [0, 2, 3]])
-    along = offset @ np.array(wall.axis)
+    along = offset @ np.array(wall.direction)
     return _revolved(
-        wall.point, wall.axis, *(wall.meridian or ((wall.radius, along.min()), (wall.radius, along.max())))
+        wall.point, wall.direction, *(wall.meridian or ((wall.radius, along.min()), (wall.radius, along.max())))
     )
 
 

@@ -116,8 +116,8 @@ def import_arrays(
     states = [ParticleState(*row, radius, clock[k], material=material) for k, row in enumerate(rows)]
     for k, state in enumerate(states):
         inside = taking_part(scene, state.position)
-        part = state if inside is None else part_of(state, inside)
-        beyond[k] = (largest_excess(scene, poses[k], state.position) > radius) & (True if inside is None else inside)
+        part = state if inside.all() else part_of(state, inside)
+        beyond[k] = (largest_excess(scene, poses[k], state.position) > radius) & inside
         with np.errstate(divide="ignore", invalid="ignore"):  # two centres in one place have no normal
             history = Stretch(part, physics, 1.0, poses[k : k + 1]).state().history if part.count else part.history
         figures.append(contact_diagnostics(scene, replace(state, history=history)))

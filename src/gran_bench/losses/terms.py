@@ -168,7 +168,7 @@ def contact_overlaps(position: Tensor, scene: Scene, time: float) -> Tensor:
     if not torch.isfinite(position).all():
         return (position.sum() * math.nan).reshape(1)
     inside = taking_part(scene, position.detach().cpu().numpy())
-    if inside is not None:
+    if not inside.all():
         position = position[torch.from_numpy(inside).to(position.device)]
     diameter, radius = scene.filling.diameter, scene.filling.radius
     found = tree_pairs(position.detach().cpu().double().numpy(), diameter, scene.period)

@@ -2,5 +2,3 @@
 
 from gran_bench.neighbors.cells import bin_cells, cell_neighbors, list_pairs
 from gran_bench.neighbors.tree import IndexArray, check_period, nearest_image, tree_pairs
-
-__all__ = ["IndexArray", "bin_cells", "cell_neighbors", "check_period", "list_pairs", "nearest_image", "tree_pairs"]

@@ -8,8 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from gran_bench.neighbors.kernel import entry, kernel
-from gran_bench.neighbors.llvm import LANES, clear_lowest, lowest_lane, near_lanes
+from gran_bench.neighbors.kernel import LANES, clear_lowest, entry, kernel, lowest_lane, near_lanes
 from gran_bench.neighbors.tree import IndexArray, check_period, wrapped
 from gran_bench.state import FloatArray
 
@@ -17,14 +16,10 @@ from gran_bench.state import FloatArray
 def cell_neighbors(
     query: FloatArray, source: FloatArray, reach: float, period: float = 0.0
 ) -> tuple[IndexArray, IndexArray]:
-    """Every source point closer than ``reach``, m, to every query point, without a cap.
+    """Query and source index, ``(M,)`` each, of every source point closer than ``reach``, m, to every query point.
 
-    Args:
-        query, source: ``(Q, 3)`` and ``(S, 3)`` m.
-        period: length of the periodic y axis, m; 0 for none.
-
-    Returns:
-        Query and source index of each hit, ``(M,)`` each, sorted by query; a point among both is its own neighbour.
+    They are sorted by query; a point among both is its own neighbour. Of ``(Q, 3)`` and ``(S, 3)`` m, and the length of
+    the periodic y axis, m; 0 for none.
 
     Raises:
         ValueError: a period that is shorter than twice the reach.
@@ -100,8 +95,7 @@ def list_pairs(
 
     Args:
         sphere, margin: ``(N, 4)`` x, y, z and radius, m; radius 0 makes ``margin`` the distance of centres, m.
-        period: length of the periodic y axis, m; 0 for none.
-        begin, end: only pairs whose first is in ``begin … end − 1``; all where ``end`` is negative.
+        period, begin, end: of y, m, or 0; only pairs whose first is in ``begin … end − 1``, all where that is −1.
 
     Raises:
         ValueError: a coordinate or a size that is not finite, or a reach of nothing.
@@ -167,11 +161,7 @@ def find_pairs(sphere, margin, period, begin, stop, order, start, cells, x, y, z
 
 @kernel
 def _half_shell(cell, cells, start, period, run_begin, run_end):
-    """The runs of ranks that a cell may meet: itself and the 13 of its 26 neighbours that come after it.
-
-    Three cells of a row are one run, so the half shell is five: the rest of the row, the next row, and three rows of
-    the layer above. Returns how many particles they hold.
-    """
+    """Five runs of ranks: a cell and the 13 neighbours that come after it; returns how many particles they hold."""
     nx, ny, nz = cells[0], cells[1], cells[2]
     column, line, layer = cell % nx, (cell // nx) % ny, cell // (nx * ny)
     left, right = max(0, column - 1), min(nx - 1, column + 1)

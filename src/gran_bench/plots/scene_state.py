@@ -56,8 +56,7 @@ def _view(scene: Scene, state: ParticleState) -> tuple[FloatArray, FloatArray]:
 def _draw_spheres(axes: Axes, scene: Scene, state: ParticleState, depth: float) -> None:
     beside = state.position[:, 1] - depth
     size = 2.0 * np.sqrt(np.maximum(0.0, state.radius**2 - beside**2))
-    inside = taking_part(scene, state.position)
-    left = np.zeros(state.count, bool) if inside is None else ~inside
+    left = ~taking_part(scene, state.position)
 
     def circles(which: np.ndarray, **look: Any) -> EllipseCollection:
         cut = size[which]

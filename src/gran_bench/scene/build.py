@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from gran_bench.config import BoxConfig, ContainerConfig, FillingConfig, HopperConfig, SceneConfig
 from gran_bench.config.registry import WALLS
 from gran_bench.scene.errors import SceneError
-from gran_bench.scene.filling import Filling, Room
+from gran_bench.scene.filling import Filling, Room, Sizes
 from gran_bench.scene.material import Material, PairCoefficients
 from gran_bench.scene.motion import Rotation
 from gran_bench.scene.scene import Scene
-from gran_bench.scene.sizes import Sizes
 from gran_bench.scene.walls import Cone, Cylinder, Disc, Outlet, Plane, Wall, box
 
 UP, ALONG = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)

@@ -24,13 +24,11 @@ def scene_errors() -> Iterator[None]:
 
 
 def hold(part: Any, place: str, schema: type[Section] | None = None, unit: str = "", **rules: Rule | None) -> None:
-    """Hold the fields of a part of a scene against their types and rules; arrays and lists become tuples.
+    """Hold the fields of a frozen dataclass against their types and rules; arrays and lists become tuples.
 
     Args:
-        part, place: a frozen dataclass, and where it stands in the names of its fields, with a dot at its end.
-        schema: the config section that describes such a part; its keys have the rules of the fields of their names.
-        unit: field that is a unit vector.
-        rules: of fields that no config key describes, or whose rule is another. A number without a rule is finite.
+        place, unit: what stands before the names of the fields, with a dot at its end; field that is a unit vector.
+        schema, rules: the config section whose keys have the rules of the fields of their names; other rules.
 
     Raises:
         SceneError: names the field, the value and what is legal.

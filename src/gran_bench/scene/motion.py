@@ -1,8 +1,4 @@
-"""How walls move: schedules that are piecewise linear in time, and sinusoidal vibration.
-
-Every motion is a pure function of the scene's clock, so that a run that goes on from a frame finds its walls where
-the run that did not stop had them.
-"""
+"""How walls move: pure functions of the scene's clock, piecewise linear in time or sinusoidal."""
 
 from __future__ import annotations
 
@@ -77,11 +73,6 @@ class Rotation:
     def is_still(self) -> bool:
         """Whether nothing ever turns."""
         return not any(self.speeds_rpm)
-
-    @property
-    def is_constant(self) -> bool:
-        """Whether there is one speed, from the first knot on."""
-        return len(set(self.speeds_rpm)) == 1
 
     @property
     def largest_angular_speed(self) -> float:

@@ -15,8 +15,7 @@ from gran_bench.scene.errors import SceneError, hold, scene_errors
 from gran_bench.scene.filling import Filling, Room, drum_sites, open_sites, room_sites
 from gran_bench.scene.material import Material, PairCoefficients
 from gran_bench.scene.motion import RADIANS_PER_SECOND_PER_RPM, Motion, Rotation
-from gran_bench.scene.seams import SAME_POINT, surfaces, travels
-from gran_bench.scene.walls import Outlet, Plane, Wall
+from gran_bench.scene.walls import SAME_POINT, Outlet, Plane, Wall, surfaces, travels
 from gran_bench.state import FloatArray, ParticleState
 
 
@@ -176,7 +175,7 @@ class Scene:
     @property
     def takes_speeds(self) -> bool:
         """Whether the cases of a data set give it their speeds: a drum that has no schedule of its own."""
-        return self.drum_radius is not None and self.rotation.is_constant
+        return self.drum_radius is not None and len(set(self.rotation.speeds_rpm)) == 1
 
     @property
     def fall_height(self) -> float | None:

@@ -1,8 +1,7 @@
-"""Analytic walls, a few lines each: where they are, how they move, and until when they are there.
+"""Analytic walls: where they are, how they move, and until when they are there.
 
-A flat wall and an infinite cylinder contain: particles live on one side. Every other wall is a thin surface of
-revolution, given by a straight segment in the half plane of (distance from the axis, height along it); particles
-may touch it from both sides and at its rims.
+A flat wall and an infinite cylinder contain. Every other wall is thin, with two sides: a surface of revolution, given
+by a straight segment in the half plane of (distance from the axis, height along it).
 """
 
 from __future__ import annotations
@@ -12,11 +11,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
+
 from gran_bench.config.rules import Range, at_least, checked_value, positive
 from gran_bench.scene.errors import SceneError, hold, scene_errors
-from gran_bench.scene.motion import Motion, Vector
+from gran_bench.scene.motion import Motion, Rotation, Vector
+from gran_bench.state import FloatArray
 
 METRES, SIZE, ANY_SIZE = Range(unit="m"), positive("m"), at_least(0, "m")
+
+# Sphere radii within which two points of walls are one. The contact patch has a radius of √(δ/r) sphere radii: at an
+# overlap of a millionth of the radius it is as wide.
+SAME_POINT = 1e-3
+RIM_POINTS = 256  # by which a rim is looked at
 
 Segment = tuple[tuple[float, float], tuple[float, float]]
 
@@ -44,7 +51,7 @@ class Surface:
     @property
     def direction(self) -> Vector:
         """Unit normal of a plane or a disc, unit vector along the axis of any other wall."""
-        return self.axis
+        return getattr(self, "normal", None) or self.axis
 
 
 @dataclass(frozen=True)
@@ -56,11 +63,6 @@ class Plane(Surface):
 
     def __post_init__(self) -> None:
         hold(self, "plane.", unit="normal", point=METRES)
-
-    @property
-    def direction(self) -> Vector:
-        """Its normal."""
-        return self.normal
 
 
 @dataclass(frozen=True)
@@ -95,11 +97,6 @@ class Disc(Surface):
         hold(self, "disc.", unit="normal", point=METRES, radius=SIZE, hole=ANY_SIZE)
         if not self.hole < self.radius:
             raise SceneError(f"disc.hole={self.hole:g} is impossible; choose a value in [0, {self.radius:g}) m")
-
-    @property
-    def axis(self) -> Vector:
-        """Of revolution."""
-        return self.normal
 
     @property
     def meridian(self) -> Segment:
@@ -195,3 +192,78 @@ class Outlet:
 
     def __post_init__(self) -> None:
         hold(self, "outlet.", unit="normal", point=METRES, radius=SIZE)
+
+
+def surfaces(
+    walls: tuple[Wall, ...], motions: tuple[Rotation | Motion | None, ...], tolerance: float
+) -> tuple[int, ...]:
+    """Number of the surface that each wall is a piece of, from 1; 0 for a wall that meets no other.
+
+    Walls meet within ``tolerance``, m. Walls that travel relative to each other may meet.
+    """
+    number = list(range(len(walls)))
+    moving = [travels(wall, motion) for wall, motion in zip(walls, motions, strict=True)]
+    for a, one in enumerate(walls):
+        for b in range(a):
+            together = motions[a] == motions[b] or not (moving[a] or moving[b])
+            if number[a] != number[b] and _meet(one, walls[b], tolerance, together):
+                number = [number[b] if n == number[a] else n for n in number]
+    shared = [n for n in dict.fromkeys(number) if number.count(n) > 1]
+    return tuple(shared.index(n) + 1 if n in shared else 0 for n in number)
+
+
+def travels(wall: Wall, motion: Rotation | Motion | None) -> bool:
+    """Whether a wall's shape goes elsewhere, and not only its surface along it."""
+    turning = isinstance(motion, Rotation) and turns_into_itself(wall, motion.axis, motion.point)
+    return motion is not None and not turning
+
+
+def _meet(one: Wall, other: Wall, tolerance: float, together: bool) -> bool:
+    """Whether two walls share an edge, or may come to share one."""
+    if one.contains and other.contains:
+        if type(one) is not type(other) or not np.allclose(np.cross(one.direction, other.direction), 0.0):
+            return False
+        if isinstance(one, Plane):
+            facing = np.dot(one.normal, other.normal) > 0.0
+            return facing and (not together or _distance(other, np.array([one.point]))[0] <= tolerance)
+        apart = np.cross(np.subtract(one.point, other.point), other.axis)
+        return abs(one.radius - other.radius) <= tolerance and (not together or np.linalg.norm(apart) <= tolerance)
+    return not together or any(
+        _distance(second, points).min() <= tolerance + gap
+        for first, second in ((one, other), (other, one))
+        for points, gap in _rims(first)
+    )
+
+
+def _rims(wall: Wall) -> list[tuple[FloatArray, float]]:
+    """Points of each rim, ``(256, 3)`` m, and half the arc from one to the next."""
+    axis, angle = np.asarray(wall.direction), 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+    across = any_normal_to(axis)
+    around = np.outer(np.cos(angle), across) + np.outer(np.sin(angle), np.cross(axis, across))
+    return [(wall.point + rho * around + s * axis, np.pi * rho / RIM_POINTS) for rho, s in wall.meridian or ()]
+
+
+def _distance(wall: Wall, points: FloatArray) -> FloatArray:
+    """Of points from a wall where it is drawn, ``(P,)`` m."""
+    offset, direction = points - wall.point, np.asarray(wall.direction)
+    along = offset @ direction
+    if isinstance(wall, Plane):
+        return np.abs(along)
+    reach = np.linalg.norm(offset - np.outer(along, direction), axis=1)
+    if wall.meridian is None:
+        return np.abs(reach - wall.radius)
+    return np.hypot(*toward_segment(np.ravel(wall.meridian), reach, along))
+
+
+def toward_segment(segment: FloatArray, reach: FloatArray, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Way to the closest point of (ρ₀, s₀, ρ₁, s₁) in the half plane, from points at (ρ, s) = (reach, along), m."""
+    r0, s0, r1, s1 = segment
+    dr, ds = r1 - r0, s1 - s0
+    share = np.clip(((reach - r0) * dr + (along - s0) * ds) / (dr * dr + ds * ds), 0.0, 1.0)
+    return r0 + share * dr - reach, s0 + share * ds - along
+
+
+def any_normal_to(direction: FloatArray) -> FloatArray:
+    """A unit vector across a unit vector, the same every time: where all ways out from an axis are alike."""
+    across = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    return across / np.linalg.norm(across)

@@ -6,8 +6,8 @@ import numpy as np
 
 from gran_bench.config import DemConfig
 from gran_bench.dataset.generation import nudged
-from gran_bench.dem.simulate import SimulationError, dividing_step, simulate
-from gran_bench.dem.time_step import contact_times
+from gran_bench.dem.simulate import SimulationError, simulate
+from gran_bench.dem.time_step import contact_times, dividing_step
 from gran_bench.metrics.angle_of_repose import center_of_mass_angles
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import FloatArray, ParticleState

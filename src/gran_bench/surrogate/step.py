@@ -95,7 +95,7 @@ class Surrogate(nn.Module):
         A sphere whose centre is beyond the scene's outlet keeps its last state and touches nothing, as in the DEM.
         """
         inside = taking_part(scene, state.position.detach().cpu().numpy())
-        if inside is None:
+        if inside.all():
             return self.advance(state, scene, time)
         return _rejoined(state, inside, lambda part: self.advance(part, scene, time)) if inside.any() else state
 

@@ -1,22 +1,17 @@
-"""Threads that run one jitted loop together: a barrier that costs less than a step, and a way out of it.
-
-A step of a small scene takes a tenth of a millisecond, so threads meet by spinning on shared memory, and hand their
-core on only when the others are late. The barrier orders memory: what a thread wrote before it, all see after it.
-"""
+"""Threads that run one jitted loop together: they meet by spinning, and what one wrote before, all see after."""
 
 from __future__ import annotations
 
 import sys
-import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from gran_bench.neighbors.kernel import kernel
-from gran_bench.neighbors.llvm import emitted
+from gran_bench.neighbors.kernel import emitted, kernel
 
 # Places of a gate, a cache line apart.
 ARRIVED, ROUND, ABANDONED = 0, 8, 16
@@ -69,22 +64,14 @@ def run_together(run: Callable[[int], int], threads: int, gate: np.ndarray) -> l
     """``run(thread)`` of every thread, the first on the caller's own; an error lets the others through the barriers."""
     if threads == 1:
         return [run(0)]
-    results: list = [None] * threads
-    errors: list[BaseException] = []
 
-    def guarded(thread: int) -> None:
+    def guarded(thread: int) -> int:
         try:
-            results[thread] = run(thread)
-        except BaseException as error:
-            errors.append(error)
+            return run(thread)
+        except BaseException:
             gate[ABANDONED] = 1
+            raise
 
-    others = [threading.Thread(target=guarded, args=(thread,), daemon=True) for thread in range(1, threads)]
-    for other in others:
-        other.start()
-    guarded(0)
-    for other in others:
-        other.join()
-    if errors:
-        raise errors[0]
-    return results
+    with ThreadPoolExecutor(threads - 1) as pool:
+        others = [pool.submit(guarded, thread) for thread in range(1, threads)]
+        return [guarded(0), *(other.result() for other in others)]

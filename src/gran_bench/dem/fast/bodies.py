@@ -31,26 +31,25 @@ def known_contacts(history: ContactHistory, name: np.ndarray, rolling: bool) -> 
         Known(history.first[part], history.second[part], slot[part], moment[part] if rolling else np.zeros((0, 4)))
         for part in (is_pair, ~is_pair)
     )
-    return _renamed(pairs, name), walls._replace(first=name[walls.first], second=-1 - walls.second)
+    return _renamed(pairs, walls, name)
 
 
 def contact_history(parts: list[tuple[Known, Known]], name: np.ndarray) -> ContactHistory:
     """What a state remembers: contacts of each part in turn, pairs and then walls, with row i called ``name[i]``."""
-    named = []
-    for pairs, walls in parts:
-        named += [_renamed(pairs, name), walls._replace(first=name[walls.first], second=-1 - walls.second)]
+    named = [known for pairs, walls in parts for known in _renamed(pairs, walls, name)]
     first, second, slot, moment = (np.concatenate(arrays) for arrays in zip(*named, strict=True))
     rolling = moment[:, :3].copy() if len(moment) else None
     return ContactHistory(first, second, slot[:, :3].copy(), slot[:, 3].copy(), rolling)
 
 
-def _renamed(pairs: Known, name: np.ndarray) -> Known:
-    """Pairs of rows with other names, the lower one first; what they remember turns with them."""
+def _renamed(pairs: Known, walls: Known, name: np.ndarray) -> tuple[Known, Known]:
+    """Contacts with other names, the lower one of a pair first (its memory turns), and walls as −1 − w or back."""
     first, second = name[pairs.first], name[pairs.second]
     turn = np.ones((len(first), 4))
     turn[second < first, :3] = -1.0
     slot, moment = pairs.slot * turn, pairs.moment * turn[: len(pairs.moment)]
-    return Known(np.minimum(first, second), np.maximum(first, second), slot, moment)
+    pairs = Known(np.minimum(first, second), np.maximum(first, second), slot, moment)
+    return pairs, walls._replace(first=name[walls.first], second=-1 - walls.second)
 
 
 class Bodies(NamedTuple):

@@ -1,8 +1,7 @@
 """The laws of many contacts at once, in SIMD: those of contact.py and rolling.py, to which tests hold them (jitted).
 
-A block of contacts is laid out as columns of one flat buffer, one lane a contact. Quantities that a body keeps as a row
-of four come as four columns at once (rows.py). Loops are short: in long ones each contact would wait for a chain of
-roots and divisions too long to overlap with the next ones.
+A block is laid out as columns of one flat buffer, one lane a contact. Loops are short: in long ones each contact would
+wait for a chain of roots and divisions too long to overlap with the next ones.
 """
 
 from __future__ import annotations
@@ -79,9 +78,8 @@ def pair_geometry(buffer, size):
 def slip_spins(buffer, size, unequal, full_radius):
     """Σ ω of a block → Σ arm × ω, with which spins add to the slip; and the lever arms of unequal spheres.
 
-    Contacts end on the plane of the circle where the spheres intersect: arm₁ = ½ d + s and arm₂ = ½ d − s with
-    s = (r₁² − r₂²) / 2 d, so that Σ arm × ω = ½ d (ω₁ + ω₂) + s (ω₁ − ω₂). With full radii, slip takes r₁ and r₂ in
-    the place of the arms: ½ (r₁ + r₂) (ω₁ + ω₂) + ½ (r₁ − r₂) (ω₁ − ω₂).
+    With arm₁ = ½ d + s, arm₂ = ½ d − s and s = (r₁² − r₂²) / 2 d this is ½ d (ω₁ + ω₂) + s (ω₁ − ω₂); with full radii,
+    ½ (r₁ + r₂) (ω₁ + ω₂) + ½ (r₁ − r₂) (ω₁ − ω₂).
     """
     quarter, half = buffer.dtype.type(0.25), buffer.dtype.type(0.5)
     for k in range(size):
@@ -120,8 +118,7 @@ def normal_law(buffer, size, dt):
 def slip_and_turn(buffer, size):
     """Slip velocity into the columns of the spins; the history turned with the contact plane, not yet of its length.
 
-    What leaves the plane is removed, and the length will be kept but for √(δ / δ before) where the contact shrinks;
-    ``RESCALE`` is the square of what that takes. A new contact, whose overlap before is zero, remembers nothing.
+    ``RESCALE`` becomes the square of what restores the length. A new contact, with zero before, remembers nothing.
     """
     zero = buffer.dtype.type(0.0)
     for k in range(size):

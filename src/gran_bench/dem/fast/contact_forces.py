@@ -7,7 +7,7 @@ import numpy as np
 from gran_bench.dem.fast import contact_blocks as block
 from gran_bench.dem.fast import rows
 from gran_bench.dem.fast.contact_blocks import BLOCK, contact_laws, fill_law, pair_geometry, slip_spins, torques, watch
-from gran_bench.dem.fast.contact_list import overlapping
+from gran_bench.dem.fast.lists import overlapping
 from gran_bench.dem.fast.wall_list import shape_of, toward_wall
 from gran_bench.dem.rolling import CONTACT_INERTIA
 from gran_bench.dem.seams import another_answers, hand_over
@@ -22,22 +22,17 @@ def pair_forces(
 ):  # fmt: skip
     """Adds the forces and torques of the touching pairs among places ``begin … end − 1`` of an inner list.
 
-    Bodies N and N + 1, and place 0 of the list, are spare: they fill the lanes that a block does not need. Row 0 of the
-    old histories is zero, for pairs that remember nothing.
+    Bodies N and N + 1, and place 0 of the list, fill the lanes that a block does not need; row 0 of the old histories
+    is zero, for pairs that remember nothing. Returns ``contacts`` and the number of touching pairs.
 
     Args:
-        sphere, …, material: of `Bodies`; ``ahead`` is what v still gains until the step's end, m/s.
-        force, torque: ``(N + 2, 4)``, added to.
+        sphere, …, material; force, torque: of `Bodies`; ``(N + 2, 4)``, added to.
         near_i, near_j, memory: inner list; row of history of each of its pairs when it last touched, 0 for never.
         touched, remembered: place of the pair of each old row; end of the old rows.
         active, contacts: place of each touching pair, written from ``contacts`` ≥ 1 on, as rows of the new histories.
         old_slot, …, buffer: histories of the last evaluation and of this one, and scratch, as in `Lists`.
-        laws: ``(S, S, 5)`` (4/3 E*, 8 G*, α, μ, μ_r).
-        tangential, rolling, unequal, several, full_radius: what is needed: friction, rolling model, sizes or masses
-            that differ, materials that do; slip with full radii.
-        dt: s over which histories are loaded.
-
-    Returns ``contacts`` and the number of touching pairs.
+        laws, dt: ``(S, S, 5)`` (4/3 E*, 8 G*, α, μ, μ_r); s over which histories are loaded.
+        tangential, …, full_radius: friction, rolling model, unequal sizes or masses, several materials, LAMMPS' slip.
     """
     found = overlapping(sphere, near_i, near_j, begin, end, period, active, contacts)
     for row in range(found, found + 3):
@@ -101,10 +96,8 @@ def wall_forces(
     sphere, velocity, spin, ahead, material, force, torque, wall_i, wall_w, memory, start, touched, remembered, active,
     contacts, geometry, old_slot, slot, old_moment, moment, buffer, laws, walls, tangential, rolling, full_radius, dt,
 ):  # fmt: skip
-    """Adds the forces and torques of the touching walls of a chunk, each by the law of its material and wall.
-
-    ``start`` has the place of the chunk's first contact with each wall, and of the end of the last; ``geometry`` gets
-    direction and distance of the touching ones. The rest is as in :func:`pair_forces`, or in `Lists`.
+    """As :func:`pair_forces` of the touching walls of a chunk, whose contacts with each wall begin at ``start``;
+    ``geometry`` gets direction and distance of the touching ones.
     """
     found = contacts
     for w in range(len(walls)):

@@ -1,12 +1,8 @@
 """The fast engine: a stretch of steps on one or more threads, jitted from one neighbour search to the next.
 
-Bodies are rows of four doubles, sorted in space and moved as SIMD vectors (rows.py). Pairs are flat half lists, pruned
-often, searched for rarely, with dense histories (contact_list.py). A branchless filter packs the touching ones; blocks
-of them are gathered into columns, computed in SIMD, and scattered (contact_forces.py). Threads own chunks of
-neighbouring particles for the whole stretch and meet twice a step (barrier.py).
-
-Neither pauses nor skin nor threads change a bit: lists are in one order, and the chunks, each with loads of its own
-that are added in one order, depend on the number of particles alone.
+Threads own chunks of neighbouring particles for the whole stretch and meet twice a step. Lists are in one order, and
+the chunks, each with loads of its own that are added in one order, depend on the number of particles alone: so neither
+pauses nor skin nor threads change a bit.
 """
 
 from __future__ import annotations
@@ -45,8 +41,7 @@ class Stretch:
     """Steps that share an order of the particles; it pauses wherever its state is asked for.
 
     Args:
-        state: where it starts; at least one particle.
-        physics, time_step: laws, gravity, skin, threads and precision; Δt, s.
+        state, physics, time_step: where it starts, one particle or more; laws, skin, threads, precision; Δt, s.
         walls: ``(steps + 1, W, 22)`` poses of the walls at each force evaluation (walls.py).
         held: forces and order that the state comes with; None where both are its own. Then forces load no history.
 
@@ -100,11 +95,7 @@ class Stretch:
         self._lists_end = [bool(self._walls[:, :, PATH].any())] * self.threads
 
     def run(self, steps: int) -> None:
-        """Goes on, so many steps.
-
-        Raises:
-            Divergence: a speed that crosses a quarter of a radius in a step, or is not finite.
-        """
+        """Goes on, so many steps; a :class:`Divergence` where a speed crosses a quarter of a radius in a step."""
         self._progress[:, PAUSE] = self._progress[0, STEP] + steps
         culprit = barrier.run_together(self._march, self.threads, self.gate)[0]
         if culprit >= 0:
@@ -151,11 +142,7 @@ class Stretch:
         return self._lists[thread].known(last % 2, progress[PAIRS], progress[WALLS])
 
     def state(self) -> ParticleState:
-        """The state of this pause, with its touching contacts and what they remember.
-
-        Raises:
-            Divergence: a value that is not finite.
-        """
+        """The state of this pause, with its touching contacts and what they remember; or a :class:`Divergence`."""
         position, velocity, spin = as_given(self.bodies._replace(**self._whole_velocities()))
         steps = int(self._progress[0, STEP])
         threads = 1 if self._last_evaluation(0) == self._known_at[0] else self.threads

@@ -1,9 +1,7 @@
 """Rows of four and columns of a block: SIMD loads, transposes and stores that Numba does not find by itself.
 
-Bodies are rows of four doubles in arrays ``(N, 4)``; the laws run over columns, one lane a contact, in a flat buffer
-whose column c begins at ``c × BLOCK``. These functions carry four contacts at a time from one to the other, in the
-place of loops like ``for lane, c: buffer[(first + c) * BLOCK + k + lane] = a[i[lane], c] - a[j[lane], c]``; tests hold
-them against such loops. The buffer may be float32 while the bodies are float64.
+Bodies are rows of four doubles in arrays ``(N, 4)``; column c of a block begins at ``c × BLOCK`` of a flat buffer of
+float64 or float32, one lane a contact. These functions carry four contacts at a time from one to the other.
 """
 
 from __future__ import annotations
@@ -12,7 +10,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from gran_bench.neighbors.llvm import DOUBLE, INT64, Argument, Emitter, emitted
+from gran_bench.neighbors.kernel import DOUBLE, INT64, Argument, Emitter, emitted
 
 BLOCK = 64  # contacts of a block: its buffer stays in the first-level cache
 
@@ -120,16 +118,16 @@ def gather_rows(e, buffer, first, place, body, i):
     e.to_columns(e.rows(body, i), buffer, first, place)
 
 
-@emitted(types.void, _Rows)
-def gather_difference(e, buffer, first, place, body, i, j):
-    """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i] − body[j]."""
-    e.to_columns(list(map(e.builder.fsub, e.rows(body, i), e.rows(body, j))), buffer, first, place)
+def _gathered(operation: str):
+    """An intrinsic as `gather_rows` of two rows of a body, body[i] and body[j], added or subtracted."""
+
+    def gather(e, buffer, first, place, body, i, j):
+        e.to_columns(list(map(getattr(e.builder, operation), e.rows(body, i), e.rows(body, j))), buffer, first, place)
+
+    return emitted(types.void, _Rows)(gather)
 
 
-@emitted(types.void, _Rows)
-def gather_sum(e, buffer, first, place, body, i, j):
-    """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i] + body[j]."""
-    e.to_columns(list(map(e.builder.fadd, e.rows(body, i), e.rows(body, j))), buffer, first, place)
+gather_difference, gather_sum = _gathered("fsub"), _gathered("fadd")
 
 
 @emitted(types.void, _Rows)
@@ -177,11 +175,7 @@ def squared_gap(e, sphere, i, j):
 
 @emitted(types.void, _Rows)
 def kick_row(e, body, load, i, gx, gy, gz, closing, ahead, opening):
-    """body[i] += closing × a, then body[i] += opening × a, with a = body[i, 3] load[i] + g; load[i] = 0.
-
-    Rounded in between, as where a step ends. ahead[i] becomes opening × a. The fourth place of a body is its 1/m or
-    1/I, and stays: the fourth of a load is zero.
-    """
+    """body[i] += closing × a, then body[i] += opening × a = ahead[i], with a = body[i, 3] load[i] + g; load[i] = 0."""
     gravity = ir.Constant(_QUAD, [0.0] * _LANES)
     for axis, component in enumerate((gx, gy, gz)):
         gravity = e.builder.insert_element(gravity, component.value, ir.Constant(ir.IntType(32), axis))
@@ -190,7 +184,7 @@ def kick_row(e, body, load, i, gx, gy, gz, closing, ahead, opening):
 
 @emitted(types.void, _Rows)
 def twist_row(e, body, load, i, closing, opening):
-    """body[i] += closing × a, then body[i] += opening × a, with a = body[i, 3] load[i]; load[i] = 0."""
+    """The same without g and ahead."""
     _kick(e, body, load, i, None, closing, opening)
 
 

@@ -2,11 +2,8 @@
 
 pruned list, where something moved far → forces → meet → kick and drift → meet
 
-It pauses between forces and kick, so a pause changes nothing: who wants the state of a pause takes copies, and closes
-their step with half a kick.
-
-Chunk c adds the loads of its pairs to rows of its own, ``force[c]`` and ``torque[c]``, for its particles and for those
-of later chunks that its pairs reach. Before a kick the owner of a particle takes over what earlier chunks left there.
+It pauses between forces and kick, so a pause changes nothing. Chunk c adds the loads of its pairs to rows of its own,
+``force[c]`` and ``torque[c]``; before a kick the owner of a particle takes over what earlier chunks left there.
 """
 
 from __future__ import annotations
@@ -15,10 +12,9 @@ import math
 
 import numpy as np
 
+from gran_bench.dem.fast import lists
 from gran_bench.dem.fast.barrier import meet
 from gran_bench.dem.fast.contact_forces import pair_forces, wall_forces
-from gran_bench.dem.fast.contact_list import INNER_SHARE, largest_displacement, overlapping
-from gran_bench.dem.fast.lists import NEAR, NEAR_I, NEAR_J, NEAR_MEMORY
 from gran_bench.dem.fast.rows import kick_row, move_row, twist_row
 from gran_bench.neighbors.kernel import entry, kernel
 
@@ -44,25 +40,20 @@ def march(
     """One thread's share of the steps, until the next lists are needed or it is to pause.
 
     Evaluation k is of the positions after step k. Number 0 is of the state itself and loads no history. Histories come
-    twice: an evaluation reads the one of the last and writes the other.
+    twice: an evaluation reads the one of the last and writes the other. Returns the row that diverged, or see above.
 
     Args:
-        thread, threads, gate: which of how many; gate of barrier.py.
         bounds, reach: ``(C + 1,)`` first particle of each chunk; ``(C,)`` end of what its pairs touch.
         told, progress: ``(threads, ≥ 5)`` and ``(7,)``, see above.
-        sphere, …, material: of `Bodies`; they hold the state at the end.
+        sphere, …, material; pair_i, …, wall_buffer: of `Bodies`, which hold the state at the end; of `Lists`.
         force, torque: ``(C, N + 2, 4)`` zeros where forces are due; else a chunk's rows hold those of its particles.
-        pair_i, …, wall_buffer: of `Lists`.
-        walls: ``(≥ steps + 1, W, 22)`` poses of the first step and of those to the pause.
-        fastest_allowed: m²/s², beyond which a particle diverges.
-        tangential, rolling, unequal, full_radius: what is needed, as in :func:`contact_forces.pair_forces`.
-
-    Returns the row that diverged, ``PAUSED`` or ``SEARCH``.
+        walls, fastest_allowed: ``(≥ steps + 1, W, 22)`` poses; m²/s², beyond which a particle diverges.
+        tangential, …, full_radius: what is needed, as in :func:`contact_forces.pair_forces`.
     """
     several = len(pair_laws) > 1
     chunk, stop = thread * (len(bounds) - 1) // threads, (thread + 1) * (len(bounds) - 1) // threads
     begin, end = bounds[chunk], bounds[stop]
-    near_i, near_j, near_memory = inner_list[NEAR_I], inner_list[NEAR_J], inner_list[NEAR_MEMORY]
+    near_i, near_j, near_memory = inner_list[lists.NEAR_I], inner_list[lists.NEAR_J], inner_list[lists.NEAR_MEMORY]
     step, travelled = progress[STEP], told[thread, TRAVELLED]
     remembered, walls_remembered, pairs = progress[PAIRS], progress[WALLS], progress[PAIRS]
     if travelled == np.inf:
@@ -71,7 +62,7 @@ def march(
     while True:
         if progress[DUE]:
             old, new = (step - 1) % 2, step % 2
-            if travelled > INNER_SHARE:
+            if travelled > lists.INNER_SHARE:
                 # Only before an evaluation: what the outer list knows of histories lasts for one inner list.
                 _prune_chunks(
                     sphere, margin, pruned_at, bounds, reach, chunk, stop, start, pair_i, pair_j, memory, inner_list,
@@ -97,7 +88,7 @@ def march(
             remembered, walls_remembered = pairs, wall_contacts
             progress[PAIRS], progress[WALLS], progress[DUE] = pairs, wall_contacts, 0
             meet(gate, threads)
-            take_over(force, torque, bounds, reach, chunk, stop, tangential)
+            _take_over(force, torque, bounds, reach, chunk, stop, tangential)
         if step == progress[PAUSE]:
             told[thread, TRAVELLED] = travelled
             return np.int64(PAUSED)
@@ -124,17 +115,17 @@ def march(
         # The path of whoever is fastest for its margin bounds all displacements at no cost; only when it leaves the
         # reach of the inner list are the true displacements looked at.
         travelled += dt * math.sqrt(pace)
-        if travelled > INNER_SHARE:
+        if travelled > lists.INNER_SHARE:
             told[thread, SINCE_PRUNING] = travelled
             if travelled < np.inf:
-                told[thread, SINCE_PRUNING] = largest_displacement(sphere, pruned_at, inverse_square, begin, end)
-            told[thread, SINCE_SEARCH] = largest_displacement(sphere, searched_at, inverse_square, begin, end)
+                told[thread, SINCE_PRUNING] = lists.largest_displacement(sphere, pruned_at, inverse_square, begin, end)
+            told[thread, SINCE_SEARCH] = lists.largest_displacement(sphere, searched_at, inverse_square, begin, end)
             meet(gate, threads)
             travelled, since_search = 0.0, 0.0
             for other in range(threads):
                 travelled = max(travelled, told[other, SINCE_PRUNING])
                 since_search = max(since_search, told[other, SINCE_SEARCH])
-            if travelled > INNER_SHARE and since_search > 1.0 - INNER_SHARE:
+            if travelled > lists.INNER_SHARE and since_search > 1.0 - lists.INNER_SHARE:
                 return np.int64(SEARCH)
 
 
@@ -143,25 +134,21 @@ def _prune_chunks(
     sphere, margin, pruned_at, bounds, reach, chunk, stop, start, pair_i, pair_j, memory, inner_list, near_start,
     touched, rows, period,
 ):  # fmt: skip
-    """Makes the inner list of chunks ``chunk … stop − 1`` anew; ``touched`` then has the new places of its pairs.
-
-    ``touched`` has the place in the old one of the pair of each row of history, and ``rows`` the end of those rows;
-    what came with the outer list is known to it.
-    """
+    """Makes the inner list of chunks anew; ``touched``, whose rows end at ``rows``, has its places before and after."""
     begin = bounds[chunk]
-    near, near_i, near_j = inner_list[NEAR], inner_list[NEAR_I], inner_list[NEAR_J]
-    near_memory = inner_list[NEAR_MEMORY]
+    near, near_i, near_j = inner_list[lists.NEAR], inner_list[lists.NEAR_I], inner_list[lists.NEAR_J]
+    near_memory = inner_list[lists.NEAR_MEMORY]
     # The outer list knows the rows of history only while the inner one is made.
     for row in range(1, rows):
         memory[near[touched[row]]] = row
     for i in range(begin, len(margin)):
         for k in range(3):
             pruned_at[i, k] = sphere[i, k]
-        pruned_at[i, 3] = sphere[i, 3] + INNER_SHARE * margin[i]
+        pruned_at[i, 3] = sphere[i, 3] + lists.INNER_SHARE * margin[i]
     for c in range(chunk, stop):
         low, high = np.int64(start[bounds[c] - begin]), np.int64(start[bounds[c + 1] - begin])
         first, furthest = near_start[c - chunk], bounds[c + 1]
-        last = overlapping(pruned_at, pair_i, pair_j, low, high, period, near, first)
+        last = lists.overlapping(pruned_at, pair_i, pair_j, low, high, period, near, first)
         for q in range(first, last):
             p = near[q]
             near_i[q], near_j[q], near_memory[q] = pair_i[p], pair_j[p], memory[p]
@@ -173,7 +160,7 @@ def _prune_chunks(
 
 
 @kernel
-def take_over(force, torque, bounds, reach, chunk, stop, tangential):
+def _take_over(force, torque, bounds, reach, chunk, stop, tangential):
     """Moves what earlier chunks left for the particles of ``chunk … stop − 1`` to the loads of their own chunk."""
     for c in range(chunk, stop):
         for earlier in range(c):
@@ -188,9 +175,7 @@ def kick(
     velocity, spin, ahead, force, torque, inverse_square, bounds, chunk, stop, gravity, closing, opening, tangential,
     fastest_allowed,
 ):  # fmt: skip
-    """Velocities forward by what is left of a step and, in a kick of its own, by what opens the next.
-
-    ``ahead`` becomes what the same acceleration adds in the rest of the step that it opens, which is as long.
+    """Velocities forward by what is left of a step and, in a kick of its own, by what opens the next: ``ahead``.
 
     Returns the largest squared speed in margins, 1/s², and the first row that is too fast or not finite.
     """

@@ -1,8 +1,4 @@
-"""Skin and threads of the fast engine, chosen by the clock while the run goes on; neither changes a bit of the result.
-
-Every stretch is timed. A better neighbour of the present choice is looked for at the start and again from time to time:
-a bed that falls wants another skin than one that rests, and a machine that others use another number of threads.
-"""
+"""Skin and threads of the fast engine, chosen by the clock from stretch to stretch; neither changes a bit."""
 
 from __future__ import annotations
 
@@ -26,10 +22,7 @@ def available_threads() -> int:
 
 
 class Tuner:
-    """Gives each stretch of N particles its skin and threads, and learns from the time that it took.
-
-    The skin of ``physics`` is the usual one, which stays where the user chose it; so do threads unless None.
-    """
+    """Gives each stretch of N particles its skin and threads, where the user left them open, by the times they took."""
 
     def __init__(self, physics: Physics, count: int, skin_is_given: bool, threads: int | None) -> None:
         self._physics, self._usual_skin = physics, physics.skin

@@ -62,14 +62,10 @@ def _any_normal_to(ax, ay, az):
 
 @entry
 def list_wall_contacts(sphere, bounds, chunk, stop, walls, paths, margin, known_first, known_wall):
-    """Particles of ``chunk … stop − 1`` and walls that may touch in the rest of a stretch, and whose history is whose.
+    """Particles of ``chunk … stop − 1`` and walls that may touch in the rest of a stretch: ``wall_i …`` of `Lists`.
 
     Walls go ``paths``, ``(W,)`` m, in the rest of the stretch, and no particle further than ``margin``, ``(N,)`` m. The
-    known particles and walls touch; their rows of history are 1 … C.
-
-    Returns:
-        ``(≥ M + 1,)`` particle and wall, chunk by chunk, wall by wall; ``(M + 1,)`` row of history; ``(chunks W + 1,)``
-        place of the first contact of each chunk and wall. Place 0 is spare: the spare body N at the first wall.
+    known particles and walls touch; their rows of history are 1 … C. The spare body N is at place 0, at the first wall.
     """
     begin, end, count = bounds[chunk], bounds[stop], len(walls)
     known = np.zeros((end - begin, count), np.uint32)
