@@ -71,11 +71,7 @@ def not_told_apart(first: Entry, entries: Sequence[Entry]) -> list[Entry]:
 
 @dataclass(frozen=True)
 class EqualAccuracy:
-    """A method beside the fastest DEM that is as exact.
-
-    A DEM is significantly worse where the low end of its interval lies above the high end of the method's, and above
-    the DEM's own accuracy.
-    """
+    """A method beside the fastest DEM that is as exact."""
 
     entry: Entry
     rival: Entry | None  # the fastest DEM whose measured error is no larger; None where there is none
@@ -88,18 +84,16 @@ class EqualAccuracy:
 def equal_accuracy(entry: Entry, entries: Sequence[Entry], accepted: float | None) -> EqualAccuracy:
     """Whether a method that did not fail or the DEM is faster at equal accuracy, where the intervals allow to say so.
 
-    ``accepted`` is the DEM's own accuracy, in noise floors; None where it is not known.
+    A DEM is significantly worse where the low end of its interval lies above the high end of the method's, and above
+    the DEM's own accuracy ``accepted``, in noise floors; None where that is not known.
     """
     rival, bound = fastest_rival(entries, entry.floors, accepted), max(entry.most, accepted or 0.0)
     lenient = next((e for e in sound_dems(entries) if e.least <= bound), None)
     if lenient is None:
         return EqualAccuracy(entry, None, None, "alone")
 
-    def faster(dem: Entry | None) -> str:
-        ratio = Ratio(math.inf, math.inf, math.inf) if dem is None else speed_up(entry, dem)
-        return "neither" if not ratio.decides else "entry" if ratio.middle > 1.0 else "rival"
-
-    answers = {faster(rival), faster(lenient)}
+    ratios = [Ratio(math.inf, math.inf, math.inf) if dem is None else speed_up(entry, dem) for dem in (rival, lenient)]
+    answers = {"neither" if not r.decides else "entry" if r.middle > 1.0 else "rival" for r in ratios}
     return EqualAccuracy(entry, rival, lenient, answers.pop() if len(answers) == 1 else "undecided")
 
 

@@ -38,11 +38,7 @@ class Method:
     unfit_because: str = ""  # why it cannot answer for this scene; empty where it can
 
     def key(self, *conditions: str) -> str:
-        """A readable name of the method's files, with a hash of the job, how long it is, and under which conditions.
-
-        Args:
-            conditions: whatever else decides a measurement: code, hardware.
-        """
+        """A readable name of its files, with a hash of job, length and whatever else decides a measurement."""
 
         def name_of(value: Any) -> Any:
             # Without the folders that files are in: the same data in another place are the same data.
@@ -106,9 +102,11 @@ class Contest:
         found: Study = {"automatic": [], "largest": []}
         for modulus in moduli:
             scene = with_modulus(self.scene, modulus)
+            # The bed is led to a stiffer material by factors of ten.
+            stages = [home * 10.0**k for k in range(1, 9) if home * 10.0**k < modulus] + [modulus] * (modulus > home)
             for label, step in (("automatic", None), ("largest", largest_allowed_step(scene))):
                 dem = replace(self.config.dem, time_step=step, threads=1)
-                job = self._dem_job(self.case, dem, scene, [*_decades(home, modulus)])
+                job = self._dem_job(self.case, dem, scene, stages)
                 found[label].append((modulus, self._short(f"E = {modulus:g} Pa, {label} step", "dem", job)))
         for name in self.models:
             method = self._surrogate(name, self.case)
@@ -222,13 +220,3 @@ def why_unfit(card: ModelCard, scene: Scene, packing_seed: int) -> str:
 def largest_allowed_step(scene: Scene) -> float:
     """The largest step that the DEM takes without being told to: just under 0.2 of the contact time, s."""
     return dividing_step(scene.frame_interval, ERROR_FRACTION * contact_times(scene)[0] * (1.0 - 1e-6))
-
-
-def _decades(low: float, high: float) -> Iterator[float]:
-    """Moduli between the bed's and the wanted one, a factor of ten apart, the wanted one included; none if softer."""
-    modulus = 10.0 * low
-    while modulus < high:
-        yield modulus
-        modulus *= 10.0
-    if high > low:
-        yield high

@@ -50,24 +50,30 @@ def prepare(job: dict[str, Any]) -> Run:
     """Load whatever the method of a job (plain data) needs, so that a run of it is nothing but its own work."""
     if job["does"] == "interpolation":
         training = training_summaries(job)
-        return lambda frames, seed: _interpolated(job["rpm"], training)
+
+        def interpolated(frames: int, seed: int) -> Outcome:
+            interpolated_statistics(job["rpm"], training)
+            return Outcome(None)
+
+        return interpolated
     scene, (bed, _) = from_document(job["scene"]), read_settled(job["bed"])
     if job["does"] == "dem":
         return _dem(scene, bed, DemConfig(**job["dem"]), job["stages"])
     if job["does"] == "surrogate":
         return _surrogate(scene, bed, job["model"])
-    return lambda frames, seed: Outcome(BASELINES[job["does"]](_cut(scene, bed, frames), nudged(bed, NUDGE, seed)))
+
+    def run(frames: int, seed: int) -> Outcome:
+        end = bed.time + frames * scene.frame_interval
+        cut = scene if np.isclose(end, scene.end_time) else replace(scene, end_time=end)
+        return Outcome(BASELINES[job["does"]](cut, nudged(bed, NUDGE, seed)))
+
+    return run
 
 
 def training_summaries(job: dict[str, Any]) -> dict[float, TrajectorySummary]:
     """What the interpolation of a job lies between, by speed in rpm."""
     cases = {float(rpm): read_case(path) for rpm, path in job["cases"].items()}
     return {rpm: summarise(case.trajectory, case.scene) for rpm, case in cases.items()}
-
-
-def _interpolated(rpm: float, training: dict[float, TrajectorySummary]) -> Outcome:
-    interpolated_statistics(rpm, training)
-    return Outcome(None)
 
 
 def with_modulus(scene: Scene, modulus: float) -> Scene:
@@ -104,18 +110,11 @@ def _surrogate(scene: Scene, bed: ParticleState, path: str) -> Run:
 
     def run(frames: int, seed: int) -> Outcome:
         result = rollout(model, scene, nudged(bed, NUDGE, seed), frames + 1)
-        if result.failed_frame is None:
-            return Outcome(result.trajectory)
-        reason = f"not finite from frame {result.failed_frame} on"
-        return Outcome(result.trajectory, reason, result.failed_frame - 1)
+        failed = result.failed_frame
+        reason = () if failed is None else (f"not finite from frame {failed} on", failed - 1)
+        return Outcome(result.trajectory, *reason)
 
     return run
-
-
-def _cut(scene: Scene, bed: ParticleState, frames: int) -> Scene:
-    """The scene, ended ``frames`` frames after the state of the bed."""
-    end = bed.time + frames * scene.frame_interval
-    return scene if np.isclose(end, scene.end_time) else replace(scene, end_time=end)
 
 
 def _timed(run: Run, frames: int, seed: int, keep: str | None) -> dict[str, Any]:
@@ -162,22 +161,22 @@ def _resident_memory(field: str) -> int:
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-class _Server:
+def _server() -> Callable[[dict[str, Any]], dict[str, Any]]:
     """Prepares a method at the first request, and runs it at every further one."""
+    ready: list[Any] = []
 
-    run: Run | None = None
-    frames = 0
-
-    def __call__(self, request: dict[str, Any]) -> dict[str, Any]:
+    def answer(request: dict[str, Any]) -> dict[str, Any]:
         try:
-            if self.run is not None:
-                return _timed(self.run, self.frames, request["nudge_seed"], request["keep"])
-            self.run, self.frames = prepare(request["job"]), request["frames"]
-            self.run(min(WARM_UP, self.frames), request["nudge_seed"])
+            if ready:
+                return _timed(*ready, request["nudge_seed"], request["keep"])
+            ready[:] = prepare(request["job"]), request["frames"]
+            ready[0](min(WARM_UP, request["frames"]), request["nudge_seed"])
             return {"ready": True}
         except Exception as error:  # whatever a method dies of is its failure, not the benchmark's
             return {"died": f"{type(error).__name__}: {error}"}
 
+    return answer
+
 
 if __name__ == "__main__":
-    serve(_Server())
+    serve(_server())

@@ -15,7 +15,6 @@ from gran_bench.benchmark.claims import Entry
 from gran_bench.benchmark.contest import Method, Study
 from gran_bench.benchmark.errors import VELOCITY, Reference, Scored
 from gran_bench.benchmark.turns import Record
-from gran_bench.files import write_text
 
 RESULTS = "benchmark.json"
 FORMAT = 1  # of the file; a change makes a page refuse the older ones
@@ -53,16 +52,15 @@ def method_row(
     ``beside`` has the wall time of a simulated second of the DEM at its automatic step, s, by round: the unit of
     ``relative``, in which what slows a whole machine cancels.
     """
-    turns, seconds = record.turns if record else [], method.seconds
+    record, seconds = record or Record([]), method.seconds
+    turns = record.turns
     wall = [turn["wall_seconds"] / seconds for turn in turns]
     ratios = [t / beside[turn["round"]] for t, turn in zip(wall, turns, strict=True) if turn["round"] in beside]
     names = ("name", "kind", "unfit_because", "data_seconds", "training_seconds")
     spent = {name: getattr(method, name) for name in names}
-    spent |= {"simulated_seconds": seconds, "failure": record.failure if record else ""}
-    spent |= {"failed_seconds": record.failed_seconds if record else None, "wall": spread(wall)}
-    spent |= {"relative": spread(ratios), "cpu_seconds": None}
-    if turns:
-        spent["cpu_seconds"] = float(np.median([turn["cpu_seconds"] for turn in turns])) / seconds
+    spent |= {"simulated_seconds": seconds, "failure": record.failure, "failed_seconds": record.failed_seconds}
+    cpu = float(np.median([turn["cpu_seconds"] for turn in turns])) / seconds if turns else None
+    spent |= {"wall": spread(wall), "relative": spread(ratios), "cpu_seconds": cpu}
     spent |= {key: max((turn[key] for turn in turns), default=None) for key in ("peak_bytes", "own_bytes")}
     found = {"floors": None, "floors_low": None, "floors_high": None, "by": "", "outside": 0, "judgement": None}
     if scored is not None:
@@ -90,16 +88,10 @@ def succeeded(point: dict[str, Any]) -> bool:
 
 
 def reference_facts(reference: Reference, replicas: int, runs: int, automatic: float | None) -> dict[str, Any]:
-    """The ranked errors and what the DEM's own accuracy in them is.
+    """The ranked errors and the DEM's own accuracy in them, as plain data; None where there are too few replicas.
 
-    Args:
-        reference: the replicas.
-        replicas: how many.
-        runs: of each method, whose mean is its error.
-        automatic: the error of the DEM at its automatic step, in noise floors; None where that failed.
-
-    Returns:
-        Plain data; ``noise`` and ``accepted`` are None where there are too few replicas.
+    The error of a method is the mean of its runs; ``automatic`` is that of the DEM at its automatic step, in noise
+    floors, None where that failed.
     """
     noise = reference.noise(runs)
     # Where a bed comes to rest, nudges hardly grow, and the step of the DEM counts for more than its noise.
@@ -156,11 +148,6 @@ def untimed(found: dict[str, Any]) -> list[str]:
     return [row["name"] for row in rows]
 
 
-def write_results(folder: Path, found: dict[str, Any]) -> None:
-    """Write the results whole or not at all."""
-    write_text(folder / RESULTS, json.dumps(found, indent=1, allow_nan=False) + "\n")
-
-
 def read_results(path: Path) -> dict[str, Any]:
     """Results as they were kept.
 
@@ -181,7 +168,6 @@ def read_all(root: Path) -> dict[str, dict[str, Any]]:
     Raises:
         ResultsError: results of another format.
     """
-    paths = sorted(root.glob(f"*/*/{RESULTS}"))
-    thorough = {path.parent.name for path in paths if path.parts[-3] == "full"}
-    shown = [path for path in paths if path.parts[-3] == "full" or path.parent.name not in thorough]
-    return {f"{path.parts[-3]}/{path.parts[-2]}": read_results(path) for path in shown}
+    places = {(path.parts[-3], path.parts[-2]): path for path in sorted(root.glob(f"*/*/{RESULTS}"))}
+    shown = [(a, b) for a, b in places if a == "full" or ("full", b) not in places]
+    return {f"{profile}/{scene}": read_results(places[profile, scene]) for profile, scene in shown}

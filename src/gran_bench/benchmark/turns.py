@@ -29,13 +29,11 @@ ROUNDS_OF_A_SEED = 1000
 
 @dataclass(frozen=True)
 class Record:
-    """All turns of one method."""
+    """All turns of one method, as its process told them (`jobs.prepare`), by round; why it failed, if it did."""
 
-    # by round, as the method's process told them (`jobs.prepare`); none of a method that failed at once
     turns: list[dict[str, Any]]
-    failure: str = ""  # why it failed; empty where it did not
-    # wall time of a simulated second before it failed, s; None where it never got to a frame
-    failed_seconds: float | None = None
+    failure: str = ""
+    failed_seconds: float | None = None  # wall time of a simulated second before it failed; None without a frame
 
 
 def trajectory_file(folder: Path, index: int) -> Path:
@@ -54,11 +52,10 @@ def take_turns(
     after_round: Callable[[int, dict[str, Path]], None] = lambda index, folders: None,
     label: str = "timing",
 ) -> dict[str, Record]:  # fmt: skip
-    """Run every method once a round, and keep what was measured.
+    """Run every method that fits the scene once a round, and keep what was measured; records by the method's name.
 
     Args:
-        methods: that fit the scene; others are passed over.
-        rounds: how often.
+        methods, rounds: who, and how often.
         seed: of the order in each round, and of the nudges that the rounds start from.
         folder: of all measurements.
         conditions: what else decides a measurement (`Method.key`).
@@ -66,27 +63,24 @@ def take_turns(
         wants_frames: whether the frames of a method's round, in its folder, are still to be judged.
         after_round: called with the round and the folders of all methods, to judge what was kept.
         label: of the bar.
-
-    Returns:
-        Records by the method's name.
     """
     fit = [method for method in methods if not method.unfit_because]
     folders = {method.name: folder / method.key(*conditions) for method in fit}
 
-    def wants(method: Method, index: int) -> tuple[bool, bool]:
-        """Whether a turn is missing, and whether its frames are wanted."""
+    def keeps(method: Method, index: int) -> bool:
         place = folders[method.name]
-        frames_wanted = wants_frames(method, place, index) and not trajectory_file(place, index).exists()
-        if (place / FAILURE).exists():
-            return False, False
-        return frames_wanted or not _path(place, index).exists(), frames_wanted
+        return wants_frames(method, place, index) and not trajectory_file(place, index).exists()
 
-    for place in folders.values():
+    def wants(method: Method, index: int) -> bool:
+        place = folders[method.name]
+        return not (place / FAILURE).exists() and (keeps(method, index) or not _path(place, index).exists())
+
+    for failed in (place / FAILURE for place in folders.values()):
         # A run that diverged will diverge again; a process that died (of a lack of memory, say) gets another chance.
-        if (place / FAILURE).exists() and json.loads((place / FAILURE).read_text("utf-8"))["died"]:
-            (place / FAILURE).unlink()
+        if failed.exists() and json.loads(failed.read_text("utf-8"))["died"]:
+            failed.unlink()
     orders = [np.random.default_rng([seed, index]).permutation(len(fit)) for index in range(rounds)]
-    missing = [(fit[k], index) for index, order in enumerate(orders) for k in order if wants(fit[k], index)[0]]
+    missing = [(fit[k], index) for index, order in enumerate(orders) for k in order if wants(fit[k], index)]
     workers = {method.name: Worker("gran_bench.benchmark.jobs") for method, _ in missing}
     with tqdm(total=len(missing), desc=label, unit="run", disable=None, leave=False) as bar:
 
@@ -96,7 +90,7 @@ def take_turns(
             request = {"job": method.job, "frames": frames, "nudge_seed": nudge_seed(seed, 0)}
             answer = workers[method.name].ask(request, PATIENCE)
             if "died" in answer:
-                _fail(folders[method.name], answer["died"], died=True)
+                _note(method, answer, folders[method.name], 0, frame_interval)
 
         lanes = ThreadPoolExecutor(PREPARED_AT_A_TIME)
         try:
@@ -106,12 +100,11 @@ def take_turns(
                 list(lanes.map(prepare, some))
             for index in range(rounds):
                 for method in [method for method, when in missing if when == index]:
-                    wanted, keeps = wants(method, index)
                     bar.set_postfix_str(method.name, refresh=True)
                     bar.update()
-                    if wanted:
+                    if wants(method, index):
                         place = folders[method.name]
-                        keep = str(trajectory_file(place, index).resolve()) if keeps else None
+                        keep = str(trajectory_file(place, index).resolve()) if keeps(method, index) else None
                         request = {"nudge_seed": nudge_seed(seed, index), "keep": keep}
                         _note(method, workers[method.name].ask(request, PATIENCE), place, index, frame_interval)
                 after_round(index, folders)
@@ -125,11 +118,11 @@ def take_turns(
 
 def _note(method: Method, answer: dict[str, Any], folder: Path, index: int, frame_interval: float) -> None:
     """Write down what came of a run."""
-    if "died" in answer:
-        _fail(folder, answer["died"], died=True)
-    elif "failure" in answer:
-        reached = answer["reached"] * frame_interval
-        _fail(folder, answer["failure"], died=False, seconds=answer["wall_seconds"] / reached if reached else None)
+    if "died" in answer or "failure" in answer:
+        reached = answer.get("reached", 0) * frame_interval
+        found = {"failure": answer.get("died") or answer["failure"], "died": "died" in answer}
+        found["seconds"] = answer["wall_seconds"] / reached if reached else None
+        write_text(folder / FAILURE, json.dumps(found) + "\n")
     else:
         turn = {"round": index, **answer, "method": method.name}
         write_text(_path(folder, index), json.dumps(turn, indent=1) + "\n")
@@ -139,13 +132,7 @@ def _path(folder: Path, index: int) -> Path:
     return folder / f"round{index}.json"
 
 
-def _fail(folder: Path, message: str, died: bool, seconds: float | None = None) -> None:
-    write_text(folder / FAILURE, json.dumps({"failure": message, "died": died, "seconds": seconds}) + "\n")
-
-
 def _read(folder: Path, rounds: int) -> Record:
     turns = [json.loads(_path(folder, k).read_text("utf-8")) for k in range(rounds) if _path(folder, k).exists()]
-    if not (folder / FAILURE).exists():
-        return Record(turns)
-    failed = json.loads((folder / FAILURE).read_text("utf-8"))
-    return Record(turns, failed["failure"], failed["seconds"])
+    failed = json.loads((folder / FAILURE).read_text("utf-8")) if (folder / FAILURE).exists() else {}
+    return Record(turns, failed.get("failure", ""), failed.get("seconds"))
