@@ -31,14 +31,12 @@ from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_ti
 from gran_bench.provenance import read_table
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_model
-from gran_bench.stress import case_list, command, run, steps
+from gran_bench.stress import case_list, command, steps
 from gran_bench.stress.case_list import read_cases, shipped_cases
-from gran_bench.stress.command import StressFailed, chosen, run_stress
-from gran_bench.stress.expectation import Bound, Expectation, Failure, Observation, verdict
-from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.stress.command import Errand, StressFailed, carry_out, chosen, errands, run_stress
+from gran_bench.stress.expectation import Bench, Bound, Expectation, Experiment, Failure, Observation, verdict
 from gran_bench.stress.page import closing_line, row
 from gran_bench.stress.perform import EXPERIMENTS
-from gran_bench.stress.run import Errand, carry_out, errands, forget
 from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, save_model
 from gran_bench.surrogate.step import build_model
 
@@ -200,7 +198,7 @@ def test_the_documented_form_of_a_list_is_legal():
 def test_an_interrupted_run_goes_on_where_it_was(tmp_path, monkeypatch):
     cases = cases_of(CASE.replace("LIMIT", "1.0") + CASE.replace("LIMIT", "0.9").replace("gap", "other"))
     cases[1].parameters["overlap"] = 0.05
-    seen, perform = [], run.perform
+    seen, perform = [], command.perform
 
     def interrupted(**task):
         if seen:
@@ -208,7 +206,7 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, monkeypatch):
         seen.append(perform(**task))
         return seen[-1]
 
-    monkeypatch.setattr(run, "perform", interrupted)
+    monkeypatch.setattr(command, "perform", interrupted)
     with pytest.raises(KeyboardInterrupt):
         carry_out(errands(cases, [], tmp_path), tmp_path, 1, 60.0)
     monkeypatch.undo()
@@ -216,8 +214,6 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, monkeypatch):
     carry_out(again, tmp_path, 1, 60.0)
     assert [result.kept for result in again] == [True, False]
     assert again[0].outcome == seen[0]
-    forget(tmp_path)
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_step_of_the_data_is_held_against_the_floor_that_is_measured_beside_it(tmp_path, monkeypatch):
@@ -237,8 +233,8 @@ def test_what_was_kept_counts_no_more_once_any_code_config_or_list_has_changed(t
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("a = 1\n", "utf-8")
     monkeypatch.setattr(gran_bench, "__file__", str(tmp_path / "__init__.py"))
-    monkeypatch.setattr(run, "files", lambda package: tmp_path / package.removeprefix("gran_bench."))
-    monkeypatch.setattr(run, "package_digest", run.package_digest.__wrapped__)
+    monkeypatch.setattr(command, "files", lambda package: tmp_path / package.removeprefix("gran_bench."))
+    monkeypatch.setattr(command, "package_digest", command.package_digest.__wrapped__)
     cases, results = cases_of(CASE.replace("LIMIT", "1.0")), tmp_path / "results"
     (before,), (same,) = errands(cases, [], results), errands(cases, [], results)
     (tmp_path / file).write_text("a = 2\n", "utf-8")

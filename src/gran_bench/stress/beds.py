@@ -17,8 +17,7 @@ from gran_bench.metrics.outside import FailureCount, count_failures, counted
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
-from gran_bench.stress.expectation import Observation
-from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.stress.expectation import Bench, Experiment, Observation
 from gran_bench.stress.impacts import deepest_overlap
 
 STATE_ARRAYS = ("position", "velocity", "angular_velocity")

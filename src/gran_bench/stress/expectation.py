@@ -1,10 +1,17 @@
-"""What a stress case must show, what it showed, and the verdict: three forms of expectation, none of them vague."""
+"""What a stress experiment is, what a case of it must show, what it showed, and the verdict."""
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from textwrap import shorten
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gran_bench.surrogate.step import Surrogate
 
 MET, FLAGGED, FAILED = "met", "flagged", "FAILED"
 
@@ -98,13 +105,34 @@ def verdict(expectation: Expectation, outcome: Outcome) -> tuple[str, str]:
 
 def _found(expectation: Expectation, outcome: Observation) -> str:
     """The bounded quantities, or all where none is; then the flags, then what nothing flagged."""
-    seen, bounds = outcome.quantities, expectation.bounds
-    values = [f"{b.quantity} {seen.get(b.quantity, math.nan):.4g} {b.unit.removeprefix('-')}".rstrip() for b in bounds]
-    values = values or [f"{name} {value:.4g}" for name, value in seen.items()]
+    seen, units = outcome.quantities, {b.quantity: f" {b.unit.removeprefix('-')}" for b in expectation.bounds}
+    values = [f"{name} {seen.get(name, math.nan):.4g}{units.get(name, '')}".rstrip() for name in units or seen]
     hidden = [f"{outcome.unflagged} failures that no flag tells of"] if outcome.unflagged else []
     return "; ".join([*values, *map(_one_line, outcome.flags), *hidden])
 
 
-def _one_line(text: str, longest: int = 200) -> str:
-    line = " ".join(text.split())
-    return line if len(line) <= longest else line[: longest - 1] + "…"
+def _one_line(text: str) -> str:
+    return shorten(text, 200, placeholder=" …")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What an experiment may use beside its parameters."""
+
+    shared: Path  # folder of settled beds that the cases of a run share
+    model: Surrogate | None = None  # under stress, in evaluation mode; None for the DEM
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A kind of stress case."""
+
+    run: Callable[..., Observation]  # called with a bench and the parameters of the case by name
+    measures: Mapping[str, str]  # unit of each quantity by its name
+    of_model: bool = False  # whether it is done with a model
+    alone: bool = False  # whether nothing else may run beside it, because it takes times
+
+    @property
+    def parameters(self) -> dict[str, inspect.Parameter]:
+        """The parameters that a case may set, by name, with evaluated annotations."""
+        return dict(list(inspect.signature(self.run, eval_str=True).parameters.items())[1:])

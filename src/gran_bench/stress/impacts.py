@@ -10,8 +10,7 @@ import numpy as np
 from gran_bench.config import DemConfig
 from gran_bench.dem.simulate import simulate
 from gran_bench.state import ContactHistory, FloatArray, ParticleState
-from gran_bench.stress.expectation import Observation
-from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.stress.expectation import Bench, Experiment, Observation
 from gran_bench.verification import CASES, run_case
 from gran_bench.verification import laboratory as lab
 from gran_bench.verification.impacts import at_angles

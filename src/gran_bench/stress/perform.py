@@ -12,8 +12,7 @@ import torch
 
 from gran_bench.config.rules import ConfigError
 from gran_bench.stress.beds import BEDS
-from gran_bench.stress.expectation import Failure, Observation, Outcome
-from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.stress.expectation import Bench, Experiment, Failure, Observation, Outcome
 from gran_bench.stress.impacts import IMPACTS
 from gran_bench.stress.rollouts import ROLLOUTS
 from gran_bench.stress.steps import STEPS
@@ -42,9 +41,7 @@ def perform(kind: str, parameters: Mapping[str, Any], checkpoint: str, shared: s
 
 def outcome_of(document: Mapping[str, Any]) -> Outcome:
     """The outcome that plain data (`asdict`) describe."""
-    if "error" in document:
-        return Failure(**document)
-    return Observation(**document | {"flags": tuple(document["flags"])})
+    return Failure(**document) if "error" in document else Observation(**document | {"flags": (*document["flags"],)})
 
 
 def model_words(path: Path) -> tuple[str, str]:

@@ -17,8 +17,7 @@ from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import FloatArray, ParticleState
 from gran_bench.stress.beds import BED_UNITS, bed_in_place, farthest, image, seen_of
-from gran_bench.stress.expectation import Observation
-from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.stress.expectation import Bench, Experiment, Observation
 from gran_bench.stress.impacts import with_nan
 from gran_bench.surrogate.rollout import Rollout, rollout, step_frames
 from gran_bench.surrogate.step import FrameState, Surrogate, build_model

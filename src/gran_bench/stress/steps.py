@@ -12,8 +12,7 @@ from gran_bench.metrics.angle_of_repose import center_of_mass_angles
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import FloatArray, ParticleState
 from gran_bench.stress.beds import settled_bed
-from gran_bench.stress.expectation import Observation
-from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.stress.expectation import Bench, Experiment, Observation
 from gran_bench.verification.convergence import DRIFT_BOUND, elastic_energy, gas, quick_impact
 from gran_bench.verification.laboratory import SOFT, run
 

@@ -145,10 +145,8 @@ def _two_engines(steps: int) -> Iterator[tuple[str, ParticleState, ParticleState
         gap, smallest, begun = (1e-4, 0.9, 60) if modulus == lab.SOFT else (1e-6, 0.9999, 25)
         free = lab.laboratory(rough_material(modulus))
         falling = lab.run(free, cluster(200, 3, gap, smallest), step, begun).final
-        for name, (scene, state) in (
-            ("bed in a turning drum", _drum_bed(modulus, step)),
-            ("free cluster", (free, falling)),
-        ):
+        places = {"bed in a turning drum": _drum_bed(modulus, step), "free cluster": (free, falling)}
+        for name, (scene, state) in places.items():
             fast, plain = (lab.run(scene, state, step, steps, engine=engine).final for engine in ("numba", "numpy"))
             yield f"{name}, E {modulus:g} Pa", state, fast, plain
 

@@ -19,10 +19,9 @@ MET, FAILED, REFUSED, INTERRUPTED = 0, 1, 2, 130
 FOLDER = Path("results/verification")
 
 
-Draw = Callable[[Sequence[Outcome], Path], object]
-
-
-def run(draw: Draw, words: Sequence[str] | None = None, cases: Sequence[Case] = CASES) -> int:
+def run(
+    draw: Callable[[Sequence[Outcome], Path], object], words: Sequence[str] | None = None, cases: Sequence[Case] = CASES
+) -> int:
     """Verify the DEM; print a table with the worst point of each quantity, and write a page.
 
     Args:
@@ -45,21 +44,17 @@ def run(draw: Draw, words: Sequence[str] | None = None, cases: Sequence[Case] = 
             near = difflib.get_close_matches(name, names, 1)
             remedy = f"did you mean {near[0]}?" if near else "--list shows the names"
             return _refused(f"--case {name} is unknown; {remedy}")
-    chosen = [c for c in cases if (c.name in arguments.case or not arguments.case) and (c.quick or not arguments.quick)]
+    chosen = [c for c in cases if c.name in (arguments.case or names) and (c.quick or not arguments.quick)]
     if not chosen:
         return _refused("--quick leaves out the cases that --case names; give one of the two")
     whole = not (arguments.case or arguments.quick)
     # A part of the suite does not replace the page of the whole, unless it is told to.
     folder = arguments.output or (FOLDER if whole else None)
-    outcomes = []
     try:
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
         # None: silent where stderr is no terminal.
-        with tqdm(chosen, unit=" cases", leave=False, disable=None) as bar:
-            for case in bar:
-                bar.set_description(case.name)
-                outcomes.append(run_case(case))
+        outcomes = [run_case(case) for case in tqdm(chosen, unit=" cases", leave=False, disable=None)]
         print(table(outcomes))
         if folder is not None:
             draw(outcomes, folder)

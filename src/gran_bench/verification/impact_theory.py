@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -33,8 +32,7 @@ DOWN = np.array([0.0, -1.0])  # (x, z), from the first body to the second when t
 FIRST_OVERLAP = 1e-7  # of the largest one: where the integration starts and ends, for δ̇/δ is singular at touch
 
 
-@dataclass(frozen=True)
-class Rebound:
+class Rebound(NamedTuple):
     """Velocities when the bodies part, in the frame of their common centre of mass (of the wall, where one is)."""
 
     velocity: FloatArray  # ``(2,)`` of the first relative to the second, (x, z) m/s
@@ -47,10 +45,8 @@ class _Loads(NamedTuple):
     """A contact at one instant; the force is not cut off at zero: what looks ahead of the end needs a smooth one."""
 
     overlap: float
-    normal: FloatArray
-    across: FloatArray
-    arm1: float
-    arm2: float
+    normal: tuple[float, float]
+    arms: tuple[float, float]
     closing: float
     slip: float
     force: float
@@ -64,29 +60,23 @@ class _Equations:
         first, second = contact.first, contact.second
         self.overlap = overlap  # the largest, as a scale of lengths
         self.wall = second.is_wall
-        self.R1, self.R2 = first.radius, second.radius
         self.reach = first.radius if self.wall else first.radius + second.radius
+        self.squares = 0.0 if self.wall else first.radius**2 - second.radius**2
         self.mass, self.K = contact.effective_mass, contact.stiffness
         self.shear, self.friction = contact.shear_stiffness, second.material.friction
         self.alpha = damping(second.material.restitution)
-        self.inertia1 = 0.4 * first.mass * first.radius**2
-        self.inertia2 = math.inf if self.wall else 0.4 * second.mass * second.radius**2
+        self.inertia = [0.4 * body.mass * body.radius**2 for body in (first, second)]
 
     def loads(self, y: FloatArray) -> _Loads:
-        offset = self.reach * DOWN + y[:2]
-        if self.wall:
-            distance, normal = float(offset @ DOWN), DOWN
-            arm1, arm2 = distance, 0.0
-        else:
-            distance = math.hypot(*offset)
-            normal = offset / distance
-            arm1 = 0.5 * (distance + (self.R1**2 - self.R2**2) / distance)
-            arm2 = distance - arm1
-        across, overlap = np.array([normal[1], -normal[0]]), self.reach - distance
-        depth, closing = max(overlap, 0.0), float(y[2:4] @ normal)
+        x, z, vx, vz, spin1, spin2, _ = np.asarray(y).tolist()  # plain numbers: ten times as fast as arrays of two
+        z -= self.reach
+        distance = -z if self.wall else math.hypot(x, z)
+        nx, nz = (0.0, -1.0) if self.wall else (x / distance, z / distance)
+        arm1 = distance if self.wall else 0.5 * (distance + self.squares / distance)
+        arm2, overlap, closing = distance - arm1, self.reach - distance, vx * nx + vz * nz
+        depth, slip = max(overlap, 0.0), vx * nz - vz * nx + arm1 * spin1 + arm2 * spin2
         gamma = self.alpha * math.sqrt(self.mass * self.K * math.sqrt(depth))
-        slip = float(y[2:4] @ across) + arm1 * y[4] + arm2 * y[5]
-        return _Loads(overlap, normal, across, arm1, arm2, closing, slip, self.K * depth**1.5 + gamma * closing, gamma)
+        return _Loads(overlap, (nx, nz), (arm1, arm2), closing, slip, self.K * depth**1.5 + gamma * closing, gamma)
 
     def elastic_rate(self, y: FloatArray, at: _Loads) -> float:
         """ḣ of a sticking contact."""
@@ -101,10 +91,10 @@ class _Equations:
     def rates(self, y: FloatArray, sense: float) -> FloatArray:
         """ẏ; ``sense`` is the direction of sliding, or 0 of a sticking contact."""
         at = self.loads(y)
-        tangential = -sense * self.friction * at.force if sense else y[6] - at.gamma * at.slip
-        push = (-at.force * at.normal + tangential * at.across) / self.mass
-        spin1, spin2 = at.arm1 * tangential / self.inertia1, at.arm2 * tangential / self.inertia2
-        return np.array([-y[2], -y[3], *push, spin1, spin2, 0.0 if sense else self.elastic_rate(y, at)])
+        along = -sense * self.friction * at.force if sense else y[6] - at.gamma * at.slip
+        (nx, nz), spins = at.normal, (arm * along / inertia for arm, inertia in zip(at.arms, self.inertia, strict=True))
+        push = (along * nz - at.force * nx) / self.mass, (-along * nx - at.force * nz) / self.mass
+        return np.array([-y[2], -y[3], *push, *spins, 0.0 if sense else self.elastic_rate(y, at)])
 
     def growth(self, y: FloatArray, sense: float) -> float:
         """How fast a sliding contact would exceed the limit if it stuck, N/s; negative where it would not."""
@@ -112,12 +102,13 @@ class _Equations:
         step = 1e-7 * self.overlap / max(math.hypot(*y[2:4]), 1e-300)
         slope = self.rates(y, sense)
         slope[6] = self.elastic_rate(y, self.loads(y))
+        before, after = y - step * slope, y + step * slope
+        return (self.excess(after, sense) - self.excess(before, sense)) / (2.0 * step)
 
-        def excess(state: FloatArray) -> float:
-            at = self.loads(state)
-            return sense * (at.gamma * at.slip - state[6]) - self.friction * at.force
-
-        return (excess(y + step * slope) - excess(y - step * slope)) / (2.0 * step)
+    def excess(self, y: FloatArray, sense: float) -> float:
+        """What the tangential force of a sticking contact has against ``sense`` beyond the limit, N."""
+        at = self.loads(y)
+        return sense * (at.gamma * at.slip - y[6]) - self.friction * at.force
 
     def first_sense(self, y: FloatArray) -> float:
         """Direction in which a contact slides that nothing has loaded yet, or 0 where it sticks."""
@@ -132,8 +123,7 @@ class _Equations:
         """The event that ends sticking or sliding."""
 
         def slips(_: float, y: FloatArray) -> float:
-            at = self.loads(y)
-            return (abs(y[6] - at.gamma * at.slip) - self.friction * at.force) / force
+            return max(self.excess(y, 1.0), self.excess(y, -1.0)) / force
 
         def sticks(_: float, y: FloatArray) -> float:
             at = self.loads(y)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -29,7 +30,7 @@ def restitution() -> Iterator[Check]:
     """Restitution of every pair of bodies over e, speed, stiffness and phase."""
     for name, bodies in BODIES.items():
         expected, found, at = [], [], []
-        for modulus, e in ((modulus, e) for modulus in (lab.SOFT, lab.STIFF) for e in SET):
+        for modulus, e in product((lab.SOFT, lab.STIFF), SET):
             contact = bodies(lab.sphere_material(modulus, e))
             for speed in SPEEDS:
                 rebounds = lab.collide(lab.Impacts(contact, np.full(len(PHASES), speed)), phase=PHASES)
@@ -91,14 +92,11 @@ def curves(name: str, impacts: lab.Impacts, fine: lab.Impacts, rebounds: lab.Reb
 
 def _contacts(friction: float) -> Iterator[tuple[str, str, Contact]]:
     """Soft and stiff spheres, elastic and not, on walls and on each other: where, a label, the contact."""
-    for modulus, e in ((modulus, e) for modulus in (lab.SOFT, lab.STIFF) for e in (1.0, 0.5)):
-        for name, bodies in (("wall", lab.on_wall), ("sphere", lab.on_sphere)):
-            label = f"on a {name}, E {modulus:g} Pa, e {e:g}, μ {friction:g}"
-            yield (
-                f"{name} E {modulus:g} e {e:g} mu {friction:g}",
-                label,
-                bodies(lab.sphere_material(modulus, e, friction)),
-            )
+    bodies = {"wall": lab.on_wall, "sphere": lab.on_sphere}
+    for modulus, e, name in product((lab.SOFT, lab.STIFF), (1.0, 0.5), bodies):
+        contact = bodies[name](lab.sphere_material(modulus, e, friction))
+        words = f"on a {name}, E {modulus:g} Pa, e {e:g}, μ {friction:g}"
+        yield f"{name} E {modulus:g} e {e:g} mu {friction:g}", words, contact
 
 
 def all_angles() -> Iterator[Check | Curves]:

@@ -52,16 +52,10 @@ def laboratory(
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0), rpm: float | None = None, radius: float = RADIUS,
     second: Material | None = None,
 ) -> Scene:  # fmt: skip
-    """A scene with these walls and nothing else.
+    """A scene with these walls, which turn with ``rpm`` about y where they turn, and nothing else.
 
-    Args:
-        material: of the spheres.
-        walls: turning with ``rpm`` about y, where they turn.
-        wall_material: the spheres' where None.
-        gravity: m/s².
-        rpm: of the walls; None for no motion.
-        radius: of the smallest sphere, m.
-        second: material of further spheres, whose e, μ and μ_r count where they meet the first.
+    ``wall_material`` is the spheres' where None; ``radius`` is of the smallest sphere, m; ``second`` is the material of
+    further spheres, whose e, μ and μ_r count where they meet the first.
     """
     pair = () if second is None else (
         PairCoefficients(0, 1, second.restitution, second.friction, second.rolling_friction),

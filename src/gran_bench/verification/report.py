@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gran_bench.files import write_part, write_text
+from gran_bench.files import markdown, write_part, write_text
 from gran_bench.provenance import stamp
 from gran_bench.verification.case import Outcome
 
@@ -38,9 +38,7 @@ def rows(outcome: Outcome) -> Iterator[tuple[str, ...]]:
 
 def table(outcomes: Sequence[Outcome]) -> str:
     """All rows, in columns; the worst point of each quantity."""
-    lines = [HEADS, *(row for outcome in outcomes for row in rows(outcome))]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
+    return "\n".join(markdown([HEADS, *(row for outcome in outcomes for row in rows(outcome))], aligned=True))
 
 
 def verdict(outcomes: Sequence[Outcome]) -> str:
@@ -84,22 +82,20 @@ def _numbers(values: np.ndarray, digits: int) -> list[float | str]:
 
 def _page(record: Mapping[str, Any], folder: Path) -> Iterator[str]:
     """The verdict, a row a case, every quantity that is not within its tolerance, and figures."""
-    yield f"**{record['verdict']}.**" + (f" {record['subset']}" if record["subset"] else "")
-    yield "\n| case | what is verified | quantities | points | largest error / tolerance | |"
-    yield "|---|---|---:|---:|---:|---|"
-    missed = []
+    yield f"**{record['verdict']}.** {record['subset']}".rstrip() + "\n"
+    rows, missed = [("case", "what is verified", "quantities", "points", "largest error / tolerance", "")], []
     for case in record["cases"]:
         checks, shares = case["checks"], [_share(check) for check in case["checks"]]
-        numbers = (
-            f"{len(checks)} | {sum(len(check['expected']) for check in checks)} | {max(shares, default=math.nan):.2g}"
-        )
-        yield f"| {case['name']} | {case['title']} | {numbers} | {'met' if case['met'] else 'FAILED'} |"
+        points, worst = sum(len(check["expected"]) for check in checks), max(shares, default=math.nan)
+        numbers = (str(len(checks)), str(points), f"{worst:.2g}")
+        rows.append((case["name"], case["title"], *numbers, "met" if case["met"] else "FAILED"))
         missed += [f"- {case['name']}: {case['failure']}"] if case["failure"] is not None else []
-        for check, share in zip(checks, shares, strict=True):
-            if not check["met"]:
-                times = f"{share:.3g} times its tolerance of {check['tolerance']}"
-                missed.append(f"- {case['name']}, {check['quantity']}: {times}")
-    yield from ["", *missed]
+        missed += [
+            f"- {case['name']}, {check['quantity']}: {share:.3g} times its tolerance of {check['tolerance']}"
+            for check, share in zip(checks, shares, strict=True)
+            if not check["met"]
+        ]
+    yield from [*markdown(rows), "", *missed]
     yield from (f"![{caption}]({name})\n" for name, caption in FIGURES.items() if (folder / name).exists())
     yield f"Every point, and the source of each expected value: [`{JSON}`]({JSON}). {stamp(record['provenance'])}"
 

@@ -182,9 +182,8 @@ def steady_place() -> Iterator[Check]:
             # The bed of a drum that turns with +y climbs towards −x.
             start = ball.reach * np.array([-math.sin(place), 0.0, -math.cos(place)])
             period = 2.0 * math.pi * math.sqrt(1.4 * ball.reach / (lab.GRAVITY * math.cos(place)))
-            trajectory = lab.watch(
-                ball.on(WALL, rpm), lab.spheres(start, None, [0.0, spin, 0.0]), step, 3.0 * period, 5e-3
-            )
+            state = lab.spheres(start, None, [0.0, spin, 0.0])
+            trajectory = lab.watch(ball.on(WALL, rpm), state, step, 3.0 * period, 5e-3)
             late = trajectory.time > period
             angle = np.arctan2(-trajectory.position[late, 0, 0], -trajectory.position[late, 0, 2])
             wanted.append((spin, place))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import brentq
@@ -72,6 +73,16 @@ class Contact:
     def shear_stiffness(self) -> float:
         """8 G* √R*, N/m^{3/2}; times √δ it is the tangential stiffness (Mindlin 1949)."""
         return 8.0 * self.effective_shear_modulus * math.sqrt(self.effective_radius)
+
+    @cached_property
+    def damper(self) -> float:
+        """α √(m* K), N s/m^{5/4}; γ = α √(m* K) δ^{1/4}."""
+        return damping(self.second.material.restitution) * math.sqrt(self.effective_mass * self.stiffness)
+
+    def force(self, overlap: float, closing: float) -> float:
+        """F = K δ^{3/2} + γ δ̇, N, zero where nothing touches; not cut off where it attracts."""
+        overlap = max(overlap, 0.0)
+        return self.stiffness * overlap**1.5 + self.damper * overlap**0.25 * closing
 
     def largest_overlap(self, speed: float) -> float:
         """δmax = (5 m* v² / 4 K)^{2/5} of an elastic head-on impact, m."""
