@@ -27,18 +27,14 @@ from gran_bench.shipped import DEFAULT_MODEL, SHIPPED, shipped_model
 
 
 def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
-    """Compare every method on the scene of a config, or do what is left of it.
+    """Compare every method on the scene of a config, or do what is left of it; the results, as in ``benchmark.json``.
 
     With ``measure=false`` nothing is measured: kept results are told anew, with the DEM's own accuracy by today's rule.
 
-    Returns:
-        The results, as in ``benchmark.json``.
-
     Raises:
-        KeyboardInterrupt: SIGTERM or Ctrl-C; what was measured stays.
-        ConfigError, CheckpointError, DatasetError: a value that cannot be, a model file that is none, or runs of the
-            DEM that failed.
+        ConfigError, CheckpointError, DatasetError: an impossible value, no model file, or runs of the DEM that failed.
         ResultsError: nothing measured yet, or with other replicas, and ``measure=false``.
+        KeyboardInterrupt: SIGTERM or Ctrl-C; what was measured stays.
     """
     validate(config)
     contest, data = Contest(config, model_files(config.models)), config.dataset
@@ -63,11 +59,7 @@ def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
 
 
 def model_files(models: list[str]) -> dict[str, Path]:
-    """Model files by the name that they are shown under: of their folder, which is the run's.
-
-    Raises:
-        ConfigError: two of one name.
-    """
+    """Model files by the name of their folder, the run's; a `ConfigError` where two have one name."""
     found: dict[str, Path] = {}
     for word in models:
         path = shipped_model() if word == SHIPPED else Path(word)

@@ -51,12 +51,7 @@ class Method:
 
 
 class Contest:
-    """A scene, the state that all start from, and everyone who answers for it.
-
-    Args:
-        config: of the command.
-        models: model files by the name that they are shown under.
-    """
+    """A scene, the state that all start from, and everyone who answers for it; model files are by their shown name."""
 
     def __init__(self, config: BenchmarkConfig, models: dict[str, Path]) -> None:
         self.config, self.models, data = config, models, config.dataset
@@ -182,11 +177,9 @@ class Contest:
         return Method(name, kind, job, self.config.profile.study_frames * self.scene.frame_interval, judged=False)
 
     def _count_case(self, count: int) -> CaseSpec:
-        """A drum of another length, filled as high, that runs only as long as it is timed.
-
-        A short one gets a sphere's diameter more: its first lattice would not fit between the caps.
-        """
+        """A drum of another length, filled as high, that runs only as long as it is timed."""
         config, profile = self.config.scene, self.config.profile
+        # In a short one the first lattice would not fit between the caps.
         more = config.filling.diameter if count < config.filling.count else 0.0
         length = config.container.length * count / config.filling.count + more
         end = config.start_time + profile.study_frames * config.frame_interval

@@ -69,10 +69,7 @@ class Reference:
 
     @property
     def own(self) -> dict[str, list[float]]:
-        """The ranked errors of each replica, judged by the others as if it were a method, in noise floors.
-
-        Their mean is 1: both are the mean distance over all pairs.
-        """
+        """The ranked errors of each replica, judged by the others, in noise floors; their mean is 1."""
         truth, found = self.summaries(VELOCITY), {}
         for row in self.ranked:
             errors = [_mean(_distances(row, one, truth[:k] + truth[k + 1 :])) for k, one in enumerate(truth)]
@@ -100,10 +97,7 @@ class Reference:
         return Scored(*_interval(found[worst], math.inf), worst, "", outside, judgement.to_dict())
 
     def pooled(self, runs: Sequence[Scored]) -> Scored:
-        """The error of a method from several runs of it: means, and where the mean of as many others lies.
-
-        A single run (statistics without particles) keeps its interval over the replicas.
-        """
+        """A method's error from several runs; a single run (no particles) keeps its interval over the replicas."""
         failed = next((run for run in runs if run.floors is None), None)
         if failed is not None or len(runs) == 1:
             return failed or runs[0]
@@ -119,19 +113,15 @@ class Reference:
 
 
 def noise_bound(own: Sequence[float], runs: int) -> float | None:
-    """Upper end of the 95 % interval in which the mean error of further runs of the DEM lies, in noise floors.
+    """Upper end of the 95 % interval of the mean error of further runs of the DEM, in noise floors.
 
-    ``own`` has the error of each replica, judged by the others, taken as if these were independent, though each
-    distance of two is in both. None below three replicas: of two, nothing scatters.
+    ``own`` has each replica's error, taken as independent. None below three replicas: of two, nothing scatters.
     """
     return None if len(own) < LEAST_REPLICAS else prediction_interval(own, runs).high
 
 
 def score_run(method: Method, folder: Path, reference: Reference, index: int) -> Scored | None:
-    """The error of one round of a method, computed once and kept in its folder; its frames are dropped then.
-
-    None where the round has no frames: the method failed in it, or earlier.
-    """
+    """The error of a round, kept in its folder, where its frames are dropped; None of a round that failed."""
     path, frames = errors_file(folder, reference.digest, index), trajectory_file(folder, index)
     if not path.exists():
         if method.job["does"] == "interpolation":
@@ -156,11 +146,9 @@ def errors_file(folder: Path, digest: str, index: int) -> Path:
 
 
 def pooled_judgement(judgements: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """One judgement of several, in the layout of a single one (`Judgement.to_dict`), with the rule of each table.
+    """One judgement of several, in the layout of a single one (`Judgement.to_dict`), pooled by `RULES`.
 
-    A figure that a round lacks is undefined, as in that round. A requirement is that of the round farthest beyond its
-    bound, and one without a figure is the worst. Failures are each count where it is worst: the largest, the fewest
-    states, the first time without a figure.
+    What a round lacks is undefined. A requirement is that of the round farthest beyond its bound.
     """
     found = judgements[0] | {"rounds": len(judgements), "pooled": RULES}
     for table in ("errors", "figures", "requirements"):

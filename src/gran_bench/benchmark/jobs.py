@@ -1,7 +1,4 @@
-"""What a method does when it is its turn, from plain data; as a module, a process that prepares and runs one method.
-
-One method a process, so that the memory is its own.
-"""
+"""What a method does when it is its turn, from plain data; as a module, a process of its own that runs one method."""
 
 from __future__ import annotations
 
@@ -150,14 +147,12 @@ def read_trajectory(path: Path) -> Trajectory:
 
 
 def _resident_memory(field: str) -> int:
-    """``VmRSS``, the resident memory of this process, or ``VmHWM``, its peak; bytes.
-
-    ``ru_maxrss`` would count the parent's memory at the moment of the start; it stands in where /proc is missing.
-    """
+    """``VmRSS``, the resident memory of this process, or ``VmHWM``, its peak; bytes."""
     with suppress(OSError):
         for line in Path("/proc/self/status").read_text().splitlines():
             if line.startswith(f"{field}:"):
                 return 1024 * int(line.split()[1])
+    # It counts the memory of the parent at the start, too.
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 

@@ -49,8 +49,7 @@ def method_row(
 ) -> dict[str, Any]:
     """What is known of one method, as plain data: its turns and its error, None of what does not fit or has none.
 
-    ``beside`` has the wall time of a simulated second of the DEM at its automatic step, s, by round: the unit of
-    ``relative``, in which what slows a whole machine cancels.
+    ``beside`` has the wall time of a simulated second of the DEM at its automatic step, s, by round.
     """
     record, seconds = record or Record([]), method.seconds
     turns = record.turns
@@ -90,8 +89,7 @@ def succeeded(point: dict[str, Any]) -> bool:
 def reference_facts(reference: Reference, replicas: int, runs: int, automatic: float | None) -> dict[str, Any]:
     """The ranked errors and the DEM's own accuracy in them, as plain data; None where there are too few replicas.
 
-    The error of a method is the mean of its runs; ``automatic`` is that of the DEM at its automatic step, in noise
-    floors, None where that failed.
+    ``automatic`` is the mean error of the DEM at its automatic step over ``runs``, in noise floors; None if it failed.
     """
     noise = reference.noise(runs)
     # Where a bed comes to rest, nudges hardly grow, and the step of the DEM counts for more than its noise.
@@ -102,11 +100,7 @@ def reference_facts(reference: Reference, replicas: int, runs: int, automatic: f
 
 
 def judged_anew(found: dict[str, Any], reference: Reference, replicas: int) -> dict[str, Any]:
-    """Kept results with the DEM's own accuracy by today's rule: nothing is measured, and no method's error changes.
-
-    Raises:
-        ResultsError: the methods were held against other replicas.
-    """
+    """Kept results with the accuracy by today's rule; a `ResultsError` where they were held against other replicas."""
     floors = reference.floors()
     for row in found["methods"]:
         if row["judgement"] is None or row["judgement"]["velocity_kind"] != VELOCITY:
@@ -149,11 +143,7 @@ def untimed(found: dict[str, Any]) -> list[str]:
 
 
 def read_results(path: Path) -> dict[str, Any]:
-    """Results as they were kept.
-
-    Raises:
-        ResultsError: none there, or of another format.
-    """
+    """Results as they were kept; a `ResultsError` where there are none, or of another format."""
     if not path.exists():
         raise ResultsError(f"{path} is missing; measure first, with measure=true")
     results = json.loads(path.read_text("utf-8"))
@@ -163,11 +153,7 @@ def read_results(path: Path) -> dict[str, Any]:
 
 
 def read_all(root: Path) -> dict[str, dict[str, Any]]:
-    """All results below a folder by ``profile/scene``; a scene with full results has these alone.
-
-    Raises:
-        ResultsError: results of another format.
-    """
+    """All results below a folder by ``profile/scene``; full ones stand for others of a scene. Raises `ResultsError`."""
     places = {(path.parts[-3], path.parts[-2]): path for path in sorted(root.glob(f"*/*/{RESULTS}"))}
     shown = [(a, b) for a, b in places if a == "full" or ("full", b) not in places]
     return {f"{profile}/{scene}": read_results(places[profile, scene]) for profile, scene in shown}

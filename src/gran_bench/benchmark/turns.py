@@ -1,7 +1,6 @@
 """Methods take turns: round by round, in an order that is shuffled anew, one at a time on an otherwise idle machine.
 
-Each method lives in a process of its own that waits between its turns. Each finished run is a JSON file, whole or not
-there, so that an interrupted benchmark goes on from where it was.
+A finished run is a JSON file, whole or not there, so that an interrupted benchmark goes on from where it was.
 """
 
 from __future__ import annotations
@@ -55,14 +54,11 @@ def take_turns(
     """Run every method that fits the scene once a round, and keep what was measured; records by the method's name.
 
     Args:
-        methods, rounds: who, and how often.
         seed: of the order in each round, and of the nudges that the rounds start from.
-        folder: of all measurements.
-        conditions: what else decides a measurement (`Method.key`).
+        folder: of all measurements; ``conditions`` are what else decides one (`Method.key`).
         frame_interval: s.
         wants_frames: whether the frames of a method's round, in its folder, are still to be judged.
         after_round: called with the round and the folders of all methods, to judge what was kept.
-        label: of the bar.
     """
     fit = [method for method in methods if not method.unfit_because]
     folders = {method.name: folder / method.key(*conditions) for method in fit}

@@ -33,10 +33,7 @@ class ResultPageError(ValueError):
 def write_page(run: Path, target: Path, title: str) -> Path:
     """Copy a finished run's summary, figures and small model to a folder, and renew the table of its README.
 
-    Args:
-        run: folder of a run; a `ResultPageError` where it is not finished.
-        target: folder of the page; what people wrote there stays.
-        title: of a new page; the experiment's name where it is empty.
+    What people wrote there stays; a new page has ``title``, or the experiment's name. `ResultPageError` of no such run.
     """
     if read_summary(run) is None:
         raise ResultPageError(f"{run} has no {SUMMARY}: the run is not finished; run its command again")

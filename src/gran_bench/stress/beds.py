@@ -34,13 +34,10 @@ def settled_bed(bench: Bench, scene: Scene) -> ParticleState:
 def bed_in_place(
     bench: Bench, scene: str, speed_rpm: float | None, changes: dict | None = None, then: dict | None = None
 ) -> tuple[Scene, ParticleState]:
-    """A scene and its settled bed, at the time when the scene starts.
+    """A shipped scene and its settled bed, at the time when the scene starts.
 
-    Args:
-        scene: shipped one.
-        speed_rpm: constant speed; None for the scene's own motion.
-        changes: of its keys before the bed settles.
-        then: further changes of its keys after that.
+    ``speed_rpm`` is a constant speed, or None for the scene's own motion; ``changes`` of keys come before the bed
+    settles, ``then`` after that.
     """
     bed = settled_bed(bench, shipped_scene(scene, changes))
     place = shipped_scene(scene, (changes or {}) | (then or {}))
@@ -172,15 +169,10 @@ IMAGES = {
 def image(
     what: str, scene: Scene, state: ParticleState
 ) -> tuple[Scene, ParticleState, Callable[[FloatArray], FloatArray]]:
-    """A moving drum and its bed, turned (with gravity), mirrored along the axis or across it, or renumbered.
+    """A moving drum and its bed in other axes or another order, and what brings positions back, ``(N, 3)`` m.
 
-    Args:
-        what: ``turned``, ``mirrored``, ``backwards`` (the mirror image across the axis, which turns the other way) or
-            ``renumbered``.
-        scene, state: as they are.
-
-    Returns:
-        Scene and state, and what brings positions back, ``(N, 3)`` m.
+    ``what`` is ``turned`` (with gravity), ``mirrored`` along the axis, ``backwards`` (across it, turning the other way)
+    or ``renumbered``.
     """
     if what == "renumbered":
         order = np.random.default_rng(3).permutation(state.count)

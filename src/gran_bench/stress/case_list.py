@@ -70,11 +70,7 @@ def cases_of_file(path: Path) -> list[StressCase]:
 
 
 def read_cases(text: str, source: str, part: str) -> list[StressCase]:
-    """The cases that YAML text describes.
-
-    Raises:
-        ConfigError: names the source, the case, what is wrong and what is right.
-    """
+    """The cases that YAML text describes; a `ConfigError` that names source, case, what is wrong and what is right."""
     try:
         rows = yaml.safe_load(text)
     except yaml.YAMLError as error:

@@ -101,11 +101,7 @@ def _tell_of_another(folder: Path) -> None:
 
 
 def chosen(config: StressConfig) -> tuple[list[StressCase], bool]:
-    """The cases that a config asks for, and whether they are the whole list for the shipped model.
-
-    Raises:
-        ConfigError: an unknown case, or nothing left.
-    """
+    """The cases of a config, and whether they are the whole list for the shipped model; `ConfigError` of none."""
     everything = shipped_cases() if config.case_list is None else cases_of_file(Path(config.case_list))
     names = [case.name for case in everything]
     for name in config.cases:
@@ -146,11 +142,7 @@ def _label_in_drum(result: Errand) -> str:
 
 
 def errands(cases: Sequence[StressCase], checkpoints: Sequence[Path], folder: Path) -> list[Errand]:
-    """Every case once, or once for each model file that it is for.
-
-    Raises:
-        CheckpointError, ConfigError: a file that is no model, or one of other spheres.
-    """
+    """Every case once, or once for each model file it is for; raises what `model_words` raises."""
     code, found = package_digest(), []
     models = [(path, *model_words(path), file_digest(path)) for path in checkpoints]
     for case in cases:
@@ -176,9 +168,7 @@ def package_digest() -> str:
 def carry_out(todo: Sequence[Errand], folder: Path, workers: int, patience: float) -> None:
     """Give each errand its outcome; what an interrupted run in the folder has finished is taken from there.
 
-    Args:
-        workers: cases at a time; 1 does all in this process, where nothing ends a case that hangs.
-        patience: s that a case may take in a process of its own.
+    ``workers`` cases run at a time, each for ``patience`` s at most; a single one runs here, and nothing ends its hang.
     """
     shared, idle = str((folder / SHARED).resolve()), queue.SimpleQueue()
     # Threads of the DEM are a case's own choice: some compare them.

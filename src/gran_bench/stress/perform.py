@@ -26,10 +26,7 @@ EXPERIMENTS: dict[str, Experiment] = {**IMPACTS, **BEDS, **STEPS, **ROLLOUTS}
 
 
 def perform(kind: str, parameters: Mapping[str, Any], checkpoint: str, shared: str) -> Outcome:
-    """Carry out an experiment on a model file, or on none; any error is an outcome, never the end of the list.
-
-    Messages do not name the folder of what cases share, for it exists only while the list runs.
-    """
+    """Carry out an experiment on a model file, or on none; any error is an outcome, without the shared folder."""
     Path(shared).mkdir(parents=True, exist_ok=True)
     try:
         model = _model(checkpoint) if checkpoint else None
@@ -45,12 +42,7 @@ def outcome_of(document: Mapping[str, Any]) -> Outcome:
 
 
 def model_words(path: Path) -> tuple[str, str]:
-    """Name (``contact``, …) and label of a model file, for tables.
-
-    Raises:
-        CheckpointError: no such file, or no model.
-        ConfigError: a model of spheres of another size than the lists have.
-    """
+    """Name and label of a model file, for tables; `CheckpointError` of none, `ConfigError` of other spheres."""
     card, _ = load_card(path)
     diameter = card.scene["filling"]["diameter"]
     if abs(diameter - DIAMETER) > 1e-9:

@@ -113,12 +113,9 @@ def model_start(bench: Bench, field: str) -> Observation:
 
 
 def model_symmetry(bench: Bench, what: str) -> Observation:
-    """Transform the state, step a frame, transform back: where is a sphere that should be where it was?
+    """Transform the state as `image` does, step a frame, transform back: is every sphere where it was?
 
     Twenty frames of the model come before, so that the bed moves; a memory, if it has one, begins anew after them.
-
-    Args:
-        what: ``renumbered``, ``turned`` or ``mirrored`` as in `image`.
     """
     if what not in ("renumbered", "turned", "mirrored"):
         raise ValueError(f"with.what={what} is unknown; choose renumbered, turned or mirrored")

@@ -84,11 +84,9 @@ def blow_up(bench: Bench) -> Observation:
 
 
 def energy_drift(bench: Bench, steps_per_contact: list[float], seconds: float = 10.0) -> Observation:
-    """Largest change of the energy of an elastic gas, against the step, until it diverges.
+    """Largest change of the energy of an elastic gas in some seconds, against the step, until it diverges.
 
-    Args:
-        steps_per_contact: t_c over the step, from many to few; t_c of an impact at three times the mean of both.
-        seconds: simulated.
+    Steps are t_c over ``steps_per_contact``, from many to few, with t_c of an impact at three times the mean of both.
     """
     (scene, state), duration = gas(0, SOFT), quick_impact(SOFT)
     changes, worst, flags = [], 0.0, []

@@ -1,7 +1,4 @@
-"""A sweep around its jobs: data made once, finished runs found, parent and children in the store; at the end a report.
-
-The jobs themselves may run anywhere: what they need of their sweep is plain data that travels to them.
-"""
+"""A sweep around its jobs: data made once, finished runs found, parent and children in the store, a report."""
 
 from __future__ import annotations
 
@@ -46,7 +43,7 @@ class Found(NamedTuple):
 
 @contextmanager
 def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
-    """Prepare a sweep, let its jobs run in the block, and report; the name is of its folder, unless the config has one.
+    """Prepare a sweep, named as its folder, let its jobs run in the block, and report.
 
     Raises:
         ConfigError, TrackingError, SweepFileError: two jobs are one run; the store fails; a file is damaged.

@@ -1,7 +1,4 @@
-"""The files of a sweep: its jobs in ``sweep.json``, the runs that have ended in ``runs.csv``, one row each.
-
-They are enough to make page and figures anew and to know that a run need not be done again.
-"""
+"""The files of a sweep: its jobs in ``sweep.json``, its runs that have ended in ``runs.csv``; they make all pages."""
 
 from __future__ import annotations
 

@@ -188,15 +188,9 @@ def reaches(runs: Sequence[SweepRun]) -> Iterator[Reach]:
 def chance_ratio(samples: Sequence[np.ndarray]) -> float:
     """The ratio of the largest to the smallest mean that chance alone exceeds in one of 20 rows of such samples.
 
-    exp(q s / √n): Tukey's studentised range (1949) of as many means as there are choices, the best and the worst of
-    which are looked at, on logarithms, because errors of choices that run away scatter in proportion.
-
-    Args:
-        samples: a figure's values over the seeds of each choice; s is pooled over choices, n the harmonic mean of
-            their numbers.
-
-    Returns:
-        NaN where each choice has one seed, or a figure is not positive.
+    exp(q s / √n): Tukey's studentised range (1949) of as many means as there are choices, on logarithms, because errors
+    of choices that run away scatter in proportion; s is pooled over choices, n the harmonic mean of numbers of seeds.
+    NaN where each choice has one seed, or a figure is not positive.
     """
     freedom = sum(len(sample) - 1 for sample in samples)
     if freedom == 0 or any((sample <= 0).any() for sample in samples):

@@ -1,7 +1,6 @@
 """What a command does once a job: config checked, work done, errors said, here or in a process of its own.
 
-With ``hydra/launcher=local`` each job has a process, forked from one that has loaded PyTorch and done no work, so that
-a start is quick and no lock is inherited. In a pool one worker that is killed would end the others.
+With ``hydra/launcher=local`` each job has a process, forked from one that has loaded PyTorch and done no work.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""A ball that falls and bounces, and two balls squeezed between walls.
+"""A ball that falls and bounces, and two balls squeezed between walls: DEM01–DEM03 of the MFiX-DEM verification manual.
 
-DEM01–DEM03 of the MFiX-DEM verification manual (mfix.netl.doe.gov/doc/vvuq-manual; Chen et al. 2007, Garg et al. 2012)
-use linear springs, and DEM03 two densities; the contacts here are Hertzian and the balls alike, and so is what is
-expected.
+The manual (mfix.netl.doe.gov/doc/vvuq-manual; Chen et al. 2007, Garg et al. 2012) has linear springs and two densities;
+the contacts here are Hertzian and the balls alike, and so is what is expected.
 """
 
 from __future__ import annotations

@@ -24,14 +24,11 @@ def run(
 ) -> int:
     """Verify the DEM; print a table with the worst point of each quantity, and write a page.
 
-    Args:
-        draw: draws the figures of outcomes into a folder.
-        words: the command line; this process's own where None.
-        cases: of the suite.
+    ``draw`` draws the figures of outcomes into a folder; ``words`` are the command line, this process's own where None.
 
     Returns:
-        0 where every quantity of every case is within its tolerance, 1 where one is not or a case stopped with an
-        error, 2 for a bad argument, 130 after Ctrl-C.
+        0 where every quantity is within its tolerance, 1 where one is not or a case stopped with an error, 2 for a bad
+        argument, 130 after Ctrl-C.
     """
     arguments = _parser().parse_args(words)
     if arguments.list:

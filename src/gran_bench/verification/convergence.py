@@ -26,12 +26,7 @@ PHASES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of a step, when an impact begins
 
 
 def gas(seed: int, modulus: float) -> tuple[Scene, ParticleState]:
-    """27 elastic smooth spheres in a box with elastic smooth walls, without gravity.
-
-    Args:
-        seed: of the velocities.
-        modulus: E, Pa.
-    """
+    """27 elastic smooth spheres (E in Pa; velocities of a seed) in a box of such walls, without gravity."""
     walls = tuple(
         Plane(tuple(sign * 0.5 * GAS_WIDTH * axis), tuple(-sign * axis), turns=False)
         for axis in np.eye(3)

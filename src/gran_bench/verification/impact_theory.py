@@ -142,13 +142,8 @@ def _ending(event: Callable[[float, FloatArray], float], direction: float) -> Ca
 def impact(contact: Contact, velocity: FloatArray, spin: tuple[float, float] = (0.0, 0.0)) -> Rebound:
     """The rebound of two bodies that just touch, the second straight below the first.
 
-    Args:
-        contact: the bodies.
-        velocity: ``(2,)`` of the first relative to the second, (x, z) m/s; must approach.
-        spin: of the first and the second about y, rad/s.
-
-    Raises:
-        RuntimeError: an integration that does not end.
+    ``velocity``, ``(2,)`` (x, z) m/s of the first relative to the second, must approach; ``spin`` is of both about y,
+    rad/s. A `RuntimeError` is raised where the integration does not end.
     """
     velocity = np.asarray(velocity, float)
     approach, speed = float(velocity @ DOWN), math.hypot(*velocity)

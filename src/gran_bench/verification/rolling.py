@@ -21,12 +21,7 @@ WALL = Cylinder((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), DRUM)
 
 
 class _Ball:
-    """A ball that lies on a wall under its weight; the contact is soft, so that arm and reach depend on the overlap.
-
-    Args:
-        modulus, e, friction, resistance: of its material, μ_r the last.
-        slope: of the wall under it, rad.
-    """
+    """A ball that lies on a soft wall, sloped by rad, under its weight; arm and reach depend on the overlap."""
 
     def __init__(self, modulus: float, e: float, friction: float, resistance: float = 0.0, slope: float = 0.0) -> None:
         self.material = lab.sphere_material(modulus, e, friction, resistance)

@@ -109,14 +109,10 @@ class Contact:
 def restitution(damping: float) -> float:
     """Coefficient of restitution of x″ + α x^{1/4} x′ + x^{3/2} = 0 when the attractive tail is cut off, α ≥ 0.
 
-    With y = 4/5 x^{5/4}, x′ dx′/dy + α x′ + 5/4 y = 0 is a linear oscillator of ω₀² = 5/4 and β = α/2, and
-    the force vanishes where the linear one does. So e is the linear dashpot's:
+    With y = 4/5 x^{5/4} it is that of a linear dashpot, ω₀² = 5/4 and β = α/2: e = exp[−β/ω (π − atan2(2βω, ω² − β²))],
+    ω² = ω₀² − β²; for β > ω₀, e = exp[−β/Ω ln((β + Ω)/(β − Ω))], Ω² = β² − ω₀².
 
-        e = exp[−β/ω (π − atan2(2βω, ω² − β²))],  ω² = ω₀² − β²;  for β > ω₀ with Ω² = β² − ω₀²
-        e = exp[−β/Ω ln((β + Ω)/(β − Ω))]
-
-    Source: the map is Antypov & Elliott's (2011, EPL 94, 50004); the linear e Schwager & Pöschel's (2007, Granular
-        Matter 9, 465).
+    Source: Antypov & Elliott (2011), EPL 94, 50004 (the map); Schwager & Pöschel (2007), Granular Matter 9, 465.
     """
     beta, square = 0.5 * damping, 1.25 - 0.25 * damping**2
     omega = math.sqrt(abs(square))
@@ -133,15 +129,10 @@ def damping(e: float) -> float:
 def sliding_rebound(
     contact: Contact, normal: FloatArray, tangential: FloatArray, arm: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Relative tangential speed, and spin of the first body, after an impact that slides throughout.
+    """Relative tangential speed, ``(P,)`` m/s, and spin of the first body after an impact that slides throughout.
 
-    v_t′ = v_t − μ (1 + e) v_n and ω′ = 5/2 μ (1 + e) v_n (m*/m) a/R² for spheres that did not spin.
-
-    Args:
-        contact: of the sphere with a wall (m* = m) or another sphere.
-        normal: approach v_n > 0, ``(P,)`` m/s.
-        tangential: relative v_t, ``(P,)`` m/s.
-        arm: a, the lever arm of the friction, m: R of a rigid sphere.
+    v_t′ = v_t − μ (1 + e) v_n and ω′ = 5/2 μ (1 + e) v_n (m*/m) a/R² for spheres that did not spin, with the approach
+    v_n > 0 and v_t, ``(P,)`` m/s, and the lever arm a of the friction, m, which is R of a rigid sphere.
 
     Source: Chung & Ooi (2011), Granular Matter 13, 643, eqs. for gross sliding; Kharaz et al. (2001).
     """
@@ -152,12 +143,6 @@ def sliding_rebound(
 
 
 def slides_throughout(contact: Contact, normal: FloatArray, slip: FloatArray) -> FloatArray:
-    """Whether rigid-body theory says that an impact slides all through: |slip| > 7/2 μ (1 + e) v_n, ``(P,)``.
-
-    Args:
-        contact: of a sphere with a wall, or of two equal spheres.
-        normal: ``(P,)`` m/s.
-        slip: ``(P,)`` m/s, of the contact point.
-    """
+    """Whether an impact slides all through: |slip| > 7/2 μ (1 + e) v_n, ``(P,)`` m/s; of a wall or equal spheres."""
     m = contact.second.material
     return np.abs(slip) > 3.5 * m.friction * (1.0 + m.restitution) * normal
