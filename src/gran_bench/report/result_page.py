@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gran_bench.files import whole_file, write_part
+from gran_bench.files import markdown, whole_file, write_part
 from gran_bench.metrics.judgement import shown_multiple
 from gran_bench.provenance import stamp
 from gran_bench.run.summary import SUMMARY, missed_requirements, read_summary
@@ -59,19 +59,16 @@ def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
         f"{training['seconds'] / 60:.0f} min; judged at {summary['judged_rpm']:g} rpm, {summary['judged_as']}."
     )
     yield ""
-    yield f"| | {' | '.join(f'{name} packing' for name in packings)} |"
-    yield "|---|" + "---:|" * len(packings)
+    rows = [["", *(f"{name} packing" for name in packings)]]
     for kind, shown, what in (("requirements", _requirement, ""), ("errors", _error, " (noise floors)")):
         for key, row in next(iter(packings.values()))[kind].items():
             if kind == "requirements" or key in ERRORS:
-                yield f"| {row['label']}{what} | {' | '.join(shown(one[kind][key]) for one in packings.values())} |"
-    counts = (judged["failures"] for judged in packings.values())
-    yield f"| states not finite; spheres outside by more than r | {' | '.join(map(_failures, counts))} |"
+                rows.append([f"{row['label']}{what}", *(shown(one[kind][key]) for one in packings.values())])
+    failures = (_failures(judged["failures"]) for judged in packings.values())
+    yield from markdown([*rows, ["states not finite; spheres outside by more than r", *failures]])
     yield ""
-    yield f"| baseline, shared packing | {' | '.join(ERRORS.values())} |"
-    yield "|---|" + "---:|" * len(ERRORS)
-    for name, errors in summary["baselines"].items():
-        yield f"| {name} | {' | '.join(_error(errors[key]) for key in ERRORS)} |"
+    baselines = ([name, *(_error(errors[key]) for key in ERRORS)] for name, errors in summary["baselines"].items())
+    yield from markdown([["baseline, shared packing", *ERRORS.values()], *baselines])
     yield ""
     if missed := missed_requirements(summary):
         further = [line for line in missed if not line.endswith("packing)")]  # the others are in the table

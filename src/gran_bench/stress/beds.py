@@ -52,14 +52,6 @@ def energy_scale(scene: Scene, state: ParticleState) -> float:
     return float(mass) * (scene.gravity_strength * fall + 0.5 * rim**2)
 
 
-def kinetic_energy(trajectory: Trajectory, scene: Scene) -> FloatArray:
-    """Translational and, where there is spin, rotational energy of each frame, ``(F,)`` J; NaN where not finite."""
-    energy = translational_energy(trajectory, scene).value
-    if trajectory.angular_velocity is not None:
-        energy = energy + rotational_energy(trajectory, scene).value
-    return energy
-
-
 def escapes(count: FailureCount) -> tuple[str, ...]:
     """What a count of failures says, as flags; nothing where nothing is further out than the soft walls let it."""
     told = []
@@ -84,7 +76,9 @@ def seen_of(trajectory: Trajectory, scene: Scene, bed: ParticleState) -> tuple[d
     """What any trajectory of a bed shows: figures in `BED_UNITS`, flags, and each state's energy in `energy_scale`."""
     span = max(trajectory.frame_count - 1, 1) * scene.frame_interval
     count = count_failures(trajectory, replace(scene, end_time=scene.start_time + span))
-    share = kinetic_energy(trajectory, scene) / (energy_scale(scene, bed) or 1.0)
+    share = translational_energy(trajectory, scene).value / (energy_scale(scene, bed) or 1.0)
+    if trajectory.angular_velocity is not None:
+        share = share + rotational_energy(trajectory, scene).value / (energy_scale(scene, bed) or 1.0)
     finite = share[np.isfinite(share)]
     figures = {
         "energy": float(finite.max()) if len(finite) else 0.0,
@@ -116,10 +110,9 @@ def turning_bed(
 
 def differing(one: ParticleState, other: ParticleState) -> int:
     """How many numbers of two states, contact forces included, are not the same to the last bit."""
-    count = sum(int((getattr(one, name) != getattr(other, name)).sum()) for name in STATE_ARRAYS)
-    if len(one.history) != len(other.history):
-        return count + abs(len(one.history) - len(other.history))
-    return count + int((one.history.force != other.history.force).sum())
+    off = sum(int((getattr(one, name) != getattr(other, name)).sum()) for name in STATE_ARRAYS)
+    more = abs(len(one.history) - len(other.history))
+    return off + (more or int((one.history.force != other.history.force).sum()))
 
 
 def farthest(one: FloatArray, other: FloatArray) -> float:

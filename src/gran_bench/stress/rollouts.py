@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import islice
+from itertools import count, islice
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from gran_bench.stress.beds import BED_UNITS, bed_in_place, farthest, image, see
 from gran_bench.stress.expectation import Bench, Experiment, Observation
 from gran_bench.stress.impacts import with_nan
 from gran_bench.surrogate.rollout import Rollout, rollout, step_frames
-from gran_bench.surrogate.step import FrameState, Surrogate, build_model
+from gran_bench.surrogate.step import Surrogate, build_model
 
 WILD = 2.0  # M (g D + ½ ω² R²): more kinetic energy than falling and turning can give, with room for a model's errors
 UNITS = BED_UNITS | {"time_to_failure": "s", "horizon": "s", "failed_frame": "frames"}
@@ -44,7 +44,9 @@ def observed(result: Rollout, scene: Scene, start: ParticleState) -> Observation
     trajectory, frames = result.trajectory, result.trajectory.frame_count
     figures, flags, share = seen_of(trajectory, scene, start)
     with np.errstate(invalid="ignore"):
-        outside = np.array([_farthest_out(frame, trajectory.radius, scene) for frame in trajectory.position])
+        positions = trajectory.position.astype(np.float64)
+        beyond = np.array([distance_outside(x, trajectory.radius, scene) for x in positions]) - trajectory.radius
+        outside = np.where(np.isfinite(beyond), beyond, -np.inf).max(axis=1, initial=-np.inf)
         failed = ~np.isfinite(share) | (share > WILD) | (outside > 0.0)
     if result.failed_frame is not None:
         flags = (f"failed at frame {result.failed_frame}: not finite", *flags)
@@ -60,12 +62,6 @@ def observed(result: Rollout, scene: Scene, start: ParticleState) -> Observation
     return Observation(figures, flags, curves, int((~np.isfinite(share[:told])).sum()))
 
 
-def _farthest_out(position: FloatArray, radius: FloatArray, scene: Scene) -> float:
-    """How far beyond its radius the farthest centre is outside, m; negative where none is."""
-    beyond = distance_outside(position.astype(np.float64), radius, scene) - radius
-    return float(beyond[np.isfinite(beyond)].max(initial=-np.inf))
-
-
 def untrained_rollout(
     bench: Bench, model: str, scene: str = "drum_small", speed_rpm: float = 40.0, frames: int = 100
 ) -> Observation:
@@ -79,31 +75,23 @@ def untrained_rollout(
     return model_rollout(replace(bench, model=built), scene, speed_rpm=speed_rpm, frames=frames)
 
 
-class Poisoned(Surrogate):
-    """A model whose input has a NaN in one sphere's position at one frame."""
+def model_nan(bench: Bench, frame: int) -> Observation:
+    """A NaN in the state that the model is given at a frame of twenty: it must show from the next one on, for good."""
+    asked = count()
 
-    def __init__(self, model: Surrogate, frame: int) -> None:
-        super().__init__()
-        self.model, self.frame, self.asked = model, frame, 0
-        self.velocity_kind, self.uses_spin, self.has_memory = model.velocity_kind, model.uses_spin, model.has_memory
-
-    def begin(self, *values: Any, **named: Any) -> FrameState:
-        """As the model begins."""
-        return self.model.begin(*values, **named)
-
-    def forward(self, state: FrameState, scene: Scene, time: float) -> FrameState:
-        """As the model steps, from a poisoned state where it is due."""
-        if self.asked == self.frame:
+    def poison(_: Surrogate, inputs: tuple[Any, ...]) -> tuple[Any, ...]:
+        state, *others = inputs
+        if next(asked) == frame:
             position = state.position.clone()
             position[len(position) // 2, 1] = torch.nan
             state = replace(state, position=position)
-        self.asked += 1
-        return self.model(state, scene, time)
+        return state, *others
 
-
-def model_nan(bench: Bench, frame: int) -> Observation:
-    """A NaN in the state that the model is given at a frame of twenty: it must show from the next one on, for good."""
-    return model_rollout(replace(bench, model=Poisoned(bench.model, frame)), "drum_small", frames=20)
+    hook = bench.model.register_forward_pre_hook(poison)
+    try:
+        return model_rollout(bench, "drum_small", frames=20)
+    finally:
+        hook.remove()
 
 
 def model_start(bench: Bench, field: str) -> Observation:

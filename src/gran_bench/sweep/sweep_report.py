@@ -15,7 +15,7 @@ import numpy as np
 
 from gran_bench import tracking
 from gran_bench.config import TrackingConfig
-from gran_bench.files import write_part, write_text
+from gran_bench.files import markdown, write_part, write_text
 from gran_bench.plots.style import drawn_for
 from gran_bench.plots.training import sweep_axis
 from gran_bench.provenance import stamp
@@ -232,14 +232,10 @@ def _what_matters(found: Sequence[tuple[str, Reach]]) -> Iterator[str]:
         "the ratio of worst to best that seeds alone exceed in one of 20 comparisons:"
     )
     yield ""
-    if counted:
-        yield "| sweep | key | beside | figure | best | worst | worst / best | chance |"
-        yield "|---|---|---|---|---|---|---:|---:|"
-    largest = {
-        (name, reach.axis, reach.figure): reach for name, reach in sorted(counted, key=lambda one: one[1].factor)
-    }
-    for (name, axis, figure), reach in sorted(largest.items()):
+    rows = [("sweep", "key", "beside", "figure", "best", "worst", "worst / best", "chance")]
+    ordered = sorted(counted, key=lambda one: one[1].factor)
+    for (name, axis, figure), reach in sorted({(name, one.axis, one.figure): one for name, one in ordered}.items()):
         best, worst = (f"{choice} ({value:.3g})" for choice, value in (reach.best, reach.worst))
         worst += f"; no figure: {', '.join(reach.lost)}" if reach.lost else ""
-        cells = [name, axis, reach.beside, figure, best, worst, f"{reach.factor:.2f}", f"{reach.chance:.2f}"]
-        yield f"| {' | '.join(cells)} |"
+        rows.append((name, axis, reach.beside, figure, best, worst, f"{reach.factor:.2f}", f"{reach.chance:.2f}"))
+    yield from markdown(rows)

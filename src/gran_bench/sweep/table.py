@@ -11,6 +11,7 @@ from pathlib import Path
 import pandas as pd
 
 from gran_bench.config.registry import METRICS
+from gran_bench.files import markdown
 from gran_bench.sweep.runs import FINISHED, SweepFile, SweepJob, SweepRun, read_runs, read_sweep
 from gran_bench.tracking import HEADLINE
 
@@ -132,10 +133,7 @@ def shown_table(runs: Sequence[SweepRun]) -> str:
         done = group[group["status"] == FINISHED]
         counts = [str(len(done)), str(len(group) - len(done))]
         rows.append([*values.values(), *counts, *(_shown(done[column.name], column.digits) for column in columns)])
-    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
-    rows = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows]
-    heading, *lines = [f"| {' | '.join(row)} |" for row in rows]
-    return "\n".join([heading, f"|{'|'.join('-' * (width + 2) for width in widths)}|", *lines])
+    return "\n".join(markdown(rows, aligned=True))
 
 
 def best_choices(runs: Sequence[SweepRun]) -> dict[str, tuple[str, float]]:

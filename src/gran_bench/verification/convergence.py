@@ -13,7 +13,7 @@ from gran_bench.scene import Plane, Scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
 from gran_bench.verification import laboratory as lab
 from gran_bench.verification.case import Case, Check, Curves
-from gran_bench.verification.impact_theory import impact
+from gran_bench.verification.theory import impact
 
 HALVINGS = 2.0 ** np.arange(6)
 # Verlet errs in the energy of one elastic impact by 0.15 (Δt/t_c)² rms over the phases of the step, and on average by
