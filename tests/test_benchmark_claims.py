@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gran_bench.benchmark.claims import (
+from gran_bench.benchmark.results import (
     Entry,
     best_in_time,
     crossing,
@@ -17,8 +17,8 @@ from gran_bench.benchmark.claims import (
     not_told_apart,
     paid_back,
     speed_up,
+    spread,
 )
-from gran_bench.benchmark.results import spread
 from gran_bench.plots.time_error import frontier
 
 

@@ -31,7 +31,7 @@ from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_ti
 from gran_bench.provenance import read_table
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_model
-from gran_bench.stress import case_list, command, steps
+from gran_bench.stress import case_list, command, impacts
 from gran_bench.stress.case_list import read_cases, shipped_cases
 from gran_bench.stress.command import Errand, StressFailed, carry_out, chosen, errands, run_stress
 from gran_bench.stress.expectation import Bench, Bound, Expectation, Experiment, Failure, Observation, verdict
@@ -218,8 +218,8 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, monkeypatch):
 
 def test_the_step_of_the_data_is_held_against_the_floor_that_is_measured_beside_it(tmp_path, monkeypatch):
     drum = SceneConfig("drum_tiny", ContainerConfig(diameter=0.4, length=0.2), FillingConfig(count=60), start_time=1.0)
-    monkeypatch.setattr(steps, "shipped_scene", lambda name: build_scene(drum))
-    seen = steps.step_ladder(Bench(tmp_path), [1e-4, 2e-4], production=2e-4, seconds=0.1).quantities
+    monkeypatch.setattr(impacts, "shipped_scene", lambda name: build_scene(drum))
+    seen = impacts.step_ladder(Bench(tmp_path), [1e-4, 2e-4], production=2e-4, seconds=0.1).quantities
     assert seen["beyond_floor"] == seen["error"] - seen["floor"]
     assert seen["error"] > 0.0
     (case,) = (case for case in shipped_cases() if case.kind == "step_ladder")

@@ -8,8 +8,9 @@ import select
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from gran_bench.processes import ONE_THREAD, kill_group, start_module
@@ -69,6 +70,19 @@ class Worker:
         self._complaints.seek(0)
         words = self._complaints.read().decode(errors="replace").strip().splitlines()
         return words[-1] if words else f"its process ended with status {self._process.returncode}"
+
+
+@contextmanager
+def crew(workers: Sequence[Worker], at_a_time: int) -> Iterator[ThreadPoolExecutor]:
+    """Threads that ask workers; the end of the block ends all, even those that an answer is awaited from."""
+    threads = ThreadPoolExecutor(at_a_time)
+    try:
+        yield threads
+    finally:
+        threads.shutdown(wait=False, cancel_futures=True)  # nobody waits for what an interruption ends
+        for worker in workers:
+            worker.end()
+        threads.shutdown()
 
 
 def serve(answer: Callable[[dict[str, Any]], Mapping[str, Any]]) -> None:

@@ -51,7 +51,7 @@ def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
             found = kept.judged_anew(kept.read_results(folder / kept.RESULTS), reference, data.replicas)
         write_text(folder / kept.RESULTS, json.dumps(found, indent=1, allow_nan=False) + "\n")
         draw(found, folder)
-        page.write_table(folder / page.TABLE, found)
+        write_text(folder / page.TABLE, page.table_of(found).to_csv(index=False))
         written = page.write_page(Path(config.root))
     print(summary(found))
     tell(f"table and figures in {folder}; the page is {written}")

@@ -10,10 +10,9 @@ from typing import Any
 
 import pandas as pd
 
-from gran_bench.benchmark import claims
-from gran_bench.benchmark.claims import Entry, EqualAccuracy
-from gran_bench.benchmark.results import SPREAD, entries, read_all, succeeded
-from gran_bench.files import markdown, write_atomically, write_part
+from gran_bench.benchmark import results as claims
+from gran_bench.benchmark.results import SPREAD, Entry, EqualAccuracy, entries, read_all, succeeded
+from gran_bench.files import markdown, write_part
 from gran_bench.plots.time_error import frontier
 from gran_bench.provenance import stamp
 
@@ -34,11 +33,6 @@ def write_page(root: Path) -> Path:
     for place, found in read_all(root).items():
         write_part(root / PAGE, found["scene"], part_text(place, found), "Run time against error", found["scene"])
     return root / PAGE
-
-
-def write_table(path: Path, found: Found) -> None:
-    """Write the methods of one benchmark as CSV: a row each, errors in their unit and in floors."""
-    write_atomically(path, lambda file: table_of(found).to_csv(file, index=False))
 
 
 def table_of(found: Found) -> pd.DataFrame:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from tqdm import tqdm
 
 from gran_bench.benchmark.contest import Method
 from gran_bench.files import write_text
-from gran_bench.workers import Worker
+from gran_bench.workers import Worker, crew
 
 PREPARED_AT_A_TIME = 2
 PATIENCE = 3600.0  # s that a method may prepare itself, or take for one run: the slowest take minutes
@@ -78,7 +77,8 @@ def take_turns(
     orders = [np.random.default_rng([seed, index]).permutation(len(fit)) for index in range(rounds)]
     missing = [(fit[k], index) for index, order in enumerate(orders) for k in order if wants(fit[k], index)]
     workers = {method.name: Worker("gran_bench.benchmark.jobs") for method, _ in missing}
-    with tqdm(total=len(missing), desc=label, unit="run", disable=None, leave=False) as bar:
+    bar = tqdm(total=len(missing), desc=label, unit="run", disable=None, leave=False)
+    with bar, crew(list(workers.values()), PREPARED_AT_A_TIME) as threads:
 
         def prepare(method: Method) -> None:
             bar.set_postfix_str(f"preparing {method.name}", refresh=True)
@@ -88,27 +88,20 @@ def take_turns(
             if "died" in answer:
                 _note(method, answer, folders[method.name], 0, frame_interval)
 
-        lanes = ThreadPoolExecutor(PREPARED_AT_A_TIME)
-        try:
-            # All are compiled and warm before the first is timed; the first compiles what the others then load.
-            needed = list({method.name: method for method, _ in missing}.values())
-            for some in (needed[:1], needed[1:]):
-                list(lanes.map(prepare, some))
-            for index in range(rounds):
-                for method in [method for method, when in missing if when == index]:
-                    bar.set_postfix_str(method.name, refresh=True)
-                    bar.update()
-                    if wants(method, index):
-                        place = folders[method.name]
-                        keep = str(trajectory_file(place, index).resolve()) if keeps(method, index) else None
-                        request = {"nudge_seed": nudge_seed(seed, index), "keep": keep}
-                        _note(method, workers[method.name].ask(request, PATIENCE), place, index, frame_interval)
-                after_round(index, folders)
-        finally:
-            lanes.shutdown(wait=False, cancel_futures=True)  # nobody waits for what an interruption ends
-            for worker in workers.values():
-                worker.end()
-            lanes.shutdown()
+        # All are compiled and warm before the first is timed; the first compiles what the others then load.
+        needed = list({method.name: method for method, _ in missing}.values())
+        for some in (needed[:1], needed[1:]):
+            list(threads.map(prepare, some))
+        for index in range(rounds):
+            for method in [method for method, when in missing if when == index]:
+                bar.set_postfix_str(method.name, refresh=True)
+                bar.update()
+                if wants(method, index):
+                    place = folders[method.name]
+                    keep = str(trajectory_file(place, index).resolve()) if keeps(method, index) else None
+                    request = {"nudge_seed": nudge_seed(seed, index), "keep": keep}
+                    _note(method, workers[method.name].ask(request, PATIENCE), place, index, frame_interval)
+            after_round(index, folders)
     return {method.name: _read(folders[method.name], rounds) for method in fit}
 
 

@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gran_bench.benchmark.claims import Entry, equal_accuracy
 from gran_bench.benchmark.page import equal_accuracy_words, softened
-from gran_bench.benchmark.results import entries, read_all
+from gran_bench.benchmark.results import Entry, entries, equal_accuracy, read_all
 from gran_bench.files import markdown
 from gran_bench.plots.time_error import frontier
 from gran_bench.provenance import read_table

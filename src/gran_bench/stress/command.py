@@ -11,7 +11,6 @@ import shutil
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -31,7 +30,7 @@ from gran_bench.stress.expectation import FAILED, Observation, Outcome, verdict
 from gran_bench.stress.page import PAGE, closing_line, table, write_results
 from gran_bench.stress.perform import EXPERIMENTS, model_words, outcome_of, perform
 from gran_bench.surrogate.checkpoint import file_digest
-from gran_bench.workers import Worker
+from gran_bench.workers import Worker, crew
 
 LOCK = ".lock"  # in the folder of the page
 PART = "part"  # folder of the page of less than the whole list
@@ -172,13 +171,14 @@ def carry_out(todo: Sequence[Errand], folder: Path, workers: int, patience: floa
     """
     shared, idle = str((folder / SHARED).resolve()), queue.SimpleQueue()
     # Threads of the DEM are a case's own choice: some compare them.
-    crew = [Worker("gran_bench.stress.perform", {"OMP_NUM_THREADS": "1"}) for _ in range(workers * (workers > 1))]
-    for worker in crew or [None]:
+    hands = [Worker("gran_bench.stress.perform", {"OMP_NUM_THREADS": "1"}) for _ in range(workers * (workers > 1))]
+    for worker in hands or [None]:
         idle.put(worker)
     alone = [errand for errand in todo if EXPERIMENTS[errand.case.kind].alone]
     groups = [[errand for errand in todo if errand not in alone], *([errand] for errand in alone)]
     # None: silent where stderr is no terminal.
-    with tqdm(total=len(todo), unit=" cases", leave=False, disable=None) as bar:
+    bar = tqdm(total=len(todo), unit=" cases", leave=False, disable=None)
+    with bar, crew(hands, workers) as threads:
 
         def one(errand: Errand) -> None:
             worker = idle.get()
@@ -187,15 +187,8 @@ def carry_out(todo: Sequence[Errand], folder: Path, workers: int, patience: floa
             bar.set_postfix_str(errand.case.name[:40], refresh=False)
             bar.update()
 
-        lanes = ThreadPoolExecutor(workers)
-        try:
-            for some in groups:
-                list((lanes.map if crew else map)(one, some))
-        finally:
-            lanes.shutdown(wait=False, cancel_futures=True)  # nobody waits for what an interruption ends
-            for worker in crew:
-                worker.end()
-            lanes.shutdown()
+        for some in groups:
+            list((threads.map if hands else map)(one, some))
 
 
 def _carry_out(errand: Errand, shared: str, worker: Worker | None, patience: float) -> None:

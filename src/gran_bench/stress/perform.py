@@ -14,15 +14,13 @@ from gran_bench.config.rules import ConfigError
 from gran_bench.stress.beds import BEDS
 from gran_bench.stress.expectation import Bench, Experiment, Failure, Observation, Outcome
 from gran_bench.stress.impacts import IMPACTS
-from gran_bench.stress.rollouts import ROLLOUTS
-from gran_bench.stress.steps import STEPS
 from gran_bench.surrogate.checkpoint import load_card, load_model
 from gran_bench.surrogate.step import Surrogate
 from gran_bench.workers import serve
 
 DIAMETER = 0.05  # m, of the spheres of every scene in the lists
 # Every kind by the name that a list gives it; its function says what it does and takes.
-EXPERIMENTS: dict[str, Experiment] = {**IMPACTS, **BEDS, **STEPS, **ROLLOUTS}
+EXPERIMENTS: dict[str, Experiment] = {**IMPACTS, **BEDS}
 
 
 def perform(kind: str, parameters: Mapping[str, Any], checkpoint: str, shared: str) -> Outcome:
