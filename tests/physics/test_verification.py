@@ -16,7 +16,7 @@ import gran_bench.verification.theory
 from gran_bench.dem import contact, engine_numpy
 from gran_bench.plots.verification import draw_verification
 from gran_bench.verification import CASES, Case, Check, run_case
-from gran_bench.verification.command import FAILED, MET, REFUSED, run
+from gran_bench.verification.command import FAILED, MET, REFUSED, run, table
 from gran_bench.verification.laboratory import (
     Impacts,
     collide,
@@ -25,7 +25,6 @@ from gran_bench.verification.laboratory import (
     on_wall,
     sphere_material,
 )
-from gran_bench.verification.report import table
 from gran_bench.verification.theory import damping, restitution, sliding_rebound
 
 ROOT = Path(__file__).parents[2]

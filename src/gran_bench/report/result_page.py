@@ -60,11 +60,17 @@ def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     )
     yield ""
     rows = [["", *(f"{name} packing" for name in packings)]]
-    for kind, shown, what in (("requirements", _requirement, ""), ("errors", _error, " (noise floors)")):
+    for kind, shown, what in (
+        ("requirements", lambda row: f"{_value(row)}, {row['verdict']}", ""),
+        ("errors", _error, " (noise floors)"),
+    ):
         for key, row in next(iter(packings.values()))[kind].items():
             if kind == "requirements" or key in ERRORS:
                 rows.append([f"{row['label']}{what}", *(shown(one[kind][key]) for one in packings.values())])
-    failures = (_failures(judged["failures"]) for judged in packings.values())
+    counts = [judged["failures"] for judged in packings.values()]
+    failures = (
+        "" if count is None else f"{count['non_finite_states']}; {count['outside_spheres']}" for count in counts
+    )
     yield from markdown([*rows, ["states not finite; spheres outside by more than r", *failures]])
     yield ""
     baselines = ([name, *(_error(errors[key]) for key in ERRORS)] for name, errors in summary["baselines"].items())
@@ -86,10 +92,6 @@ def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     yield f"- Judgement: {stamp(summary['provenance'])}, data `{summary['data_digest']}`"
 
 
-def _requirement(row: dict[str, Any]) -> str:
-    return f"{_value(row)}, {row['verdict']}"
-
-
 def _error(row: dict[str, Any]) -> str:
     multiple = row["multiple_of_floor"]
     return _value(row) if multiple is None else f"{_value(row)} ({shown_multiple(multiple)})"
@@ -97,10 +99,6 @@ def _error(row: dict[str, Any]) -> str:
 
 def _value(row: dict[str, Any]) -> str:
     return "undefined" if row["value"] is None else f"{row['value']:.3g} {row['unit']}".replace(" deg", "°")
-
-
-def _failures(count: dict[str, Any] | None) -> str:
-    return "" if count is None else f"{count['non_finite_states']}; {count['outside_spheres']}"
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ A list is a YAML file of the form
 
 where ``expect`` has one of ``met`` and ``flagged``, with bounds, or ``error``, with the name of an exception; ``says``
 beside it lists words that the error, or the flags, must hold. ``models: [contact]`` keeps a case to models of that
-name. ``known: why`` marks a failure that is not mended yet; it goes on failing.
+name.
 """
 
 from __future__ import annotations
@@ -32,9 +32,7 @@ from gran_bench.stress.expectation import Bound, Expectation, Experiment
 from gran_bench.stress.perform import EXPERIMENTS
 
 SHIPPED_LISTS = ("dem", "surrogate")
-KEYS = {
-    "name": str, "kind": str, "expect": dict, "short": bool, "with": dict, "models": list[str], "known": str,
-}  # fmt: skip
+KEYS = {"name": str, "kind": str, "expect": dict, "short": bool, "with": dict, "models": list[str]}
 EXPECT = {"met": list[dict], "flagged": list[dict], "error": str, "says": list[str]}
 BOUND = {"quantity": str, "unit": str, "at_most": float, "at_least": float}
 
@@ -49,7 +47,6 @@ class StressCase:
     parameters: dict[str, Any] = field(default_factory=dict)
     short: bool = False
     models: Sequence[str] = ()
-    known: str = ""
     part: str = ""
 
 
@@ -98,7 +95,7 @@ def _case(row: Any, place: str, part: str) -> StressCase:
     words = f"{place}: kind={row['kind']} has no model, so models={row.get('models')} is idle; leave it out"
     _require(experiment.of_model or not row.get("models"), words)
     expectation = _expectation(row["expect"], place, experiment)
-    others = {name: row[name] for name in ("name", "kind", "short", "models", "known") if name in row}
+    others = {name: row[name] for name in ("name", "kind", "short", "models") if name in row}
     return StressCase(**others, expectation=expectation, parameters=given, part=part)
 
 

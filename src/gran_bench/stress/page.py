@@ -34,7 +34,6 @@ FIGURES = {
 def row(result: Errand) -> tuple[str, ...]:
     """A result in words, under `HEADS`."""
     case, (word, found) = result.case, result.verdict
-    word += f" (known: {case.known})" if case.known and word == FAILED else ""
     return (case.name, result.model, str(case.expectation), found, word, f"{result.seconds:.1f}")
 
 

@@ -261,7 +261,6 @@ def _last_words(code: int) -> str:
         return f"the process that jobs are forked from was ended {memory}"
     if code < 0:
         return f"its process was ended by signal {-code}{f' {memory}' if code == -9 else ''}"
-    stopped = code - 128 in signal.valid_signals()
-    return (
-        f"it was stopped by {signal.Signals(code - 128).name}" if stopped else f"its process ended with status {code}"
-    )
+    if code - 128 in signal.valid_signals():
+        return f"it was stopped by {signal.Signals(code - 128).name}"
+    return f"its process ended with status {code}"
