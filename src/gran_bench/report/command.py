@@ -1,4 +1,4 @@
-"""``python -m gran_bench.report [FOLDER ...]``: sweeps, and every table of the results, from committed records alone."""
+"""``python -m gran_bench.report [FOLDER ...]``: sweeps, and every table of the results, from their records."""
 
 from __future__ import annotations
 

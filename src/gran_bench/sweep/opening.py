@@ -89,8 +89,8 @@ def _refuse_twins(planned: Sequence[SweepJob]) -> None:
             one, other = (" ".join(f"{key}={it.choices.get(key)}" for key in keys) or it.run for it in (twin, job))
             raise ConfigError(
                 f"{one} and {other}: two jobs ({job.run}) would train the same weights; give each value once, and "
-                "sweep a key where it decides them, by a command with tracking.sweep=NAME (python -m gran_bench.evaluate "
-                "judges a model again)"
+                "sweep a key where it decides them, by a command with tracking.sweep=NAME "
+                "(python -m gran_bench.evaluate judges a model again)"
             )
 
 
