@@ -255,10 +255,9 @@ def equal_accuracy(entry: Entry, entries: Sequence[Entry], accepted: float | Non
 
 
 def paid_back(beside: EqualAccuracy) -> float | None:
-    """Simulated seconds after which a method's data and training are paid back beside the DEM that is as exact.
+    """Simulated seconds after which data and training are paid back: (data + training) / (the DEM's − its seconds).
 
-    (data + training) / (the DEM's − the method's seconds a simulated second). None where every DEM is significantly
-    worse; NaN where nobody knows who is faster; infinite where the DEM is.
+    None where every DEM is significantly worse; NaN where nobody knows who is faster; infinite where the DEM is.
     """
     entry, rival = beside.entry, beside.rival or beside.lenient
     if rival is None:
@@ -270,10 +269,7 @@ def paid_back(beside: EqualAccuracy) -> float | None:
 
 
 def crossing(abscissa: Sequence[float], costs: Sequence[float], level: float) -> float | None:
-    """Where a cost first rises to a level: straight lines between the points in logarithms; None where it stays below.
-
-    The abscissa increases; all are > 0.
-    """
+    """Where a cost first rises to a level, linearly in logarithms over a rising abscissa; None where it stays below."""
     x, y = np.log(np.asarray(abscissa, float)), np.log(np.asarray(costs, float) / level)
     above = np.flatnonzero(y >= 0.0)
     if not len(above) or not above[0]:

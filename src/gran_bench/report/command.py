@@ -98,10 +98,8 @@ def failures_table(root: Path) -> list[str]:
         made, table = read_table(root / "stress" / stress.TABLE)
         rows = list(csv.DictReader(io.StringIO(table)))
         early = [case for case, model, *_ in stress.early_ends(rows) if model]
-        words = (
-            f"{stress.count(rows, FAILED)} of {len(rows)} expectations; {len(early)} rollouts of trained models before "
-        )
-        words += f"their end: {', '.join(early) or 'none'}"
+        words = f"{stress.count(rows, FAILED)} of {len(rows)} expectations; {len(early)} rollouts of trained models"
+        words += f" before their end: {', '.join(early) or 'none'}"
         lines.append(("[stress](stress/README.md)", made.get("day", ""), words))
     if benchmarks := read_all(root / "benchmark"):
         methods = [row for found in benchmarks.values() for row in found["methods"]]

@@ -226,10 +226,9 @@ def model_rollout(
 
 
 def observed(result: Rollout, scene: Scene, start: ParticleState) -> Observation:
-    """What a rollout did, for any model alike: failures told, timed and bounded.
+    """What a rollout did: failures told, timed and bounded; bounds hold for the finite states.
 
-    It fails at the first state that is not finite, has a centre outside by more than a radius, or has more kinetic
-    energy than falling and turning can give. Bounds hold for the finite states.
+    It fails at the first state that is not finite, has a centre outside by more than a radius, or is `WILD`.
     """
     trajectory, frames = result.trajectory, result.trajectory.frame_count
     figures, flags, share = seen_of(trajectory, scene, start)

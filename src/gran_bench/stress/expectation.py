@@ -40,12 +40,10 @@ class Bound:
 
 @dataclass(frozen=True)
 class Expectation:
-    """What a case must show.
+    """What a case must show: ``met``, that each bound holds; ``error``, to be refused with these words; or ``flagged``.
 
-    - ``met``: it ends without an error and every bound holds.
-    - ``error``: it is refused or stops with an error of this class that holds these words.
-    - ``flagged``: it may fail, but not silently: it ends without an error, every bound holds for what it did up to
-      its failure, and each failure stands among its flags, of which some hold these words.
+    A flagged case may fail, but not silently: it ends without an error, every bound holds for what it did up to its
+    failure, and each failure stands among its flags, of which some hold these words.
     """
 
     form: str
@@ -84,11 +82,7 @@ Outcome = Observation | Failure
 
 
 def verdict(expectation: Expectation, outcome: Outcome) -> tuple[str, str]:
-    """Hold what a case showed, or the error that stopped it, against what it must show.
-
-    Returns:
-        ``met``, ``flagged`` (as expected, with flags) or ``FAILED``, and what was found, in a line.
-    """
+    """``met``, ``flagged`` or ``FAILED``, of what a case showed or the error that ended it; and what was found."""
     if isinstance(outcome, Failure):
         right = expectation.form == "error" and outcome.error == expectation.error
         right = right and all(word in outcome.message for word in expectation.says)

@@ -122,11 +122,10 @@ NUDGE = 1e-9  # m
 
 
 def step_ladder(bench: Bench, steps: list[float], production: float, seconds: float = 2.0) -> Observation:
-    """Steps from small to far too large on the paper's drum: error of the centre of mass's angle, and cost.
+    """Steps (s) from small to far too large on the paper's drum: error of the centre of mass's angle, and cost.
 
-    The smallest step is the reference. The floor is the same error of the reference against itself, nudged by 1e-9 m;
-    what the production step, one of the steps, errs more than that is beyond the floor. A step that ends with an error
-    has an infinite error and stays in the curve. Steps in s; the drum turns for ``seconds`` at 30 rpm.
+    The smallest step is the reference; the floor is its error against itself, nudged by 1e-9 m, and what ``production``
+    errs more is beyond it. A step that ends with an error has an infinite one. The drum turns for ``seconds``, 30 rpm.
     """
     if production not in steps:
         raise ValueError(f"with.production={production:g} is none of with.steps={steps}; choose one of them")

@@ -1,12 +1,8 @@
 """The eight benchmark tests of Chung & Ooi (2011), Granular Matter 13, 643–656, with their materials, sizes and speeds.
 
-The parameters are as public implementations of the tests give them: YADE's for tests 1–4, PySPH's for 5, 7 and 8; test
-6 has the metals of 7 on a plane. What comes of them is expected from Hertz's and the rigid body's closed forms, and
-between those from the equations that the solver claims to solve; the curves that the paper draws are of other codes.
-
-A rigid plane is a wall 10⁶ times as stiff as the sphere. In test 8 the larger sphere is 1000 times as dense as the
-smaller one, so that it hardly moves. The paper's other variant, a shear modulus raised by hand, no isotropic material
-has.
+Parameters are YADE's for tests 1–4 and PySPH's for 5, 7 and 8; test 6 has the metals of 7 on a plane. What is expected
+comes from closed forms, and between those from the equations that the solver claims to solve. A rigid plane is a wall
+10⁶ times as stiff as the sphere; in test 8 the larger sphere is 1000 times as dense as the smaller one.
 """
 
 from __future__ import annotations

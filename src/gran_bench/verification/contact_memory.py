@@ -1,7 +1,6 @@
 """What a contact remembers: shear–load cycles create no energy, the force turns with the contact, arms end at it.
 
-A contact is led along a path by a sphere so heavy that the contact hardly changes its velocity; what the contact takes
-from it or gives to it is read off that change.
+A sphere so heavy that the contact hardly changes its velocity leads it; that change tells what the contact took.
 """
 
 from __future__ import annotations

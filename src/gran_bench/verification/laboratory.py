@@ -99,10 +99,9 @@ def watch(scene: Scene, state: ParticleState, time_step: float, duration: float,
 
 @dataclass
 class Impacts:
-    """P impacts of a sphere on a wall or on another sphere, each in the x–z plane with its spins about y.
+    """P impacts of a sphere on what lies under it (−z), a wall or a sphere at rest, in the x–z plane, spins about y.
 
-    The first body hits the second one, which lies under it (−z) or, where it is a sphere, is at rest there. Numbers
-    are broadcast to as many impacts as the longest array has.
+    Numbers are broadcast to as many impacts as the longest array has.
     """
 
     contact: Contact  # the bodies
@@ -137,11 +136,8 @@ def collide(
 ) -> Rebounds:  # fmt: skip
     """Let all impacts happen side by side in one run, long enough for the slowest to part.
 
-    Args:
-        impacts: what hits what.
-        steps_per_contact: the step is the shortest elastic contact time over this.
-        phase: ``(P,)`` of a step, between the last state apart and the first touch.
-        stride: steps between two frames; None keeps the end alone.
+    The step is the shortest elastic contact time over ``steps_per_contact``; ``phase``, ``(P,)`` of a step, is between
+    the last state apart and the first touch; ``stride`` is in steps between frames, or None (the end alone).
     """
     contact, count = impacts.contact, len(impacts.normal)
     first, second = contact.first, contact.second
