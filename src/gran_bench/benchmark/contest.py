@@ -103,10 +103,8 @@ class Contest:
                 dem = replace(self.config.dem, time_step=step, threads=1)
                 job = self._dem_job(self.case, dem, scene, stages)
                 found[label].append((modulus, self._short(f"E = {modulus:g} Pa, {label} step", "dem", job)))
-        for name in self.models:
-            method = self._surrogate(name, self.case)
-            if not method.unfit_because:
-                found[name] = [(home, self._short(name, "surrogate", method.job))]
+        for method in self._fitting(self.case):
+            found[method.name] = [(home, self._short(method.name, "surrogate", method.job))]
         return found
 
     @property
@@ -116,12 +114,13 @@ class Contest:
         for count, case in self._count_cases.items():
             job = self._dem_job(case, replace(self.config.dem, threads=1))
             found.setdefault("DEM", []).append((count, self._short(f"DEM, {count} spheres", "dem", job)))
-            for name in self.models:
-                method = self._surrogate(name, case)
-                if not method.unfit_because:
-                    short = self._short(f"{name}, {count} spheres", "surrogate", method.job)
-                    found.setdefault(name, []).append((count, short))
+            for method in self._fitting(case):
+                short = self._short(f"{method.name}, {count} spheres", "surrogate", method.job)
+                found.setdefault(method.name, []).append((count, short))
         return found
+
+    def _fitting(self, case: CaseSpec) -> list[Method]:
+        return [one for one in (self._surrogate(name, case) for name in self.models) if not one.unfit_because]
 
     def _dem_ladder(
         self, multiples: list[float], modulus: float | None = None, precision: str = "float64"

@@ -6,9 +6,9 @@ import resource
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,8 +29,7 @@ WARM_UP = 2  # frames: they compile, or load what was compiled before
 BASELINES = {"rigid rotation": rigid_rotation, "ballistic": ballistic}
 
 
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(NamedTuple):
     """What one run gave."""
 
     trajectory: Trajectory | None  # its frames; None for statistics without particles

@@ -47,7 +47,6 @@ class Errand:
     file: Path  # where the outcome is kept until the whole run ends
     outcome: Outcome | None = None
     seconds: float = 0.0  # wall time
-    kept: bool = False  # whether it is from an earlier, interrupted run
 
     @property
     def name(self) -> str:
@@ -125,19 +124,14 @@ def draw_figures(results: Sequence[Errand], folder: Path) -> None:
             draw_dem_step(curves, folder / "dem_step.png")
         elif result.case.kind == "energy_drift":
             draw_energy_drift(curves, folder / "energy_drift.png")
-        elif label := _label_in_drum(result):
-            runs[label].append((curves["speed_rpm"][0], curves["time_to_failure"][0], bool(curves["survived"][0])))
+        elif result.case.kind in ("model_rollout", "untrained_rollout"):
+            values, known = result.case.parameters, EXPERIMENTS[result.case.kind].parameters
+            # The paper's drum, unchanged but for its speed.
+            if values.get("scene", known["scene"].default) == "drum" and not {"changes", "then"} & set(values):
+                end = curves["speed_rpm"][0], curves["time_to_failure"][0], bool(curves["survived"][0])
+                runs[result.model or f"{values['model']}, untrained"].append(end)
     if runs:
         draw_time_to_failure(runs, folder / "time_to_failure.png")
-
-
-def _label_in_drum(result: Errand) -> str:
-    """The model whose rollout in the paper's drum, unchanged but for its speed, a result is; empty for any other."""
-    values, kind = result.case.parameters, result.case.kind
-    plain = values.get("scene", "drum") == "drum" and not {"changes", "then"} & set(values)
-    if kind == "model_rollout" and plain:
-        return result.model
-    return f"{values['model']}, untrained" if kind == "untrained_rollout" and values.get("scene") == "drum" else ""
 
 
 def errands(cases: Sequence[StressCase], checkpoints: Sequence[Path], folder: Path) -> list[Errand]:
@@ -194,7 +188,7 @@ def carry_out(todo: Sequence[Errand], folder: Path, workers: int, patience: floa
 def _carry_out(errand: Errand, shared: str, worker: Worker | None, patience: float) -> None:
     case, began = errand.case, time.perf_counter()
     if errand.file.exists():
-        (answer, errand.seconds), errand.kept = json.loads(errand.file.read_text("utf-8")), True
+        answer, errand.seconds = json.loads(errand.file.read_text("utf-8"))
     else:
         task = {"kind": case.kind, "parameters": case.parameters, "checkpoint": errand.checkpoint, "shared": shared}
         answer = asdict(perform(**task)) if worker is None else worker.ask(task, patience)

@@ -64,8 +64,7 @@ class Observation:
     """What a case showed."""
 
     quantities: Mapping[str, float] = field(default_factory=dict)  # figures by name
-    # what the software itself says is wrong: failed frames, warnings, counts of escaped spheres
-    flags: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()  # what the software itself says is wrong: warnings, failed frames, escaped spheres
     curves: Mapping[str, list[float]] = field(default_factory=dict)  # arrays by name as lists, for a figure
     unflagged: int = 0  # failures that nothing in the flags tells of; a sound program has none
 

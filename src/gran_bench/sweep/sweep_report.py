@@ -153,8 +153,7 @@ class Reach:
     figure: str  # heading of the figure
     best: tuple[str, float]  # choice with the smallest mean, and the mean
     worst: tuple[str, float]  # choice with the largest mean, and the mean
-    # The ratio of worst to best that seeds alone would give, see `chance_ratio`; NaN where nothing says so.
-    chance: float
+    chance: float  # `chance_ratio`, of worst to best by seeds alone; NaN where nothing says so
     lost: tuple[str, ...]  # choices that have no mean, because a run of theirs failed or has no such figure
 
     @property

@@ -66,8 +66,7 @@ class Outcome:
     """A case that was run."""
 
     case: Case  # which
-    # what it checked; as far as it came, where it stopped with an error
-    checks: list[Check] = field(default_factory=list)
+    checks: list[Check] = field(default_factory=list)  # as far as it came, where it stopped with an error
     curves: Curves = field(default_factory=dict)  # arrays by name, for a figure
     seconds: float = 0.0  # s of wall time
     failure: str | None = None  # the error that stopped it, in a line; None where it ran to its end
