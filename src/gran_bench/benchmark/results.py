@@ -37,9 +37,8 @@ class Record:
 def spread(values: Sequence[float]) -> dict[str, float | None] | None:
     """Median, smallest and largest of positive values, one a round, and where the median of another benchmark lies.
 
-    With s the standard deviation of ln x over n rounds, the median of n others lies with 95 % confidence within
-    median × exp(± t_{n−1} × 1.2533 s √(2/n)): 1.2533 s/√n is the standard error of a median of normal values, and two
-    medians scatter √2 as much as one. None of no value; a single round says nothing of another.
+    It lies, at 95 %, within median × exp(± t_{n−1} × 1.2533 s √(2/n)), s the standard deviation of ln x over n rounds:
+    1.2533 s/√n is the standard error of a median. None of no value; a single round says nothing of another.
     """
     if not values:
         return None

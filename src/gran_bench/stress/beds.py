@@ -107,9 +107,9 @@ def turning_bed(
     bench: Bench, scene: str = "drum_small", changes: dict | None = None, then: dict | None = None,
     speed_rpm: float | None = 30.0, seconds: float = 0.5, time_step: float | None = None, unsafe: bool = False,
 ) -> Observation:  # fmt: skip
-    """A settled bed (`bed_in_place`) that is turned for some seconds.
+    """A settled bed (`bed_in_place`) that turns for some seconds; ``time_step`` (s) is the solver's choice where null.
 
-    ``time_step`` (s) is the solver's choice where null; ``unsafe`` lets a step beyond a fifth of the contact time pass.
+    ``unsafe`` lets a step beyond a fifth of the contact time pass.
     """
     place, bed = bed_in_place(bench, scene, speed_rpm, changes, then)
     dem = DemConfig(time_step=time_step, allow_unsafe_step=unsafe)

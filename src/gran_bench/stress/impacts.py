@@ -80,9 +80,9 @@ def _moving(state: ParticleState) -> float:
 
 
 def fast_sphere(bench: Bench, speed: float, against: str, time_step: float | None = None) -> Observation:
-    """One sphere shot (m/s) at another or at a wall through the usual front door, with all its checks.
+    """One sphere shot (m/s) at a ``sphere`` or ``wall`` through the usual front door, with all its checks.
 
-    ``against`` is ``sphere`` or ``wall``; ``time_step`` (s) is the solver's choice where null.
+    ``time_step`` (s) is the solver's choice where null.
     """
     count = 1 if against == "wall" else 2
     scene = lab.laboratory(lab.sphere_material(lab.SOFT, 0.5, 0.3), (lab.FLOOR,) if count == 1 else ())

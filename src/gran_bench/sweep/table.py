@@ -67,8 +67,8 @@ def read_standing(folder: Path) -> Standing:
 def standing(sweep: SweepFile | None, runs: Sequence[SweepRun]) -> Standing:
     """Where a sweep stands that has some runs.
 
-    A folder may hold runs of several commands, and ``sweep.json`` lists the jobs of the last one. A run of these jobs
-    is known by its key; another counts if it was made with the same code, data, judge and budget as one of the jobs.
+    A run of the jobs in ``sweep.json``, those of the last command, is known by its key; another counts if it was made
+    with the same code, data, judge and budget as one of them.
     """
     jobs = sweep.jobs if sweep else []
     listed, choices = {job.whole for job in jobs}, {job.choice for job in jobs}

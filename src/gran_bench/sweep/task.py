@@ -1,7 +1,4 @@
-"""What a command does once a job: config checked, work done, errors said, here or in a process of its own.
-
-With ``hydra/launcher=local`` each job has a process, forked from one that has loaded PyTorch and done no work.
-"""
+"""What a command does once a job: config checked, work done, errors said, here or in a forked process of its own."""
 
 from __future__ import annotations
 

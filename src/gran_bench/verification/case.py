@@ -15,10 +15,7 @@ Curves = dict[str, FloatArray]  # arrays by name, for a figure
 
 @dataclass(frozen=True)
 class Check:
-    """One quantity at P points, expected and found.
-
-    The error of a point is |found − expected| / scale. A value that is not finite has an infinite error.
-    """
+    """One quantity at P points; an error is |found − expected| / scale, infinite where anything is not finite."""
 
     quantity: str  # its name, with the unit
     expected: FloatArray  # ``(P,)`` from ``source``

@@ -1,7 +1,4 @@
-"""A ball on a plane, a slope or in a drum: it slides, starts to roll, rolls, swings, or rolling friction holds it.
-
-Slip to roll is DEM04 of the MFiX-DEM verification manual (mfix.netl.doe.gov/doc/vvuq-manual; Garg et al. 2012).
-"""
+"""A ball on a plane, a slope or in a drum; slip to roll is DEM04 of the MFiX-DEM manual (Garg et al. 2012)."""
 
 from __future__ import annotations
 
