@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gran_bench import workers
-from gran_bench.benchmark import command
+from gran_bench.benchmark import command, turns
 from gran_bench.benchmark.contest import Method
 from gran_bench.benchmark.errors import noise_bound, pooled_judgement
 
@@ -73,9 +73,9 @@ class Echo:
 def test_two_seeds_give_rounds_that_start_from_nudges_of_their_own(tmp_path, monkeypatch):
     nudges = {}
     for seed in (0, 1):
-        monkeypatch.setattr(command, "Worker", echo := Echo())
+        monkeypatch.setattr(turns, "Worker", echo := Echo())
         method = Method("net", "surrogate", {}, 1.0)
-        command.take_turns([method], 3, seed, tmp_path, [f"seed {seed}"], frame_interval=0.1)
+        turns.take_turns([method], 3, seed, tmp_path, [f"seed {seed}"], frame_interval=0.1)
         nudges[seed] = echo.nudges
     assert nudges[0] == [1001, 1002, 1003]
     assert not set(nudges[0]) & set(nudges[1])

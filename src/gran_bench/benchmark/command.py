@@ -1,21 +1,19 @@
-"""The benchmark: data, methods in turns (shuffled anew, on an idle machine), judgement, studies, results, page."""
+"""The benchmark, stage by stage: data → turns → judgement → studies → results, figures, page."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from textwrap import shorten
 from typing import Any
 
-import numpy as np
-from tqdm import tqdm
-
 from gran_bench.benchmark import page
 from gran_bench.benchmark import results as kept
 from gran_bench.benchmark.contest import Contest, Method
-from gran_bench.benchmark.errors import Reference, Scored, errors_file, judged_rounds, score_run, trajectory_file
+from gran_bench.benchmark.errors import Reference, Scored, errors_file, judged_rounds, score_run
+from gran_bench.benchmark.turns import Record, take_turns
 from gran_bench.config import BenchmarkConfig
 from gran_bench.config.reading import validate
 from gran_bench.config.rules import ConfigError
@@ -26,101 +24,6 @@ from gran_bench.processes import stop_on_signals, tell
 from gran_bench.provenance import hardware, library_versions, provenance
 from gran_bench.provenance.source_digest import comparing_code
 from gran_bench.shipped import DEFAULT_MODEL, SHIPPED, shipped_model
-from gran_bench.workers import Worker, crew
-
-PREPARED_AT_A_TIME = 2
-PATIENCE = 3600.0  # s that a method may prepare itself, or take for one run: the slowest take minutes
-FAILURE = "failure.json"
-FIRST_NUDGE = 1001  # seed of the nudge of the first round of seed 0; the replicas have the lower ones
-ROUNDS_OF_A_SEED = 1000
-
-
-def nudge_seed(seed: int, index: int) -> int:
-    """Seed of the nudge that a round of a benchmark starts from: no two rounds of two benchmarks have the same."""
-    return FIRST_NUDGE + ROUNDS_OF_A_SEED * seed + index
-
-
-def take_turns(
-    methods: Sequence[Method], rounds: int, seed: int, folder: Path, conditions: Sequence[str], frame_interval: float,
-    wants_frames: Callable[[Method, Path, int], bool] = lambda method, folder, index: False,
-    after_round: Callable[[int, dict[str, Path]], None] = lambda index, folders: None,
-    label: str = "timing",
-) -> dict[str, kept.Record]:  # fmt: skip
-    """Run every method that fits the scene once a round, and keep what was measured; records by the method's name.
-
-    Args:
-        seed: of the order in each round, and of the nudges that the rounds start from.
-        folder: of all measurements; ``conditions`` are what else decides one (`Method.key`).
-        frame_interval: s.
-        wants_frames: whether the frames of a method's round, in its folder, are still to be judged.
-        after_round: called with the round and the folders of all methods, to judge what was kept.
-    """
-    fit = [method for method in methods if not method.unfit_because]
-    folders = {method.name: folder / method.key(*conditions) for method in fit}
-
-    def keeps(method: Method, index: int) -> bool:
-        place = folders[method.name]
-        return wants_frames(method, place, index) and not trajectory_file(place, index).exists()
-
-    def wants(method: Method, index: int) -> bool:
-        place = folders[method.name]
-        return not (place / FAILURE).exists() and (keeps(method, index) or not _path(place, index).exists())
-
-    for failed in (place / FAILURE for place in folders.values()):
-        # A run that diverged will diverge again; a process that died (of a lack of memory, say) gets another chance.
-        if failed.exists() and json.loads(failed.read_text("utf-8"))["died"]:
-            failed.unlink()
-    orders = [np.random.default_rng([seed, index]).permutation(len(fit)) for index in range(rounds)]
-    missing = [(fit[k], index) for index, order in enumerate(orders) for k in order if wants(fit[k], index)]
-    workers = {method.name: Worker("gran_bench.benchmark.jobs") for method, _ in missing}
-    bar = tqdm(total=len(missing), desc=label, unit="run", disable=None, leave=False)
-    with bar, crew(list(workers.values()), PREPARED_AT_A_TIME) as threads:
-
-        def prepare(method: Method) -> None:
-            bar.set_postfix_str(f"preparing {method.name}", refresh=True)
-            frames = round(method.seconds / frame_interval)
-            request = {"job": method.job, "frames": frames, "nudge_seed": nudge_seed(seed, 0)}
-            answer = workers[method.name].ask(request, PATIENCE)
-            if "died" in answer:
-                _note(method, answer, folders[method.name], 0, frame_interval)
-
-        # All are compiled and warm before the first is timed; the first compiles what the others then load.
-        needed = list({method.name: method for method, _ in missing}.values())
-        for some in (needed[:1], needed[1:]):
-            list(threads.map(prepare, some))
-        for index in range(rounds):
-            for method in [method for method, when in missing if when == index]:
-                bar.set_postfix_str(method.name, refresh=True)
-                bar.update()
-                if wants(method, index):
-                    place = folders[method.name]
-                    keep = str(trajectory_file(place, index).resolve()) if keeps(method, index) else None
-                    request = {"nudge_seed": nudge_seed(seed, index), "keep": keep}
-                    _note(method, workers[method.name].ask(request, PATIENCE), place, index, frame_interval)
-            after_round(index, folders)
-    return {method.name: _read(folders[method.name], rounds) for method in fit}
-
-
-def _note(method: Method, answer: dict[str, Any], folder: Path, index: int, frame_interval: float) -> None:
-    """Write down what came of a run."""
-    if "died" in answer or "failure" in answer:
-        reached = answer.get("reached", 0) * frame_interval
-        found = {"failure": answer.get("died") or answer["failure"], "died": "died" in answer}
-        found["seconds"] = answer["wall_seconds"] / reached if reached else None
-        write_text(folder / FAILURE, json.dumps(found) + "\n")
-    else:
-        turn = {"round": index, **answer, "method": method.name}
-        write_text(_path(folder, index), json.dumps(turn, indent=1) + "\n")
-
-
-def _path(folder: Path, index: int) -> Path:
-    return folder / f"round{index}.json"
-
-
-def _read(folder: Path, rounds: int) -> kept.Record:
-    turns = [json.loads(_path(folder, k).read_text("utf-8")) for k in range(rounds) if _path(folder, k).exists()]
-    failed = json.loads((folder / FAILURE).read_text("utf-8")) if (folder / FAILURE).exists() else {}
-    return kept.Record(turns, failed.get("failure", ""), failed.get("seconds"))
 
 
 def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
@@ -211,7 +114,7 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
     profile, conditions = config.profile, measured_under(config.seed)
     runs: dict[str, list[Scored]] = {}
 
-    def turns(what: list[Method], rounds: int, label: str, **judging: Any) -> dict[str, kept.Record]:
+    def turns(what: list[Method], rounds: int, label: str, **judging: Any) -> dict[str, Record]:
         tell(f"{label}: {len([m for m in what if not m.unfit_because])} methods in {rounds} rounds")
         place = folder / "measurements"
         return take_turns(what, rounds, config.seed, place, conditions, scene.frame_interval, label=label, **judging)

@@ -14,6 +14,7 @@ import numpy as np
 from gran_bench.baselines import interpolated_statistics
 from gran_bench.benchmark.contest import Method
 from gran_bench.benchmark.jobs import read_trajectory, training_summaries
+from gran_bench.benchmark.turns import trajectory_file
 from gran_bench.dataset import Case
 from gran_bench.files import write_text
 from gran_bench.metrics.comparisons import COMPARISONS, Comparison
@@ -137,11 +138,6 @@ def score_run(method: Method, folder: Path, reference: Reference, index: int) ->
 def judged_rounds(method: Method, rounds: int) -> int:
     """How many rounds of a method are judged: statistics without particles are the same in all."""
     return 0 if not method.judged else 1 if method.job.get("does") == "interpolation" else rounds
-
-
-def trajectory_file(folder: Path, index: int) -> Path:
-    """Where the frames of a round are kept until they are judged."""
-    return folder / f"trajectory{index}.npz"
 
 
 def errors_file(folder: Path, digest: str, index: int) -> Path:

@@ -14,6 +14,7 @@ from scipy.stats import t as student_t
 
 from gran_bench.benchmark.contest import Method, Study
 from gran_bench.benchmark.errors import VELOCITY, Reference, Scored
+from gran_bench.benchmark.turns import Record
 from gran_bench.plots.time_error import Contender
 
 RESULTS = "benchmark.json"
@@ -23,15 +24,6 @@ SPREAD = ("median", "low", "high", "expected_low", "expected_high")
 
 class ResultsError(ValueError):
     """Results that a page cannot be made from; the message names the file and the remedy."""
-
-
-@dataclass(frozen=True)
-class Record:
-    """All turns of one method, as its process told them (`jobs.prepare`), by round; why it failed, if it did."""
-
-    turns: list[dict[str, Any]]
-    failure: str = ""
-    failed_seconds: float | None = None  # wall time of a simulated second before it failed; None without a frame
 
 
 def spread(values: Sequence[float]) -> dict[str, float | None] | None:
