@@ -11,7 +11,7 @@ import shutil
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 
@@ -26,8 +26,8 @@ from gran_bench.provenance import provenance
 from gran_bench.provenance.source_digest import source_digest
 from gran_bench.shipped import SHIPPED, shipped_model
 from gran_bench.stress.case_list import StressCase, cases_of_file, near_match, shipped_cases
-from gran_bench.stress.expectation import FAILED, Observation, Outcome, verdict
-from gran_bench.stress.page import PAGE, closing_line, table, write_results
+from gran_bench.stress.expectation import FAILED, Observation
+from gran_bench.stress.page import PAGE, Errand, closing_line, table, write_results
 from gran_bench.stress.perform import EXPERIMENTS, model_words, outcome_of, perform
 from gran_bench.surrogate.checkpoint import file_digest
 from gran_bench.workers import Worker, crew
@@ -35,28 +35,6 @@ from gran_bench.workers import Worker, crew
 LOCK = ".lock"  # in the folder of the page
 PART = "part"  # folder of the page of less than the whole list
 KEPT, SHARED = "kept", "beds"
-
-
-@dataclass
-class Errand:
-    """A case for the DEM or for one model, and what came of it once it is carried out."""
-
-    case: StressCase
-    checkpoint: str  # model file; empty for the DEM
-    model: str  # its label
-    file: Path  # where the outcome is kept until the whole run ends
-    outcome: Outcome | None = None
-    seconds: float = 0.0  # wall time
-
-    @property
-    def name(self) -> str:
-        """Of the case, and of its model where it has one."""
-        return f"{self.case.name}, {self.model}" if self.model else self.case.name
-
-    @property
-    def verdict(self) -> tuple[str, str]:
-        """How it ended, in a word, and what was found."""
-        return verdict(self.case.expectation, self.outcome)
 
 
 class StressFailed(RuntimeError):

@@ -7,15 +7,16 @@ import io
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gran_bench.files import markdown, write_part
 from gran_bench.provenance import read_table, stamp, write_table
-from gran_bench.stress.expectation import FAILED, FLAGGED, MET, Observation
+from gran_bench.stress.expectation import FAILED, FLAGGED, MET, Observation, Outcome, verdict
 
 if TYPE_CHECKING:
-    from gran_bench.stress.command import Errand
+    from gran_bench.stress.case_list import StressCase
 
 PAGE, TABLE = "README.md", "stress.csv"
 HEADS = ("case", "model", "expectation", "found", "verdict", "s")
@@ -29,6 +30,28 @@ FIGURES = {
     "smallest step, over the floor of a run nudged by 1e-9 m, and cost of a frame on one thread.",
     "energy_drift.png": "Largest change of the energy of an elastic gas against the step.",
 }
+
+
+@dataclass
+class Errand:
+    """A case for the DEM or for one model, and what came of it once it is carried out."""
+
+    case: StressCase
+    checkpoint: str  # model file; empty for the DEM
+    model: str  # its label
+    file: Path  # where the outcome is kept until the whole run ends
+    outcome: Outcome | None = None
+    seconds: float = 0.0  # wall time
+
+    @property
+    def name(self) -> str:
+        """Of the case, and of its model where it has one."""
+        return f"{self.case.name}, {self.model}" if self.model else self.case.name
+
+    @property
+    def verdict(self) -> tuple[str, str]:
+        """How it ended, in a word, and what was found."""
+        return verdict(self.case.expectation, self.outcome)
 
 
 def row(result: Errand) -> tuple[str, ...]:
