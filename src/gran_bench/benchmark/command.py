@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from textwrap import shorten
@@ -93,15 +92,14 @@ def draw(found: dict[str, Any], folder: Path) -> None:
         soft = (f"as exact at {found['modulus']:.0e} Pa: {level.name}".replace("e+0", "e"), level.seconds)
     for study, quantity, same in (("stiffness", "Young's modulus, Pa", soft), ("counts", "spheres", None)):
         if found[study]:
-            cost_against([*_cost_lines(found[study])], quantity, folder / f"{study}.png", same)
+            lines = [_cost_line(label, points) for label, points in found[study].items()]
+            cost_against(lines, quantity, folder / f"{study}.png", same)
 
 
-def _cost_lines(study: dict[str, list[dict[str, Any]]]) -> Iterator[CostLine]:
-    for label, points in study.items():
-        kind, done = "dem" if label in page.DEMS else "surrogate", [point for point in points if kept.succeeded(point)]
-        places, costs = [point["at"] for point in done], [point["wall"]["median"] for point in done]
-        failed = [point["at"] for point in points if not kept.succeeded(point)]
-        yield CostLine(page.DEMS.get(label, label), kind, places, costs, failed)
+def _cost_line(label: str, points: list[dict[str, Any]]) -> CostLine:
+    kind, done = "dem" if label in page.DEMS else "surrogate", [point for point in points if kept.succeeded(point)]
+    costs, failed = [point["wall"]["median"] for point in done], [p["at"] for p in points if not kept.succeeded(p)]
+    return CostLine(page.DEMS.get(label, label), kind, [point["at"] for point in done], costs, failed)
 
 
 def measured_under(seed: int) -> list[str]:

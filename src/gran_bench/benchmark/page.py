@@ -114,7 +114,9 @@ def winner(found: Found) -> str:
     said = "No method has the DEM's own accuracy"
     if exact:
         first, rival = exact[0], claims.fastest_rival(every, accepted, accepted)
-        same, word = claims.not_told_apart(first, exact), "Faster and p"
+        # Those whose ranges of times overlap.
+        same = [entry for entry in exact if entry == first or not claims.speed_up(first, entry).decides]
+        word = "Faster and p"
         perhaps = [entry for entry in perhaps if claims.speed_up(first, entry).high < 1.0]
         said = f"Fastest of the DEM's own accuracy ({accepted:.2f} floors){', not told apart' * (len(same) > 1)}: "
         said += "; ".join(map(_numbers, same))

@@ -211,12 +211,6 @@ def best_in_time(entries: Sequence[Entry], seconds: float) -> Entry | None:
     return min((e for e in sound_dems(entries) if e.seconds <= seconds), key=lambda e: e.floors, default=None)
 
 
-def not_told_apart(first: Entry, entries: Sequence[Entry]) -> list[Entry]:
-    """Those whose range of times overlaps the first's, itself too, from fast to slow."""
-    same = [entry for entry in entries if entry == first or not speed_up(first, entry).decides]
-    return sorted(same, key=lambda entry: (entry.seconds, entry.name))
-
-
 @dataclass(frozen=True)
 class EqualAccuracy:
     """A method beside the fastest DEM that is as exact."""

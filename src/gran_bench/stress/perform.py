@@ -15,9 +15,9 @@ from gran_bench.stress.beds import BEDS
 from gran_bench.stress.expectation import Bench, Experiment, Failure, Observation, Outcome
 from gran_bench.stress.impacts import IMPACTS
 from gran_bench.surrogate.checkpoint import load_card, load_model
-from gran_bench.surrogate.step import Surrogate
 from gran_bench.workers import serve
 
+_loaded = functools.lru_cache(maxsize=2)(load_model)
 DIAMETER = 0.05  # m, of the spheres of every scene in the lists
 # Every kind by the name that a list gives it; its function says what it does and takes.
 EXPERIMENTS: dict[str, Experiment] = {**IMPACTS, **BEDS}
@@ -27,7 +27,7 @@ def perform(kind: str, parameters: Mapping[str, Any], checkpoint: str, shared: s
     """Carry out an experiment on a model file, or on none; any error is an outcome, without the shared folder."""
     Path(shared).mkdir(parents=True, exist_ok=True)
     try:
-        model = _model(checkpoint) if checkpoint else None
+        model = _loaded(checkpoint)[0] if checkpoint else None
         seen = EXPERIMENTS[kind].run(Bench(Path(shared), model), **parameters)
         return replace(seen, flags=tuple(flag.replace(shared, "…") for flag in seen.flags))
     except Exception as error:
@@ -49,11 +49,6 @@ def model_words(path: Path) -> tuple[str, str]:
             "give a model of such spheres, or a list of your own"
         )
     return card.model["name"], f"{card.model['name']} ({path.parent.name})"
-
-
-@functools.lru_cache(maxsize=2)
-def _model(checkpoint: str) -> Surrogate:
-    return load_model(checkpoint)[0]
 
 
 if __name__ == "__main__":

@@ -104,11 +104,6 @@ class Contact:
         """δ at which the contact carries a load, (F/K)^{2/3}, m."""
         return (load / self.stiffness) ** (2.0 / 3.0)
 
-    def bobbing_period(self, load: float) -> float:
-        """Period of a sphere that bobs on its contact under a load, 2π √(m/k), k = 3/2 K √δ: its fastest motion, s."""
-        overlap = self.resting_overlap(load)
-        return 2.0 * math.pi * math.sqrt(self.first.mass / (1.5 * self.stiffness * math.sqrt(overlap)))
-
 
 def restitution(damping: float) -> float:
     """Coefficient of restitution of x″ + α x^{1/4} x′ + x^{3/2} = 0 when the attractive tail is cut off, α ≥ 0.
