@@ -29,8 +29,7 @@ class Method:
 
     name: str  # for people, unique among those that are compared
     kind: str  # ``dem``, ``surrogate`` or ``baseline``
-    # What a worker does, as plain data (`jobs.prepare`); empty where the method does not fit the scene
-    job: dict[str, Any]
+    job: dict[str, Any]  # what a worker does, as plain data (`jobs.prepare`); empty of a method that does not fit
     seconds: float  # of the scene that one run of the job covers
     data_seconds: float = 0.0  # wall time of the data that it was made from, s
     training_seconds: float = 0.0  # wall time of its training, s

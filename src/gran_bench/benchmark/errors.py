@@ -41,8 +41,7 @@ class Scored:
     """One method's error."""
 
     floors: float | None  # the largest of its ranked errors, in noise floors; None where one of them is undefined
-    # 95 % interval: of one run, of the mean over the replicas; of several, of the mean of as many others
-    low: float | None
+    low: float | None  # 95 % interval: of one run, of the mean over the replicas; of several, of as many others
     high: float | None
     by: str  # key of that error
     reason: str  # why there is none

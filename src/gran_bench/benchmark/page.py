@@ -114,7 +114,6 @@ def winner(found: Found) -> str:
     said = "No method has the DEM's own accuracy"
     if exact:
         first, rival = exact[0], claims.fastest_rival(every, accepted, accepted)
-        # Those whose ranges of times overlap.
         same = [entry for entry in exact if entry == first or not claims.speed_up(first, entry).decides]
         word = "Faster and p"
         perhaps = [entry for entry in perhaps if claims.speed_up(first, entry).high < 1.0]

@@ -27,9 +27,8 @@ class _Ball:
         self.overlap = self.contact.resting_overlap(self.load)
         self.arm = lab.RADIUS - self.overlap
         self.reach = DRUM - lab.RADIUS + self.overlap  # from the axis of a drum
-        # Bobbing on its contact, its fastest motion.
         stiffness = 1.5 * self.contact.stiffness * math.sqrt(self.overlap)
-        self.period = 2.0 * math.pi * math.sqrt(self.contact.first.mass / stiffness)
+        self.period = 2.0 * math.pi * math.sqrt(self.contact.first.mass / stiffness)  # bobbing, its fastest motion
 
     def on(self, wall: Wall, rpm: float | None = None) -> Scene:
         return lab.laboratory(self.material, (wall,), gravity=lab.DOWN, rpm=rpm)
