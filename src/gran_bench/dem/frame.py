@@ -29,6 +29,7 @@ from gran_bench.state import Continuation, FloatArray, Held, ParticleState, Traj
 
 # Between two looks at who leaves and who escaped, s.
 LOOK = 0.01
+MOST_POSES = 100_000  # at a time: with steps of 1e-10 s all those up to a look would be 10 GB
 # Looks until the particles are sorted anew: neighbours in space soon lie apart in memory, and sorting takes new lists.
 LOOKS_BETWEEN_SORTS = 5
 
@@ -80,7 +81,7 @@ class Run:
                 self._begin()
             elif self._steps == self._poses_end:
                 self._stretch.set_walls(self._next_poses())
-            some = min(steps, self._look_steps - self._steps % self._look_steps)
+            some = min(steps, self._poses_end - self._steps)
             if self._stretch is not None:
                 with self._divergence():
                     self._stretch.run(some)
@@ -144,9 +145,9 @@ class Run:
             self._held = self._held._replace(order=number)
 
     def _next_poses(self) -> FloatArray:
-        """Poses from here to the next look."""
+        """Poses from here to the next look, or as many as may be."""
         first = self._steps
-        steps = self._look_steps - first % self._look_steps
+        steps = min(self._look_steps - first % self._look_steps, MOST_POSES)
         self._poses_begin, self._poses_end = first, first + steps
         self._poses = wall_poses(self._scene, self._start, self._time_step, steps, first)
         return self._poses
