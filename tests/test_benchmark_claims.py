@@ -8,17 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gran_bench.benchmark.claims import (
+from gran_bench.benchmark.results import (
     Entry,
     best_in_time,
     crossing,
     equal_accuracy,
     fastest_rival,
-    not_told_apart,
     paid_back,
     speed_up,
+    spread,
 )
-from gran_bench.benchmark.results import spread
 from gran_bench.plots.time_error import frontier
 
 
@@ -95,11 +94,6 @@ def test_a_dem_is_as_exact_unless_the_intervals_of_the_errors_say_that_it_is_wor
     assert equal_accuracy(net, [net, coarse], accepted=1.3).faster == "undecided"
     assert equal_accuracy(net, [net, replace(coarse, floors=1.7)], accepted=1.3).faster == "rival"
     assert equal_accuracy(net, [net, entry("near", 0.52, 1.0)], accepted=1.3).faster == "neither"
-
-
-def test_methods_whose_times_overlap_the_first_are_not_told_apart_from_it():
-    first, near, far = entry("first", 1.0, 1.0), entry("near", 1.1, 1.0), entry("far", 1.3, 1.0)
-    assert not_told_apart(first, [far, near, first]) == [first, near]
 
 
 def test_a_speed_up_decides_where_its_range_leaves_one():

@@ -11,7 +11,7 @@ import pytest
 from benchmark_records import row
 
 from gran_bench.benchmark import command
-from gran_bench.benchmark.page import part_text, table_of, verdicts, winner
+from gran_bench.benchmark.page import part_text, surrogate_rows, table_of, winner
 from gran_bench.benchmark.results import (
     FORMAT,
     RESULTS,
@@ -63,25 +63,25 @@ def test_too_few_replicas_leave_the_winner_unknown(found):
     text = part_text("quick/drum", found)
     assert "Noise: undefined, 2 replicas do not give the DEM's own accuracy; three or more do" in text
     assert "Who wins is not known" in text
-    assert "At equal accuracy the rival is DEM 0.2 ms" in text
+    assert "| net | the surrogate is 1.5 times as fast | DEM 0.2 ms (" in text
 
 
 def test_the_page_says_who_wins_and_marks_who_failed(found):
     text = part_text("quick/drum", found)
-    assert "Fastest of the DEM's own accuracy (1.30 floors): **DEM 0.2 ms** (0.9 s" in text
+    assert "Fastest of the DEM's own accuracy (1.30 floors): DEM 0.2 ms (0.9 s" in text
     assert "- ✗ DEM 5 ms failed: sphere 3 diverged" in text
-    (line,) = [line for line in text.splitlines() if line.startswith(("| **net**", "| net"))]
-    assert line.endswith("| 0.6 (0.48 to 0.72) | 0.6 | 1.80 (1.80 to 1.80) |")
-    assert "the surrogate is 1.5 times as fast (1.2 to 1.8)" in text
-    assert "paid back after 3,000 simulated seconds" in text
+    assert "| **net** | 0.6 (0.48 to 0.72) | 0.6 | 1.80 (1.80 to 1.80) |" in text
+    (line,) = [line for line in text.splitlines() if line.startswith("| net |")]
+    assert "| the surrogate is 1.5 times as fast | DEM 0.2 ms (0.9 s, 1.00 floors): × 1.5 (1.2 to 1.8) |" in line
+    assert line.endswith("| DEM 1 ms (0.2 s, 4.00 floors) | 40 | 860 | 3,000 |")
 
 
 def test_a_dem_that_is_as_exact_and_faster_wins_and_training_is_never_paid_back(found):
     found["methods"].append(row("DEM 1.25 ms, E = 1e6 Pa", "dem", 0.3, 1.2))
-    assert "floors): **DEM 1.25 ms, E = 1e6 Pa** (" in winner(found)
-    (said,) = verdicts(found)
-    assert "**the DEM is 2 times as fast** (1.6 to 2.4)" in said
-    assert "never paid back" in said
+    assert "floors): DEM 1.25 ms, E = 1e6 Pa (" in winner(found)
+    (said,) = surrogate_rows(found)
+    assert said[1] == "DEM 1.25 ms, E = 1e6 Pa is 2 times as fast"
+    assert said[-1] == "never"
     table = table_of(found).set_index("method")
     assert table.loc["net", "break_even_seconds"] == math.inf
     assert not table.loc["net", "on_frontier"]
@@ -91,35 +91,35 @@ def test_a_dem_that_is_as_exact_and_faster_wins_and_training_is_never_paid_back(
 def test_intervals_that_allow_both_answers_leave_the_page_undecided(found):
     found["methods"].append(row("DEM 1.5 ms", "dem", 0.3, 1.9, floors_low=1.7, floors_high=2.1))
     next(one for one in found["methods"] if one["name"] == "net").update(floors_low=1.5, floors_high=2.1)
-    (said,) = verdicts(found)
-    assert "it is undecided who is faster: the surrogate is 1.5 times as fast (1.2 to 1.8) beside DEM 0.2 ms" in said
-    assert "**the DEM is 2 times as fast** (1.6 to 2.4) beside DEM 1.5 ms" in said
-    assert "are ever paid back is undecided" in said
+    ((_, who, beside, *_, paid),) = surrogate_rows(found)
+    assert (who, paid) == ("undecided", "undecided")
+    assert beside.startswith("DEM 0.2 ms (0.9 s, 1.00 floors): × 1.5 (1.2 to 1.8); DEM 1.5 ms (")
+    assert beside.endswith(": × 0.5 (0.41 to 0.61)")
     assert math.isnan(table_of(found).set_index("method").loc["net", "break_even_seconds"])
 
 
 def test_the_winner_is_everyone_whose_time_is_not_told_apart(found):
     found["methods"].append(row("DEM 0.25 ms", "dem", 0.85, 1.2))
-    said = "not told apart: **DEM 0.25 ms** (0.85 s a simulated second, 1.20 floors); **DEM 0.2 ms** (0.9 s"
+    said = "not told apart: DEM 0.25 ms (0.85 s, 1.20 floors); DEM 0.2 ms (0.9 s"
     assert said in winner(found)
 
 
 def test_the_winner_names_who_is_faster_and_may_be_as_exact(found):
     found["methods"].append(row("DEM 0.5 ms", "dem", 0.4, 1.4, floors_low=1.2, floors_high=1.6))
     assert "Faster and perhaps of that accuracy" in winner(found)
-    assert "**DEM 0.5 ms** (0.4 s, 1.40 floors, 1.20 to 1.60)" in winner(found)
+    assert "DEM 0.5 ms (0.4 s, 1.40 floors) (1.20 to 1.60)" in winner(found)
 
 
 def test_interpolation_alone_is_said_to_have_no_spheres(found):
     found["methods"].append(row("interpolation, 25 and 35 rpm", "baseline", 1e-4, 1.1, data_seconds=40.0))
     said = winner(found)
-    assert "after 40 s of data, and statistics without spheres). Fastest DEM of that accuracy: **DEM 0.2 ms**" in said
+    assert "after 40 s of data, statistics without spheres). Fastest DEM of that accuracy: DEM 0.2 ms (" in said
     found["methods"][-1] |= {"name": "rigid rotation", "data_seconds": 0.0}
     assert "statistics" not in winner(found)
     assert "of data" not in winner(found)
 
 
-def test_the_page_says_where_a_surrogate_starts_to_cost_less_and_what_softening_makes_of_it(found):
+def test_the_page_says_where_a_surrogate_starts_to_cost_less(found):
     def points(**costs):
         return [{"at": float(at[1:]), "wall": {"median": cost}, "failure": ""} for at, cost in costs.items()]
 
@@ -130,12 +130,11 @@ def test_the_page_says_where_a_surrogate_starts_to_cost_less_and_what_softening_
     }
     found["counts"] = {"DEM": points(_300=0.1, _3000=1.0), "net": points(_300=0.2, _3000=0.5)}
     text = part_text("quick/drum", found)
-    assert "takes less time than the DEM at its largest allowed step at no stiffness that was timed" in text
-    assert "takes less time than the DEM at its automatic step from E = 4.0e+07 Pa on" in text
-    assert "errors were measured at E = 1.0e+07 Pa" in text
-    assert "takes 0.9 s, more than **net**; whether it can stand in for stiffer spheres was not measured" in text
-    assert "2 with 300 spheres, 0.5 with 3000 spheres" in text
-    assert "✗ **" not in text
+    assert "| net | 0.6 | from E = 4.0e+07 Pa on | at no stiffness that was timed |" in text
+    assert "Errors were measured at E = 1.0e+07 Pa alone" in text
+    assert "| × the DEM | 300 spheres | 3000 spheres |" in text
+    assert "| net | 2 | 0.5 |" in text
+    assert text.count("✗") == 1
 
 
 def test_points_of_a_study_that_failed_are_said_and_drawn(found, tmp_path, monkeypatch):
@@ -149,10 +148,10 @@ def test_points_of_a_study_that_failed_are_said_and_drawn(found, tmp_path, monke
     }
     found["counts"] = {"DEM": [point(300, 0.1)], "net": [point(300, None, "not finite")]}
     text = part_text("quick/drum", found)
-    assert "✗ The DEM at its automatic step failed at E = 1.0e+09 Pa: sphere 3 diverged." in text
-    assert "✗ The DEM at its largest allowed step failed at E = 1.0e+09 Pa: sphere 4 diverged." in text
-    assert "✗ **net** failed at E = 1.0e+07 Pa: not finite." in text
-    assert "✗ **net** failed at 300 spheres: not finite." in text
+    assert "✗ DEM, automatic step failed at E = 1.0e+09 Pa: sphere 3 diverged" in text
+    assert "✗ DEM, largest allowed step failed at E = 1.0e+09 Pa: sphere 4 diverged" in text
+    assert "✗ net failed at E = 1.0e+07 Pa: not finite" in text
+    assert "✗ net failed at 300 spheres: not finite" in text
     drawn = []
     monkeypatch.setattr(command, "cost_against", lambda lines, *_: drawn.extend(lines))
     command.draw(found, tmp_path)

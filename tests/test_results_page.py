@@ -16,9 +16,8 @@ from beds import flowing
 from finished_runs import SCENE, broken, lost, run, summary_of
 
 from gran_bench.files import write_part
-from gran_bench.report.command import PAGE, renew_pages, report_command
+from gran_bench.report.command import PAGE, drum_table, failures_table, renew_pages, report_command, scenes_table
 from gran_bench.report.result_page import ResultPageError, write_page
-from gran_bench.report.tables import drum_table, failures_table, scenes_table
 from gran_bench.stress.page import early_ends
 from gran_bench.sweep.runs import write_runs
 from gran_bench.sweep.sweep_report import reaches

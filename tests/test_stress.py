@@ -31,14 +31,12 @@ from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_ti
 from gran_bench.provenance import read_table
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_model
-from gran_bench.stress import case_list, command, run, steps
+from gran_bench.stress import case_list, command, impacts
 from gran_bench.stress.case_list import read_cases, shipped_cases
-from gran_bench.stress.command import StressFailed, chosen, run_stress
-from gran_bench.stress.expectation import Bound, Expectation, Failure, Observation, verdict
-from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.stress.command import Errand, StressFailed, carry_out, chosen, errands, run_stress
+from gran_bench.stress.expectation import Bench, Bound, Expectation, Experiment, Failure, Observation, verdict
 from gran_bench.stress.page import closing_line, row
 from gran_bench.stress.perform import EXPERIMENTS
-from gran_bench.stress.run import Errand, carry_out, errands, forget
 from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, save_model
 from gran_bench.surrogate.step import build_model
 
@@ -100,7 +98,6 @@ def test_the_shipped_list_is_whole():
     cases = shipped_cases()
     assert {case.kind for case in cases} == set(EXPERIMENTS), "every kind of experiment is in the list"
     assert len([case for case in cases if case.short]) < len(cases)
-    assert not [case.name for case in cases if case.known], "no failure is waiting to be mended"
 
 
 @pytest.mark.parametrize(
@@ -181,11 +178,11 @@ def test_a_verdict_is_what_the_expectation_says(expectation, outcome, word):
     assert verdict(expectation, outcome)[0] == word
 
 
-def test_a_known_failure_still_fails_and_is_told_as_known():
-    (case,) = cases_of(CASE.replace("LIMIT", "0.1").replace("name: gap", "known: springs\n  name: gap"))
+def test_a_failure_is_told_in_its_row_and_in_the_last_line():
+    (case,) = cases_of(CASE.replace("LIMIT", "0.1"))
     result = Errand(case, "", "", Path(), Observation({"energy_released": 0.5}), 1.0)
     assert result.verdict[0] == "FAILED"
-    assert row(result)[4] == "FAILED (known: springs)"
+    assert row(result)[4] == "FAILED"
     assert "1 FAILED (gap)" in closing_line([result], 1.0)
 
 
@@ -200,7 +197,7 @@ def test_the_documented_form_of_a_list_is_legal():
 def test_an_interrupted_run_goes_on_where_it_was(tmp_path, monkeypatch):
     cases = cases_of(CASE.replace("LIMIT", "1.0") + CASE.replace("LIMIT", "0.9").replace("gap", "other"))
     cases[1].parameters["overlap"] = 0.05
-    seen, perform = [], run.perform
+    seen, perform = [], command.perform
 
     def interrupted(**task):
         if seen:
@@ -208,22 +205,21 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path, monkeypatch):
         seen.append(perform(**task))
         return seen[-1]
 
-    monkeypatch.setattr(run, "perform", interrupted)
+    monkeypatch.setattr(command, "perform", interrupted)
     with pytest.raises(KeyboardInterrupt):
         carry_out(errands(cases, [], tmp_path), tmp_path, 1, 60.0)
-    monkeypatch.undo()
+    performed = []
+    monkeypatch.setattr(command, "perform", lambda **task: performed.append(task["parameters"]) or perform(**task))
     again = errands(cases, [], tmp_path)
     carry_out(again, tmp_path, 1, 60.0)
-    assert [result.kept for result in again] == [True, False]
+    assert performed == [cases[1].parameters]
     assert again[0].outcome == seen[0]
-    forget(tmp_path)
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_step_of_the_data_is_held_against_the_floor_that_is_measured_beside_it(tmp_path, monkeypatch):
     drum = SceneConfig("drum_tiny", ContainerConfig(diameter=0.4, length=0.2), FillingConfig(count=60), start_time=1.0)
-    monkeypatch.setattr(steps, "shipped_scene", lambda name: build_scene(drum))
-    seen = steps.step_ladder(Bench(tmp_path), [1e-4, 2e-4], production=2e-4, seconds=0.1).quantities
+    monkeypatch.setattr(impacts, "shipped_scene", lambda name: build_scene(drum))
+    seen = impacts.step_ladder(Bench(tmp_path), [1e-4, 2e-4], production=2e-4, seconds=0.1).quantities
     assert seen["beyond_floor"] == seen["error"] - seen["floor"]
     assert seen["error"] > 0.0
     (case,) = (case for case in shipped_cases() if case.kind == "step_ladder")
@@ -237,8 +233,8 @@ def test_what_was_kept_counts_no_more_once_any_code_config_or_list_has_changed(t
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("a = 1\n", "utf-8")
     monkeypatch.setattr(gran_bench, "__file__", str(tmp_path / "__init__.py"))
-    monkeypatch.setattr(run, "files", lambda package: tmp_path / package.removeprefix("gran_bench."))
-    monkeypatch.setattr(run, "package_digest", run.package_digest.__wrapped__)
+    monkeypatch.setattr(command, "files", lambda package: tmp_path / package.removeprefix("gran_bench."))
+    monkeypatch.setattr(command, "package_digest", command.package_digest.__wrapped__)
     cases, results = cases_of(CASE.replace("LIMIT", "1.0")), tmp_path / "results"
     (before,), (same,) = errands(cases, [], results), errands(cases, [], results)
     (tmp_path / file).write_text("a = 2\n", "utf-8")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import fcntl
 import glob
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -58,6 +58,15 @@ def write_part(path: Path, part: str, text: str, title: str = "", heading: str =
         above = [before.rstrip(), f"## {heading}" if heading else ""]
         before = "".join(f"{words}\n\n" for words in above if words)
     write_text(path, before + opening + f"{text.strip()}\n" + closing + rest.partition(closing)[2])
+
+
+def markdown(rows: Iterable[Sequence[str]], aligned: bool = False) -> list[str]:
+    """Lines of a Markdown table whose first row is its heading, none without a second; aligned ones suit terminals."""
+    rows = list(rows)
+    widths = [max(map(len, column)) if aligned else 0 for column in zip(*rows, strict=True)]
+    lines = [f"| {' | '.join(map(str.ljust, row, widths))} |" for row in rows]
+    lines.insert(1, f"|{'|'.join('-' * max(width + 2, 3) for width in widths)}|")
+    return lines if len(rows) > 1 else []
 
 
 def remove_leftovers(path: Path | str) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import subprocess
 import sys
 import tempfile
-import threading
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from gran_bench.processes import ONE_THREAD, kill_group, start_module
@@ -18,12 +19,7 @@ SHUTDOWN = 10.0  # s that a process is given to end, once it has closed its pipe
 
 
 class Worker:
-    """A process of a module that serves; started when it is asked, and anew after its end.
-
-    Args:
-        module: full name; it calls `serve`.
-        environment: beside that of this process.
-    """
+    """A process of a module that calls `serve`, with an environment beside this one's; anew after each end."""
 
     def __init__(self, module: str, environment: Mapping[str, str] = ONE_THREAD) -> None:
         self._module, self._environment = module, environment
@@ -31,32 +27,20 @@ class Worker:
         self._complaints: Any = None
 
     def ask(self, request: Mapping[str, Any], patience: float) -> dict[str, Any]:
-        """The answer to a request; ``died`` with why, and whether it was ``late``, where none came.
-
-        Args:
-            request: plain data.
-            patience: s; a process that takes longer is ended.
-        """
-        process, late, line = self._running(), threading.Event(), ""
-        clock = threading.Timer(patience, lambda: (late.set(), kill_group(process)))
-        clock.daemon = True  # an interrupted command does not wait for it
-        clock.start()
-        try:
+        """The answer to a request of plain data; ``died`` with why, and ``late``, where none came in time (s)."""
+        process, line = self._running(), ""
+        with suppress(BrokenPipeError):
             process.stdin.write(json.dumps(request) + "\n")
             process.stdin.flush()
-            line = process.stdout.readline()
-        except BrokenPipeError:
-            pass
-        finally:
-            clock.cancel()
+        late = not select.select([process.stdout], [], [], patience)[0]
+        if not late and (line := process.stdout.readline()).endswith("\n"):
+            with suppress(ValueError):
+                return json.loads(line)
         why = f"no end within {patience:g} s"
-        if not late.is_set():
-            if line.endswith("\n"):
-                with suppress(ValueError):
-                    return json.loads(line)
+        if not late:
             why = f"its answer is no line of JSON: {line.strip()[:80]}" if line.endswith("\n") else self._last_words()
         self.end()  # whatever it says next would be taken for the answer to another request
-        return {"died": why, "late": late.is_set()}
+        return {"died": why, "late": late}
 
     def end(self) -> None:
         """End the process, whatever it does."""
@@ -86,6 +70,19 @@ class Worker:
         self._complaints.seek(0)
         words = self._complaints.read().decode(errors="replace").strip().splitlines()
         return words[-1] if words else f"its process ended with status {self._process.returncode}"
+
+
+@contextmanager
+def crew(workers: Sequence[Worker], at_a_time: int) -> Iterator[ThreadPoolExecutor]:
+    """Threads that ask workers; the end of the block ends all, even those that an answer is awaited from."""
+    threads = ThreadPoolExecutor(at_a_time)
+    try:
+        yield threads
+    finally:
+        threads.shutdown(wait=False, cancel_futures=True)  # nobody waits for what an interruption ends
+        for worker in workers:
+            worker.end()
+        threads.shutdown()
 
 
 def serve(answer: Callable[[dict[str, Any]], Mapping[str, Any]]) -> None:

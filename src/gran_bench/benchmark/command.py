@@ -2,71 +2,63 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
+import json
 from dataclasses import replace
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
+from gran_bench.benchmark import page
 from gran_bench.benchmark import results as kept
 from gran_bench.benchmark.contest import Contest, Method
 from gran_bench.benchmark.errors import Reference, Scored, errors_file, judged_rounds, score_run
-from gran_bench.benchmark.page import TABLE, busy_sentences, softened, verdicts, winner, write_page, write_table
 from gran_bench.benchmark.turns import Record, take_turns
 from gran_bench.config import BenchmarkConfig
 from gran_bench.config.reading import validate
 from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import ensure_cases, read_case, rotation_label
-from gran_bench.files import locked
+from gran_bench.files import locked, markdown, write_text
 from gran_bench.plots.time_error import CostLine, cost_against, time_against_error
-from gran_bench.processes import stop_on_signals
+from gran_bench.processes import stop_on_signals, tell
 from gran_bench.provenance import hardware, library_versions, provenance
 from gran_bench.provenance.source_digest import comparing_code
 from gran_bench.shipped import DEFAULT_MODEL, SHIPPED, shipped_model
 
 
 def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
-    """Compare every method on the scene of a config, or do what is left of it.
+    """Compare every method on the scene of a config, or do what is left of it; the results, as in ``benchmark.json``.
 
     With ``measure=false`` nothing is measured: kept results are told anew, with the DEM's own accuracy by today's rule.
 
-    Returns:
-        The results, as in ``benchmark.json``.
-
     Raises:
-        KeyboardInterrupt: SIGTERM or Ctrl-C; what was measured stays.
-        ConfigError, CheckpointError, DatasetError: a value that cannot be, a model file that is none, or runs of the
-            DEM that failed.
+        ConfigError, CheckpointError, DatasetError: an impossible value, no model file, or runs of the DEM that failed.
         ResultsError: nothing measured yet, or with other replicas, and ``measure=false``.
+        KeyboardInterrupt: SIGTERM or Ctrl-C; what was measured stays.
     """
     validate(config)
     contest, data = Contest(config, model_files(config.models)), config.dataset
     scene, folder = contest.scene, Path(config.root) / config.profile.name / contest.scene.name
-    with stop_on_signals(), locked(folder / ".lock", lambda: _tell(f"another process works on {folder}; waiting")):
-        _tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
-        _tell("DEM runs that the methods start from and are held against")
+    with stop_on_signals(), locked(folder / ".lock", lambda: tell(f"another process works on {folder}; waiting")):
+        tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
+        tell("DEM runs that the methods start from and are held against")
         ensure_cases(contest.cases if config.measure else contest.replicas, data.root, data.workers)
-        _tell("summarising the replicas")
+        tell("summarising the replicas")
         reference = Reference(scene, [read_case(spec.path(data.root)) for spec in contest.replicas])
         if config.measure:
             found = _compare(contest, folder, reference)
         else:
             found = kept.judged_anew(kept.read_results(folder / kept.RESULTS), reference, data.replicas)
-        kept.write_results(folder, found)
+        write_text(folder / kept.RESULTS, json.dumps(found, indent=1, allow_nan=False) + "\n")
         draw(found, folder)
-        write_table(folder / TABLE, found)
-        page = write_page(Path(config.root))
+        write_text(folder / page.TABLE, page.table_of(found).to_csv(index=False))
+        written = page.write_page(Path(config.root))
     print(summary(found))
-    _tell(f"table and figures in {folder}; the page is {page}")
+    tell(f"table and figures in {folder}; the page is {written}")
     return found
 
 
 def model_files(models: list[str]) -> dict[str, Path]:
-    """Model files by the name that they are shown under: of their folder, which is the run's.
-
-    Raises:
-        ConfigError: two of one name.
-    """
+    """Model files by the name of their folder, the run's; a `ConfigError` where two have one name."""
     found: dict[str, Path] = {}
     for word in models:
         path = shipped_model() if word == SHIPPED else Path(word)
@@ -78,18 +70,14 @@ def model_files(models: list[str]) -> dict[str, Path]:
 
 
 def summary(found: dict[str, Any]) -> str:
-    """The end of the terminal output: a line for each method, and who wins."""
-    lines = [f"{'':<42}{'time, s':>9} {'min … max':>17} {'floors':>7}"]
+    """The end of the terminal output: a row for each method, who wins, and who is faster at equal accuracy."""
+    rows = [("method", "time, s", "min … max", "floors")]
     for row in sorted(found["methods"], key=lambda row: row["wall"]["median"] if row["wall"] else 1e9):
-        if row["wall"] is None:
-            lines.append(f"{row['name']:<42}{row['unfit_because'] or row['failure']}")
-            continue
-        wall = row["wall"]
-        span = f"{wall['low']:.3g} … {wall['high']:.3g}"
-        error = "failed" if row["failed"] else "-" if row["floors"] is None else f"{row['floors']:.2f}"
-        lines.append(f"{row['name']:<42}{wall['median']:>9.3g} {span:>17} {error:>7}")
-    said = [line.replace("**", "") for line in (winner(found), *verdicts(found), *busy_sentences(found))]
-    return "\n".join([*lines, "", *said])
+        wall, error = row["wall"], "-" if row["floors"] is None else f"{row['floors']:.2f}"
+        times = (f"{wall['median']:.3g}", f"{wall['low']:.3g} … {wall['high']:.3g}") if wall else ("", "")
+        rows.append((row["name"], *times, row["unfit_because"] or shorten(row["failure"], 60) or error))
+    said = [page.winner(found), *(f"{name}: {words}" for name, words, *_ in page.surrogate_rows(found))]
+    return "\n".join([*markdown(rows, aligned=True), "", *said, *page.busy_sentences(found)])
 
 
 def draw(found: dict[str, Any], folder: Path) -> None:
@@ -99,21 +87,19 @@ def draw(found: dict[str, Any], folder: Path) -> None:
     lost = [name.removeprefix("DEM ") for name in kept.untimed(found)]
     labels = " and ".join(row["label"] for row in found["reference"]["ranked"])
     time_against_error(contenders, labels, folder / "time_error.png", found["reference"]["accepted"], lost)
-    level, soft = softened(found), None
+    level, soft = page.softened(found), None
     if level is not None:
         soft = (f"as exact at {found['modulus']:.0e} Pa: {level.name}".replace("e+0", "e"), level.seconds)
-    names = {"automatic": "DEM, automatic step", "largest": "DEM, largest allowed step", "DEM": "DEM, automatic step"}
     for study, quantity, same in (("stiffness", "Young's modulus, Pa", soft), ("counts", "spheres", None)):
         if found[study]:
-            cost_against([*_cost_lines(found[study], names)], quantity, folder / f"{study}.png", same)
+            lines = [_cost_line(label, points) for label, points in found[study].items()]
+            cost_against(lines, quantity, folder / f"{study}.png", same)
 
 
-def _cost_lines(study: dict[str, list[dict[str, Any]]], names: dict[str, str]) -> Iterator[CostLine]:
-    for label, points in study.items():
-        kind, done = "dem" if label in names else "surrogate", [point for point in points if kept.succeeded(point)]
-        places, costs = [point["at"] for point in done], [point["wall"]["median"] for point in done]
-        failed = [point["at"] for point in points if not kept.succeeded(point)]
-        yield CostLine(names.get(label, label), kind, places, costs, failed)
+def _cost_line(label: str, points: list[dict[str, Any]]) -> CostLine:
+    kind, done = "dem" if label in page.DEMS else "surrogate", [point for point in points if kept.succeeded(point)]
+    costs, failed = [point["wall"]["median"] for point in done], [p["at"] for p in points if not kept.succeeded(p)]
+    return CostLine(page.DEMS.get(label, label), kind, [point["at"] for point in done], costs, failed)
 
 
 def measured_under(seed: int) -> list[str]:
@@ -127,7 +113,7 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
     runs: dict[str, list[Scored]] = {}
 
     def turns(what: list[Method], rounds: int, label: str, **judging: Any) -> dict[str, Record]:
-        _tell(f"{label}: {len([m for m in what if not m.unfit_because])} methods in {rounds} rounds")
+        tell(f"{label}: {len([m for m in what if not m.unfit_because])} methods in {rounds} rounds")
         place = folder / "measurements"
         return take_turns(what, rounds, config.seed, place, conditions, scene.frame_interval, label=label, **judging)
 
@@ -157,8 +143,3 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
     facts |= {"modulus": scene.material.youngs_modulus, "rounds": profile.rounds, "automatic": contest.automatic}
     facts["reference"] = kept.reference_facts(reference, config.dataset.replicas, profile.judged_rounds, own)
     return facts | {"methods": rows, "waited": kept.share_waited(rows), **studies, "provenance": provenance()}
-
-
-def _tell(line: str) -> None:
-    """One line of progress, on stderr, so that stdout holds the table alone."""
-    print(line, file=sys.stderr, flush=True)

@@ -28,8 +28,7 @@ class Method:
 
     name: str  # for people, unique among those that are compared
     kind: str  # ``dem``, ``surrogate`` or ``baseline``
-    # What a worker does, as plain data (`jobs.prepare`); empty where the method does not fit the scene
-    job: dict[str, Any]
+    job: dict[str, Any]  # what a worker does, as plain data (`jobs.prepare`); empty of a method that does not fit
     seconds: float  # of the scene that one run of the job covers
     data_seconds: float = 0.0  # wall time of the data that it was made from, s
     training_seconds: float = 0.0  # wall time of its training, s
@@ -37,11 +36,7 @@ class Method:
     unfit_because: str = ""  # why it cannot answer for this scene; empty where it can
 
     def key(self, *conditions: str) -> str:
-        """A readable name of the method's files, with a hash of the job, how long it is, and under which conditions.
-
-        Args:
-            conditions: whatever else decides a measurement: code, hardware.
-        """
+        """A readable name of its files, with a hash of job, length and whatever else decides a measurement."""
 
         def name_of(value: Any) -> Any:
             # Without the folders that files are in: the same data in another place are the same data.
@@ -54,12 +49,7 @@ class Method:
 
 
 class Contest:
-    """A scene, the state that all start from, and everyone who answers for it.
-
-    Args:
-        config: of the command.
-        models: model files by the name that they are shown under.
-    """
+    """A scene, the state that all start from, and everyone who answers for it; model files are by their shown name."""
 
     def __init__(self, config: BenchmarkConfig, models: dict[str, Path]) -> None:
         self.config, self.models, data = config, models, config.dataset
@@ -105,14 +95,14 @@ class Contest:
         found: Study = {"automatic": [], "largest": []}
         for modulus in moduli:
             scene = with_modulus(self.scene, modulus)
+            # The bed is led to a stiffer material by factors of ten.
+            stages = [home * 10.0**k for k in range(1, 9) if home * 10.0**k < modulus] + [modulus] * (modulus > home)
             for label, step in (("automatic", None), ("largest", largest_allowed_step(scene))):
                 dem = replace(self.config.dem, time_step=step, threads=1)
-                job = self._dem_job(self.case, dem, scene, [*_decades(home, modulus)])
+                job = self._dem_job(self.case, dem, scene, stages)
                 found[label].append((modulus, self._short(f"E = {modulus:g} Pa, {label} step", "dem", job)))
-        for name in self.models:
-            method = self._surrogate(name, self.case)
-            if not method.unfit_because:
-                found[name] = [(home, self._short(name, "surrogate", method.job))]
+        for method in self._fitting(self.case):
+            found[method.name] = [(home, self._short(method.name, "surrogate", method.job))]
         return found
 
     @property
@@ -122,12 +112,13 @@ class Contest:
         for count, case in self._count_cases.items():
             job = self._dem_job(case, replace(self.config.dem, threads=1))
             found.setdefault("DEM", []).append((count, self._short(f"DEM, {count} spheres", "dem", job)))
-            for name in self.models:
-                method = self._surrogate(name, case)
-                if not method.unfit_because:
-                    short = self._short(f"{name}, {count} spheres", "surrogate", method.job)
-                    found.setdefault(name, []).append((count, short))
+            for method in self._fitting(case):
+                short = self._short(f"{method.name}, {count} spheres", "surrogate", method.job)
+                found.setdefault(method.name, []).append((count, short))
         return found
+
+    def _fitting(self, case: CaseSpec) -> list[Method]:
+        return [one for one in (self._surrogate(name, case) for name in self.models) if not one.unfit_because]
 
     def _dem_ladder(
         self, multiples: list[float], modulus: float | None = None, precision: str = "float64"
@@ -183,11 +174,9 @@ class Contest:
         return Method(name, kind, job, self.config.profile.study_frames * self.scene.frame_interval, judged=False)
 
     def _count_case(self, count: int) -> CaseSpec:
-        """A drum of another length, filled as high, that runs only as long as it is timed.
-
-        A short one gets a sphere's diameter more: its first lattice would not fit between the caps.
-        """
+        """A drum of another length, filled as high, that runs only as long as it is timed."""
         config, profile = self.config.scene, self.config.profile
+        # In a short one the first lattice would not fit between the caps.
         more = config.filling.diameter if count < config.filling.count else 0.0
         length = config.container.length * count / config.filling.count + more
         end = config.start_time + profile.study_frames * config.frame_interval
@@ -221,13 +210,3 @@ def why_unfit(card: ModelCard, scene: Scene, packing_seed: int) -> str:
 def largest_allowed_step(scene: Scene) -> float:
     """The largest step that the DEM takes without being told to: just under 0.2 of the contact time, s."""
     return dividing_step(scene.frame_interval, ERROR_FRACTION * contact_times(scene)[0] * (1.0 - 1e-6))
-
-
-def _decades(low: float, high: float) -> Iterator[float]:
-    """Moduli between the bed's and the wanted one, a factor of ten apart, the wanted one included; none if softer."""
-    modulus = 10.0 * low
-    while modulus < high:
-        yield modulus
-        modulus *= 10.0
-    if high > low:
-        yield high

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student_t
 
 from gran_bench.baselines import interpolated_statistics
 from gran_bench.benchmark.contest import Method
@@ -20,7 +19,7 @@ from gran_bench.dataset import Case
 from gran_bench.files import write_text
 from gran_bench.metrics.comparisons import COMPARISONS, Comparison
 from gran_bench.metrics.judge import judge
-from gran_bench.metrics.measured import CONFIDENCE
+from gran_bench.metrics.measured import prediction_interval
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.scene import Scene
 from gran_bench.state import Trajectory
@@ -42,8 +41,7 @@ class Scored:
     """One method's error."""
 
     floors: float | None  # the largest of its ranked errors, in noise floors; None where one of them is undefined
-    # 95 % interval: of one run, of the mean over the replicas; of several, of the mean of as many others
-    low: float | None
+    low: float | None  # 95 % interval: of one run, of the mean over the replicas; of several, of as many others
     high: float | None
     by: str  # key of that error
     reason: str  # why there is none
@@ -59,9 +57,8 @@ class Reference:
         self._cases, self._summaries = list(cases), {}
         truth = self.summaries(VELOCITY)
         rows = {row.key: row for row in COMPARISONS}
-        floors = {key: _pairs(rows[key], truth) for key in {*RANKED, *RANKED_WITHOUT_ANGLE}}
-        keys = RANKED if floors[RANKED[0]] else RANKED_WITHOUT_ANGLE
-        self.ranked: list[Comparison] = [rows[key] for key in keys if floors[key]]
+        keys = RANKED if _pairs(rows[RANKED[0]], truth) else RANKED_WITHOUT_ANGLE
+        self.ranked: list[Comparison] = [rows[key] for key in keys if _pairs(rows[key], truth)]
 
     def summaries(self, kind: str) -> list[TrajectorySummary]:
         """The replicas, summarised with one definition of velocity."""
@@ -71,10 +68,7 @@ class Reference:
 
     @property
     def own(self) -> dict[str, list[float]]:
-        """The ranked errors of each replica, judged by the others as if it were a method, in noise floors.
-
-        Their mean is 1: both are the mean distance over all pairs.
-        """
+        """The ranked errors of each replica, judged by the others, in noise floors; their mean is 1."""
         truth, found = self.summaries(VELOCITY), {}
         for row in self.ranked:
             errors = [_mean(_distances(row, one, truth[:k] + truth[k + 1 :])) for k, one in enumerate(truth)]
@@ -82,11 +76,7 @@ class Reference:
         return found
 
     def noise(self, runs: int) -> float | None:
-        """Error up to which the mean of some runs cannot be told from the DEM itself, in noise floors.
-
-        A method is given the largest, over the ranked errors, of its mean over its runs; so this is the largest of
-        their bounds (`noise_bound`). None below three replicas.
-        """
+        """The largest `noise_bound` of the ranked errors: a method is given the largest of its means over its runs."""
         bounds = [noise_bound(errors, runs) for errors in self.own.values()]
         return None if None in bounds else max(bounds, default=None)
 
@@ -103,13 +93,10 @@ class Reference:
             floor = _mean(_pairs(row, truth))
             found[row.key] = [distance / floor for distance in _distances(row, mine, truth)]
         worst = max(found, key=lambda key: _mean(found[key]))
-        return Scored(*_interval(found[worst], 1.0), worst, "", outside, judgement.to_dict())
+        return Scored(*_interval(found[worst], math.inf), worst, "", outside, judgement.to_dict())
 
     def pooled(self, runs: Sequence[Scored]) -> Scored:
-        """The error of a method from several runs of it: means, and where the mean of as many others lies.
-
-        A single run (statistics without particles) keeps its interval over the replicas.
-        """
+        """A method's error from several runs; a single run (no particles) keeps its interval over the replicas."""
         failed = next((run for run in runs if run.floors is None), None)
         if failed is not None or len(runs) == 1:
             return failed or runs[0]
@@ -117,7 +104,7 @@ class Reference:
         worst = max(self.ranked, key=lambda row: judgement["errors"][row.key]["multiple_of_floor"]).key
         floors = [run.judgement["errors"][worst]["multiple_of_floor"] for run in runs]
         outside = max(run.outside for run in runs)
-        return Scored(*_interval(floors, math.sqrt(2.0)), worst, "", outside, judgement)
+        return Scored(*_interval(floors, len(floors)), worst, "", outside, judgement)
 
     def floors(self) -> dict[str, float]:
         """The noise floor of each ranked error, in its unit."""
@@ -125,23 +112,15 @@ class Reference:
 
 
 def noise_bound(own: Sequence[float], runs: int) -> float | None:
-    """Upper end of the 95 % interval in which the mean error of further runs of the DEM lies, in noise floors.
+    """Upper end of the 95 % interval of the mean error of further runs of the DEM, in noise floors.
 
-    mean + t s √(1/m + 1/n) for m replicas and n runs, with t the two-sided quantile of Student's distribution with
-    m − 1 degrees of freedom: two means of one distribution (Student 1908), taken as if the replicas' errors were
-    independent, though each distance of two of them is in both.
-
-    ``own`` has the error of each replica, judged by the others. None below three replicas: of two, each has the same
-    distance from the other, and nothing scatters.
+    ``own`` has each replica's error, taken as independent. None below three replicas: of two, nothing scatters.
     """
-    return None if len(own) < LEAST_REPLICAS else _interval(own, math.sqrt(1.0 + len(own) / runs))[2]
+    return None if len(own) < LEAST_REPLICAS else prediction_interval(own, runs).high
 
 
 def score_run(method: Method, folder: Path, reference: Reference, index: int) -> Scored | None:
-    """The error of one round of a method, computed once and kept in its folder; its frames are dropped then.
-
-    None where the round has no frames: the method failed in it, or earlier.
-    """
+    """The error of a round, kept in its folder, where its frames are dropped; None of a round that failed."""
     path, frames = errors_file(folder, reference.digest, index), trajectory_file(folder, index)
     if not path.exists():
         if method.job["does"] == "interpolation":
@@ -166,55 +145,34 @@ def errors_file(folder: Path, digest: str, index: int) -> Path:
 
 
 def pooled_judgement(judgements: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """One judgement of several, in the layout of a single one (`Judgement.to_dict`), with the rule of each table.
+    """One judgement of several, in the layout of a single one (`Judgement.to_dict`), pooled by `RULES`.
 
-    A figure that a round lacks is undefined, as in that round. A requirement is that of the round farthest beyond its
-    bound, and one without a figure is the worst. Failures are each count where it is worst: the largest, the fewest
-    states, the first time without a figure.
-
-    Args:
-        judgements: of the rounds of one method, held against the same replicas.
+    What a round lacks is undefined. A requirement is that of the round farthest beyond its bound.
     """
     found = judgements[0] | {"rounds": len(judgements), "pooled": RULES}
-    for table, pool in (("errors", _mean_error), ("figures", _mean_figure), ("requirements", _worst_requirement)):
-        found[table] = _by_key([judgement[table] for judgement in judgements], pool)
+    for table in ("errors", "figures", "requirements"):
+        rows = {key: [judgement[table][key] for judgement in judgements] for key in judgements[0][table]}
+        found[table] = {key: _pooled_row(table, some) for key, some in rows.items()}
     found["accepted"] = all(judgement["accepted"] for judgement in judgements)
     counts = [judgement["failures"] for judgement in judgements]
-    found["failures"] = None if None in counts else _worst_failures(counts)
-    return found
-
-
-def _by_key(tables: Sequence[dict[str, Row]], pool: Callable[[Sequence[Row]], Row]) -> dict[str, Row]:
-    return {key: pool([table[key] for table in tables]) for key in tables[0]}
-
-
-def _lacking(rows: Sequence[Row]) -> Row | None:
-    return next((row for row in rows if row["value"] is None), None)
-
-
-def _mean_value(rows: Sequence[Row], *names: str) -> Row:
-    missing = _lacking(rows)
-    return dict(missing) if missing else rows[0] | {name: _mean([row[name] for row in rows]) for name in names}
-
-
-def _mean_error(rows: Sequence[Row]) -> Row:
-    return _mean_value(rows, "value", *(["multiple_of_floor"] if rows[0]["multiple_of_floor"] is not None else []))
-
-
-def _mean_figure(rows: Sequence[Row]) -> Row:
-    inside = [row["inside_interval"] for row in rows]
-    held = {"inside_interval": None if None in inside else all(inside), "rounds_inside": inside.count(True)}
-    return _mean_value(rows, "value") | held
-
-
-def _worst_requirement(rows: Sequence[Row]) -> Row:
-    return _lacking(rows) or max(rows, key=lambda row: row["value"])
-
-
-def _worst_failures(counts: Sequence[Row]) -> Row:
-    found = {name: max(count[name] for count in counts) for name in counts[0] if name != "first_non_finite"}
+    if None in counts:
+        return found | {"failures": None}
+    worst = {name: max(count[name] for count in counts) for name in counts[0] if name != "first_non_finite"}
     times = [count["first_non_finite"] for count in counts if count["first_non_finite"] is not None]
-    return found | {"states": min(count["states"] for count in counts), "first_non_finite": min(times, default=None)}
+    worst |= {"states": min(count["states"] for count in counts), "first_non_finite": min(times, default=None)}
+    return found | {"failures": worst}
+
+
+def _pooled_row(table: str, rows: Sequence[Row]) -> Row:
+    lacking = next((row for row in rows if row["value"] is None), None)
+    if table == "requirements":
+        return lacking or max(rows, key=lambda row: row["value"])
+    means = [name for name in ("value", "multiple_of_floor") if rows[0].get(name) is not None]
+    pooled = dict(lacking or rows[0] | {name: _mean([row[name] for row in rows]) for name in means})
+    if table == "figures":
+        inside = [row["inside_interval"] for row in rows]
+        pooled["inside_interval"], pooled["rounds_inside"] = None if None in inside else all(inside), inside.count(True)
+    return pooled
 
 
 def _distances(row: Comparison, mine: TrajectorySummary, truth: Sequence[TrajectorySummary]) -> list[float]:
@@ -233,14 +191,7 @@ def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values))
 
 
-def _interval(values: Sequence[float], factor: float) -> tuple[float, float, float]:
-    """Mean, and its 95 % interval by Student, ± t s/√n × ``factor``: 1 for the mean, √2 for that of as many others.
-
-    √(1 + n/k) is the factor for the mean of k others.
-    """
-    mean, count = _mean(values), len(values)
-    if count < 2:
-        return mean, mean, mean
-    quantile = float(student_t.ppf(0.5 + 0.5 * CONFIDENCE, count - 1))
-    reach = factor * quantile * float(np.std(values, ddof=1)) / math.sqrt(count)
-    return mean, mean - reach, mean + reach
+def _interval(values: Sequence[float], others: float) -> tuple[float, float, float]:
+    """Mean, and the interval of that of ``others`` more; of infinitely many it is the mean's own."""
+    found = prediction_interval(values, others)
+    return (_mean(values),) * 3 if found is None else astuple(found)

@@ -1,7 +1,4 @@
-"""What a method does when it is its turn, from plain data; as a module, a process that prepares and runs one method.
-
-One method a process, so that the memory is its own.
-"""
+"""What a method does when it is its turn, from plain data; as a module, a process of its own that runs one method."""
 
 from __future__ import annotations
 
@@ -9,9 +6,9 @@ import resource
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,8 +29,7 @@ WARM_UP = 2  # frames: they compile, or load what was compiled before
 BASELINES = {"rigid rotation": rigid_rotation, "ballistic": ballistic}
 
 
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(NamedTuple):
     """What one run gave."""
 
     trajectory: Trajectory | None  # its frames; None for statistics without particles
@@ -50,24 +46,30 @@ def prepare(job: dict[str, Any]) -> Run:
     """Load whatever the method of a job (plain data) needs, so that a run of it is nothing but its own work."""
     if job["does"] == "interpolation":
         training = training_summaries(job)
-        return lambda frames, seed: _interpolated(job["rpm"], training)
+
+        def interpolated(frames: int, seed: int) -> Outcome:
+            interpolated_statistics(job["rpm"], training)
+            return Outcome(None)
+
+        return interpolated
     scene, (bed, _) = from_document(job["scene"]), read_settled(job["bed"])
     if job["does"] == "dem":
         return _dem(scene, bed, DemConfig(**job["dem"]), job["stages"])
     if job["does"] == "surrogate":
         return _surrogate(scene, bed, job["model"])
-    return lambda frames, seed: Outcome(BASELINES[job["does"]](_cut(scene, bed, frames), nudged(bed, NUDGE, seed)))
+
+    def run(frames: int, seed: int) -> Outcome:
+        end = bed.time + frames * scene.frame_interval
+        cut = scene if np.isclose(end, scene.end_time) else replace(scene, end_time=end)
+        return Outcome(BASELINES[job["does"]](cut, nudged(bed, NUDGE, seed)))
+
+    return run
 
 
 def training_summaries(job: dict[str, Any]) -> dict[float, TrajectorySummary]:
     """What the interpolation of a job lies between, by speed in rpm."""
     cases = {float(rpm): read_case(path) for rpm, path in job["cases"].items()}
     return {rpm: summarise(case.trajectory, case.scene) for rpm, case in cases.items()}
-
-
-def _interpolated(rpm: float, training: dict[float, TrajectorySummary]) -> Outcome:
-    interpolated_statistics(rpm, training)
-    return Outcome(None)
 
 
 def with_modulus(scene: Scene, modulus: float) -> Scene:
@@ -104,18 +106,11 @@ def _surrogate(scene: Scene, bed: ParticleState, path: str) -> Run:
 
     def run(frames: int, seed: int) -> Outcome:
         result = rollout(model, scene, nudged(bed, NUDGE, seed), frames + 1)
-        if result.failed_frame is None:
-            return Outcome(result.trajectory)
-        reason = f"not finite from frame {result.failed_frame} on"
-        return Outcome(result.trajectory, reason, result.failed_frame - 1)
+        failed = result.failed_frame
+        reason = () if failed is None else (f"not finite from frame {failed} on", failed - 1)
+        return Outcome(result.trajectory, *reason)
 
     return run
-
-
-def _cut(scene: Scene, bed: ParticleState, frames: int) -> Scene:
-    """The scene, ended ``frames`` frames after the state of the bed."""
-    end = bed.time + frames * scene.frame_interval
-    return scene if np.isclose(end, scene.end_time) else replace(scene, end_time=end)
 
 
 def _timed(run: Run, frames: int, seed: int, keep: str | None) -> dict[str, Any]:
@@ -151,33 +146,31 @@ def read_trajectory(path: Path) -> Trajectory:
 
 
 def _resident_memory(field: str) -> int:
-    """``VmRSS``, the resident memory of this process, or ``VmHWM``, its peak; bytes.
-
-    ``ru_maxrss`` would count the parent's memory at the moment of the start; it stands in where /proc is missing.
-    """
+    """``VmRSS``, the resident memory of this process, or ``VmHWM``, its peak; bytes."""
     with suppress(OSError):
         for line in Path("/proc/self/status").read_text().splitlines():
             if line.startswith(f"{field}:"):
                 return 1024 * int(line.split()[1])
+    # It counts the memory of the parent at the start, too.
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-class _Server:
+def _server() -> Callable[[dict[str, Any]], dict[str, Any]]:
     """Prepares a method at the first request, and runs it at every further one."""
+    ready: list[Any] = []
 
-    run: Run | None = None
-    frames = 0
-
-    def __call__(self, request: dict[str, Any]) -> dict[str, Any]:
+    def answer(request: dict[str, Any]) -> dict[str, Any]:
         try:
-            if self.run is not None:
-                return _timed(self.run, self.frames, request["nudge_seed"], request["keep"])
-            self.run, self.frames = prepare(request["job"]), request["frames"]
-            self.run(min(WARM_UP, self.frames), request["nudge_seed"])
+            if ready:
+                return _timed(*ready, request["nudge_seed"], request["keep"])
+            ready[:] = prepare(request["job"]), request["frames"]
+            ready[0](min(WARM_UP, request["frames"]), request["nudge_seed"])
             return {"ready": True}
         except Exception as error:  # whatever a method dies of is its failure, not the benchmark's
             return {"died": f"{type(error).__name__}: {error}"}
 
+    return answer
+
 
 if __name__ == "__main__":
-    serve(_Server())
+    serve(_server())

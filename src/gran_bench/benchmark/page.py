@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from textwrap import shorten
 from typing import Any
 
 import pandas as pd
 
-from gran_bench.benchmark import claims
-from gran_bench.benchmark.claims import Entry, EqualAccuracy
-from gran_bench.benchmark.results import SPREAD, entries, read_all, succeeded
-from gran_bench.files import write_atomically, write_part
+from gran_bench.benchmark import results as claims
+from gran_bench.benchmark.results import SPREAD, Entry, EqualAccuracy, entries, read_all, succeeded
+from gran_bench.files import markdown, write_part
 from gran_bench.plots.time_error import frontier
 from gran_bench.provenance import stamp
 
@@ -24,7 +23,8 @@ FIGURES = {
     "counts": "Cost against the number of spheres.",
 }
 BUSY = 0.05  # share of the time that methods waited for the processor, from which on pages say so
-AUTOMATIC, LARGEST = "the DEM at its automatic step", "the DEM at its largest allowed step"
+# Lines of the studies that are a DEM, as figures and pages name them.
+DEMS = {"automatic": "DEM, automatic step", "largest": "DEM, largest allowed step", "DEM": "DEM, automatic step"}
 Found = dict[str, Any]  # as in ``benchmark.json``
 
 
@@ -33,11 +33,6 @@ def write_page(root: Path) -> Path:
     for place, found in read_all(root).items():
         write_part(root / PAGE, found["scene"], part_text(place, found), "Run time against error", found["scene"])
     return root / PAGE
-
-
-def write_table(path: Path, found: Found) -> None:
-    """Write the methods of one benchmark as CSV: a row each, errors in their unit and in floors."""
-    write_atomically(path, lambda file: table_of(found).to_csv(file, index=False))
 
 
 def table_of(found: Found) -> pd.DataFrame:
@@ -73,9 +68,11 @@ def part_text(place: str, found: Found) -> str:
     setting = f"{found['spheres']} spheres, {found['simulated_seconds']:g} s, {found['motion']}, "
     setting += f"E = {found['modulus']:.0e} Pa; {found['rounds']} rounds. Error: the worse of {labels}, "
     setting += f"beside {reference['replicas']} replicas. Noise: {noise}"
-    lines = [winner(found), "", *verdicts(found), "", setting.replace("e+0", "e"), "", *_table(found)]
-    for study, sentences in (("stiffness", stiffness_sentences), ("counts", count_sentences)):
-        lines += ["", *sentences(found)] if found[study] else []
+    studies = [*_stiffness(found), *_counts(found), *_failed_points(found)]
+    heads = ("surrogate", "at equal accuracy", "DEMs as exact: its speed beside theirs", "best DEM in no more time")
+    heads += ("data, s", "training, s", "paid back after, simulated s")
+    beside = markdown([heads, *surrogate_rows(found)])
+    lines = [winner(found), "", *beside, "", setting.replace("e+0", "e"), "", *_table(found), "", *studies]
     shown = [figure for figure in FIGURES if figure == "time_error" or found[figure]]
     lines += ["", *(f"![{FIGURES[figure]}]({place}/{figure}.png)" for figure in shown), ""]
     made = " ".join([stamp(found["provenance"]), *busy_sentences(found)])
@@ -84,27 +81,25 @@ def part_text(place: str, found: Found) -> str:
 
 def _table(found: Found) -> Iterator[str]:
     """The methods on the frontier (bold), the DEM at its automatic step and what is no DEM; then every failure."""
-    yield "| method | time, s (another run) | × the DEM | error, floors |"
-    yield "|---|---:|---:|---|"
-    front, failed = {entry.name for entry in frontier(entries(found))}, []
+    rows, front = [("method", "time, s (another run)", "× the DEM", "error, floors")], frontier(entries(found))
+    names, failed = {entry.name for entry in front}, []
     for row in found["methods"]:
         if row["failed"]:
             failed.append(f"- ✗ {row['name']} failed: {shorten(row['failure'], 80, placeholder=' …')}")
-        elif row["name"] in front or row["name"] == found["automatic"] or row["kind"] != "dem":
-            name, time, relative, error = row["name"], "", "", "time alone"
-            name = f"**{name}**" if name in front else name
+        elif row["name"] in names or row["name"] == found["automatic"] or row["kind"] != "dem":
+            time = relative = ""
             if wall := row["wall"]:
                 time = f"{wall['median']:.3g}"
                 if wall["expected_low"] is not None:
                     time += f" ({wall['expected_low']:.3g} to {wall['expected_high']:.3g})"
             if row["relative"]:
                 relative = f"{row['relative']['median']:.3g}"
-            if row["unfit_because"]:
-                error = f"does not fit: {row['unfit_because']}"
-            elif row["floors"] is not None:
+            error = f"does not fit: {row['unfit_because']}" if row["unfit_because"] else "time alone"
+            if row["floors"] is not None:
                 error = f"{row['floors']:.2f} ({row['floors_low']:.2f} to {row['floors_high']:.2f})"
-            yield f"| {name} | {time} | {relative} | {error} |"
-    yield from ["", *failed]
+            name = f"**{row['name']}**" if row["name"] in names else row["name"]
+            rows.append((name, time, relative, error))
+    yield from [*markdown(rows), "", *failed]
 
 
 def winner(found: Found) -> str:
@@ -115,17 +110,18 @@ def winner(found: Found) -> str:
     sound = sorted((entry for entry in every if entry.floors is not None), key=lambda entry: entry.seconds)
     exact = [entry for entry in sound if entry.floors <= accepted]
     # Whose interval reaches the DEM's own accuracy, and whose error does not.
-    perhaps, word = [entry for entry in every if entry in sound and entry.least <= accepted < entry.floors], "P"
+    perhaps, word = [entry for entry in sound if entry.least <= accepted < entry.floors], "P"
     said = "No method has the DEM's own accuracy"
     if exact:
         first, rival = exact[0], claims.fastest_rival(every, accepted, accepted)
-        same, word = claims.not_told_apart(first, exact), "Faster and p"
+        same = [entry for entry in exact if entry == first or not claims.speed_up(first, entry).decides]
+        word = "Faster and p"
         perhaps = [entry for entry in perhaps if claims.speed_up(first, entry).high < 1.0]
         said = f"Fastest of the DEM's own accuracy ({accepted:.2f} floors){', not told apart' * (len(same) > 1)}: "
-        said += "; ".join(f"**{entry.name}** ({_cost(entry)})" for entry in same)
+        said += "; ".join(map(_numbers, same))
         if rival is not None and rival not in same:
-            said += f". Fastest DEM of that accuracy: **{rival.name}** ({_numbers(rival)})"
-    names = ", ".join(f"**{e.name}** ({_numbers(e)}, {e.least:.2f} to {e.most:.2f})" for e in perhaps)
+            said += f". Fastest DEM of that accuracy: {_numbers(rival)}"
+    names = ", ".join(f"{_numbers(entry)} ({entry.least:.2f} to {entry.most:.2f})" for entry in perhaps)
     return f"{said}." + (f" {word}erhaps of that accuracy, by their intervals: {names}." if perhaps else "")
 
 
@@ -134,60 +130,24 @@ def why_no_accuracy(found: Found) -> str:
     return f"{found['reference']['replicas']} replicas do not give the DEM's own accuracy; three or more do"
 
 
-def verdicts(found: Found) -> Iterator[str]:
-    """A paragraph for each surrogate: what it is against the fastest DEM as exact, and the most exact DEM as fast."""
+def surrogate_rows(found: Found) -> Iterator[list[str]]:
+    """Each surrogate beside the fastest DEM that is as exact (measured; within the intervals), and the best as fast."""
     every, accepted = entries(found), found["reference"]["accepted"]
-    front, judged = {entry.name for entry in frontier(every)}, {e.name: e for e in every if e.floors is not None}
     for row in found["methods"]:
         if row["kind"] != "surrogate":
             continue
-        entry, name = judged.get(row["name"]), f"- **{row['name']}**"
-        if row["unfit_because"]:
-            yield f"{name} does not fit this scene: {row['unfit_because']}."
-        elif entry is None:
-            yield f"{name} failed: {row['failure']}."
-        else:
-            beside, quick = claims.equal_accuracy(entry, every, accepted), claims.best_in_time(every, entry.seconds)
-            place = f"it is{'' if entry.name in front else ' not'} on the frontier"
-            said = f"{name}: {entry.floors:.2f} floors in {_time(entry.seconds)} a simulated second; {place}."
-            in_time = "No DEM of the ladder is as fast."
-            if quick is not None:
-                in_time = f"In no more time, {quick.name} errs by {quick.floors:.2f} floors."
-            yield " ".join([said, _equal_accuracy(beside), in_time, _paid(beside)])
-
-
-def _equal_accuracy(beside: EqualAccuracy) -> str:
-    entry, rival, lenient = beside.entry, beside.rival, beside.lenient
-    if lenient is None:
-        return "No DEM of the ladder is as exact."
-    if beside.faster == "undecided":
-        dems = [f"{_verdict(entry, dem)} beside {dem.name} ({_numbers(dem)})" for dem in (rival, lenient) if dem]
-        dems = dems if rival else ["no DEM errs by as little", *dems]
-        said = f"At equal accuracy it is undecided who is faster: {'; '.join(dems)}"
-        return f"{said}, which is as exact within the intervals."
-    shown, within = (rival, "") if rival else (lenient, ", as exact within the intervals")
-    return f"At equal accuracy the rival is {shown.name} ({_numbers(shown)}{within}): {_verdict(entry, shown)}."
-
-
-def _verdict(entry: Entry, rival: Entry) -> str:
-    ratio = claims.speed_up(entry, rival)
-    if not ratio.decides:
-        return "neither is faster: the ranges overlap"
-    if ratio.middle > 1.0:
-        return f"the surrogate is {ratio.middle:.2g} times as fast ({ratio.low:.2g} to {ratio.high:.2g})"
-    return f"**the DEM is {1 / ratio.middle:.2g} times as fast** ({1 / ratio.high:.2g} to {1 / ratio.low:.2g})"
-
-
-def _paid(beside: EqualAccuracy) -> str:
-    entry, seconds = beside.entry, claims.paid_back(beside)
-    spent = f"{entry.data_seconds:.0f} s of data and {entry.training_seconds:.0f} s of training"
-    if seconds is None:
-        return f"It took {spent}."
-    if math.isnan(seconds):
-        return f"Whether its {spent} are ever paid back is undecided."
-    return f"Its {spent} are " + (
-        "never paid back." if math.isinf(seconds) else f"paid back after {seconds:,.0f} simulated seconds."
-    )
+        entry = next((one for one in every if one.name == row["name"] and one.floors is not None), None)
+        if entry is None:
+            yield [row["name"], row["unfit_because"] or row["failure"], *[""] * 5]
+            continue
+        beside, quick = claims.equal_accuracy(entry, every, accepted), claims.best_in_time(every, entry.seconds)
+        dems = [dem for dem in dict.fromkeys((beside.rival, beside.lenient)) if dem is not None]
+        ratios = ((_numbers(dem), claims.speed_up(entry, dem)) for dem in dems)
+        shown = "; ".join(f"{dem}: × {ratio.middle:.2g} ({ratio.low:.2g} to {ratio.high:.2g})" for dem, ratio in ratios)
+        seconds, fast = claims.paid_back(beside), "none" if quick is None else _numbers(quick)
+        paid = "" if seconds is None else "undecided" if math.isnan(seconds) else f"{seconds:,.0f}"
+        spent = f"{entry.data_seconds:.0f}", f"{entry.training_seconds:.0f}", paid.replace("inf", "never")
+        yield [entry.name, equal_accuracy_words(beside), shown, fast, *spent]
 
 
 def equal_accuracy_words(beside: EqualAccuracy) -> str:
@@ -208,52 +168,38 @@ def softened(found: Found) -> Entry | None:
     return None if accepted is None else claims.fastest_rival(entries(found), accepted, accepted)
 
 
-def stiffness_sentences(found: Found) -> Iterator[str]:
-    """From which stiffness on a surrogate takes less time than the DEM, beside the fastest DEM that is as exact.
-
-    Times alone: errors were measured at the scene's own modulus, and nowhere else.
-    """
-    study, soft, accepted = found["stiffness"], softened(found), found["reference"]["accepted"]
-    modulus = _modulus(found["modulus"])
+def _stiffness(found: Found) -> list[str]:
+    """From which stiffness on a surrogate takes less time than the DEM: times alone."""
+    study, rows = found["stiffness"], [["surrogate", "time, s", "faster than the DEM's automatic step", "largest step"]]
     for name, points in study.items():
-        if name in ("automatic", "largest") or not succeeded(points[0]):
-            continue
-        level = points[0]["wall"]["median"]
-        for label, words in (("largest", LARGEST), ("automatic", AUTOMATIC)):
-            costs = {point["at"]: point["wall"]["median"] for point in study[label] if succeeded(point)}
-            at = claims.crossing([*costs], [*costs.values()], level) if costs else None
-            where = "at no stiffness that was timed" if at is None else f"from {_modulus(at)} on"
-            yield f"- **{name}** ({_time(level)} a simulated second) takes less time than {words} {where}."
-        yield (
-            f"- That is time alone: errors were measured at {modulus}, what **{name}** was trained on, and the flow of "
-            "stiffer spheres was not judged."
-        )
-        if soft is not None:
-            costs = f"{_time(soft.seconds)}, {'less' if soft.seconds < level else 'more'} than **{name}**"
-            yield (
-                f"- The fastest DEM as exact as the DEM itself at {modulus} ({soft.name}, {soft.floors:.2f} of "
-                f"{accepted:.2f} floors) takes {costs}; whether it can stand in for stiffer spheres was not measured."
-            )
-    yield from _failed_points(study, {"automatic": AUTOMATIC, "largest": LARGEST}, _modulus)
+        if name not in DEMS and succeeded(points[0]):
+            rows.append([name, f"{points[0]['wall']['median']:.3g}"])
+            for label in ("automatic", "largest"):
+                costs = {point["at"]: point["wall"]["median"] for point in study[label] if succeeded(point)}
+                at = claims.crossing([*costs], [*costs.values()], points[0]["wall"]["median"]) if costs else None
+                rows[-1].append("at no stiffness that was timed" if at is None else f"from {_modulus(at)} on")
+    caveat = f"\nErrors were measured at {_modulus(found['modulus'])} alone: flows of stiffer spheres were not judged."
+    return [*markdown(rows), caveat] if rows[1:] else []
 
 
-def count_sentences(found: Found) -> Iterator[str]:
+def _counts(found: Found) -> list[str]:
     """What a surrogate costs in units of the DEM's cost at its automatic step, for each number of spheres."""
     study = found["counts"]
     dem = {point["at"]: point["wall"]["median"] for point in study.get("DEM", []) if succeeded(point)}
+    rows = [["× the DEM", *(f"{count:g} spheres" for count in dem)]]
     for name, points in study.items():
-        shares = [(p["at"], p["wall"]["median"] / dem[p["at"]]) for p in points if succeeded(p) and p["at"] in dem]
-        if name != "DEM" and shares:
-            words = ", ".join(f"{share:.2g} with {count:g} spheres" for count, share in shares)
-            yield f"- **{name}** takes these times the time of {AUTOMATIC}: {words}."
-    yield from _failed_points(study, {"DEM": AUTOMATIC}, lambda count: f"{count:g} spheres")
+        costs = {point["at"]: point["wall"]["median"] for point in points if succeeded(point)}
+        if name != "DEM":
+            rows.append([name, *(f"{costs[at] / dem[at]:.2g}" if at in costs else "" for at in dem)])
+    return ["", *markdown(rows)]
 
 
-def _failed_points(study: Found, names: Mapping[str, str], words: Callable[[float], str]) -> Iterator[str]:
-    for name, point in ((name, point) for name, points in study.items() for point in points):
-        if not succeeded(point):
-            who = names.get(name, f"**{name}**")
-            yield f"- ✗ {who[0].upper()}{who[1:]} failed at {words(point['at'])}: {point['failure']}."
+def _failed_points(found: Found) -> Iterator[str]:
+    yield ""
+    for study, words in (("stiffness", _modulus), ("counts", "{:g} spheres".format)):
+        for name, point in ((name, point) for name, points in found[study].items() for point in points):
+            if not succeeded(point):
+                yield f"- ✗ {DEMS.get(name, name)} failed at {words(point['at'])}: {point['failure']}"
 
 
 def busy_sentences(found: Found) -> Iterator[str]:
@@ -263,22 +209,12 @@ def busy_sentences(found: Found) -> Iterator[str]:
         yield f"Methods waited {share} for the processor: the machine had other work."
 
 
-def _cost(entry: Entry) -> str:
-    """Time and error of a method, and what an answer of it lacks or took."""
-    said = f"{_time(entry.seconds)} a simulated second, {entry.floors:.2f} floors"
-    said += f", after {entry.data_seconds:.0f} s of data" if entry.kind == "baseline" and entry.data_seconds else ""
-    return said + (", and statistics without spheres" if entry.name.startswith("interpolation") else "")
-
-
 def _numbers(entry: Entry) -> str:
-    return f"{_time(entry.seconds)}, {entry.floors:.2f} floors"
+    """Name, time and error of a method, and what an answer of it lacks or took."""
+    said = f"{entry.name} ({entry.seconds:.3g} s, {entry.floors:.2f} floors"
+    said += f", after {entry.data_seconds:.0f} s of data" if entry.kind == "baseline" and entry.data_seconds else ""
+    return said + (", statistics without spheres)" if entry.name.startswith("interpolation") else ")")
 
 
 def _modulus(modulus: float) -> str:
     return f"E = {modulus:.1e} Pa"
-
-
-def _time(seconds: float) -> str:
-    if seconds < 1e-3:
-        return f"{1e6 * seconds:.2g} µs"
-    return f"{1e3 * seconds:.3g} ms" if seconds < 0.1 else f"{seconds:.3g} s"

@@ -1,21 +1,21 @@
-"""Everything that a benchmark found, as plain data: the one file that figures, table and page are made from."""
+"""Everything that a benchmark found, as plain data, and what may be said of it: who wins, and what pays."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import t as student_t
 
-from gran_bench.benchmark.claims import Entry
 from gran_bench.benchmark.contest import Method, Study
 from gran_bench.benchmark.errors import VELOCITY, Reference, Scored
 from gran_bench.benchmark.turns import Record
-from gran_bench.files import write_text
+from gran_bench.plots.time_error import Contender
 
 RESULTS = "benchmark.json"
 FORMAT = 1  # of the file; a change makes a page refuse the older ones
@@ -29,9 +29,8 @@ class ResultsError(ValueError):
 def spread(values: Sequence[float]) -> dict[str, float | None] | None:
     """Median, smallest and largest of positive values, one a round, and where the median of another benchmark lies.
 
-    With s the standard deviation of ln x over n rounds, the median of n others lies with 95 % confidence within
-    median × exp(± t_{n−1} × 1.2533 s √(2/n)): 1.2533 s/√n is the standard error of a median of normal values, and two
-    medians scatter √2 as much as one. None of no value; a single round says nothing of another.
+    It lies, at 95 %, within median × exp(± t_{n−1} × 1.2533 s √(2/n)), s the standard deviation of ln x over n rounds:
+    1.2533 s/√n is the standard error of a median. None of no value; a single round says nothing of another.
     """
     if not values:
         return None
@@ -50,19 +49,17 @@ def method_row(
 ) -> dict[str, Any]:
     """What is known of one method, as plain data: its turns and its error, None of what does not fit or has none.
 
-    ``beside`` has the wall time of a simulated second of the DEM at its automatic step, s, by round: the unit of
-    ``relative``, in which what slows a whole machine cancels.
+    ``beside`` has the wall time of a simulated second of the DEM at its automatic step, s, by round.
     """
-    turns, seconds = record.turns if record else [], method.seconds
+    record, seconds = record or Record([]), method.seconds
+    turns = record.turns
     wall = [turn["wall_seconds"] / seconds for turn in turns]
     ratios = [t / beside[turn["round"]] for t, turn in zip(wall, turns, strict=True) if turn["round"] in beside]
     names = ("name", "kind", "unfit_because", "data_seconds", "training_seconds")
     spent = {name: getattr(method, name) for name in names}
-    spent |= {"simulated_seconds": seconds, "failure": record.failure if record else ""}
-    spent |= {"failed_seconds": record.failed_seconds if record else None, "wall": spread(wall)}
-    spent |= {"relative": spread(ratios), "cpu_seconds": None}
-    if turns:
-        spent["cpu_seconds"] = float(np.median([turn["cpu_seconds"] for turn in turns])) / seconds
+    spent |= {"simulated_seconds": seconds, "failure": record.failure, "failed_seconds": record.failed_seconds}
+    cpu = float(np.median([turn["cpu_seconds"] for turn in turns])) / seconds if turns else None
+    spent |= {"wall": spread(wall), "relative": spread(ratios), "cpu_seconds": cpu}
     spent |= {key: max((turn[key] for turn in turns), default=None) for key in ("peak_bytes", "own_bytes")}
     found = {"floors": None, "floors_low": None, "floors_high": None, "by": "", "outside": 0, "judgement": None}
     if scored is not None:
@@ -90,16 +87,9 @@ def succeeded(point: dict[str, Any]) -> bool:
 
 
 def reference_facts(reference: Reference, replicas: int, runs: int, automatic: float | None) -> dict[str, Any]:
-    """The ranked errors and what the DEM's own accuracy in them is.
+    """The ranked errors and the DEM's own accuracy in them, as plain data; None where there are too few replicas.
 
-    Args:
-        reference: the replicas.
-        replicas: how many.
-        runs: of each method, whose mean is its error.
-        automatic: the error of the DEM at its automatic step, in noise floors; None where that failed.
-
-    Returns:
-        Plain data; ``noise`` and ``accepted`` are None where there are too few replicas.
+    ``automatic`` is the mean error of the DEM at its automatic step over ``runs``, in noise floors; None if it failed.
     """
     noise = reference.noise(runs)
     # Where a bed comes to rest, nudges hardly grow, and the step of the DEM counts for more than its noise.
@@ -110,11 +100,7 @@ def reference_facts(reference: Reference, replicas: int, runs: int, automatic: f
 
 
 def judged_anew(found: dict[str, Any], reference: Reference, replicas: int) -> dict[str, Any]:
-    """Kept results with the DEM's own accuracy by today's rule: nothing is measured, and no method's error changes.
-
-    Raises:
-        ResultsError: the methods were held against other replicas.
-    """
+    """Kept results with the accuracy by today's rule; a `ResultsError` where they were held against other replicas."""
     floors = reference.floors()
     for row in found["methods"]:
         if row["judgement"] is None or row["judgement"]["velocity_kind"] != VELOCITY:
@@ -156,17 +142,8 @@ def untimed(found: dict[str, Any]) -> list[str]:
     return [row["name"] for row in rows]
 
 
-def write_results(folder: Path, found: dict[str, Any]) -> None:
-    """Write the results whole or not at all."""
-    write_text(folder / RESULTS, json.dumps(found, indent=1, allow_nan=False) + "\n")
-
-
 def read_results(path: Path) -> dict[str, Any]:
-    """Results as they were kept.
-
-    Raises:
-        ResultsError: none there, or of another format.
-    """
+    """Results as they were kept; a `ResultsError` where there are none, or of another format."""
     if not path.exists():
         raise ResultsError(f"{path} is missing; measure first, with measure=true")
     results = json.loads(path.read_text("utf-8"))
@@ -176,12 +153,111 @@ def read_results(path: Path) -> dict[str, Any]:
 
 
 def read_all(root: Path) -> dict[str, dict[str, Any]]:
-    """All results below a folder by ``profile/scene``; a scene with full results has these alone.
+    """All results below a folder by ``profile/scene``; full ones stand for others of a scene. Raises `ResultsError`."""
+    places = {(path.parts[-3], path.parts[-2]): path for path in sorted(root.glob(f"*/*/{RESULTS}"))}
+    shown = [(a, b) for a, b in places if a == "full" or ("full", b) not in places]
+    return {f"{profile}/{scene}": read_results(places[profile, scene]) for profile, scene in shown}
 
-    Raises:
-        ResultsError: results of another format.
+
+@dataclass(frozen=True)
+class Entry(Contender):
+    """One method with what was measured of it; ``fast`` and ``slow`` are the range of its times over the rounds."""
+
+    data_seconds: float = 0.0  # spent before the first run, s
+    training_seconds: float = 0.0  # spent before the first run, s
+
+    @property
+    def least(self) -> float:
+        """The smallest error that its interval allows, in noise floors; of a run that did not fail."""
+        return self.floors if self.low is None else self.low
+
+    @property
+    def most(self) -> float:
+        """The largest error that its interval allows, in noise floors; of a run that did not fail."""
+        return self.floors if self.high is None else self.high
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """How many times as fast one method is as another: of the medians, and the range that both spreads allow."""
+
+    middle: float
+    low: float
+    high: float
+
+    @property
+    def decides(self) -> bool:
+        """Whether the range lies on one side of 1."""
+        return self.low > 1.0 or self.high < 1.0
+
+
+def speed_up(entry: Entry, rival: Entry) -> Ratio:
+    """How many times as fast ``entry`` is as ``rival``."""
+    return Ratio(rival.seconds / entry.seconds, rival.fast / entry.slow, rival.slow / entry.fast)
+
+
+def sound_dems(entries: Sequence[Entry]) -> list[Entry]:
+    """The DEMs that did not fail, softened and large steps included, from fast to slow."""
+    return sorted((e for e in entries if e.kind == "dem" and e.floors is not None), key=lambda e: e.seconds)
+
+
+def fastest_rival(entries: Sequence[Entry], floors: float, accepted: float | None) -> Entry | None:
+    """The fastest DEM whose measured error is at most ``floors``, or the DEM's own accuracy where that is known."""
+    return next((e for e in sound_dems(entries) if e.floors <= max(floors, accepted or 0.0)), None)
+
+
+def best_in_time(entries: Sequence[Entry], seconds: float) -> Entry | None:
+    """The most exact DEM that takes no longer; None where every DEM takes longer."""
+    return min((e for e in sound_dems(entries) if e.seconds <= seconds), key=lambda e: e.floors, default=None)
+
+
+@dataclass(frozen=True)
+class EqualAccuracy:
+    """A method beside the fastest DEM that is as exact."""
+
+    entry: Entry
+    rival: Entry | None  # the fastest DEM whose measured error is no larger; None where there is none
+    lenient: Entry | None  # the fastest DEM that is not significantly worse; at least as fast as the rival
+    # Who is, of ``entry``, ``rival``, ``neither`` (the ranges of the times overlap), ``undecided`` (the two DEMs give
+    # two answers) and ``alone`` (every DEM is significantly worse).
+    faster: str
+
+
+def equal_accuracy(entry: Entry, entries: Sequence[Entry], accepted: float | None) -> EqualAccuracy:
+    """Whether a method that did not fail or the DEM is faster at equal accuracy, where the intervals allow to say so.
+
+    A DEM is significantly worse where the low end of its interval lies above the high end of the method's, and above
+    the DEM's own accuracy ``accepted``, in noise floors; None where that is not known.
     """
-    paths = sorted(root.glob(f"*/*/{RESULTS}"))
-    thorough = {path.parent.name for path in paths if path.parts[-3] == "full"}
-    shown = [path for path in paths if path.parts[-3] == "full" or path.parent.name not in thorough]
-    return {f"{path.parts[-3]}/{path.parts[-2]}": read_results(path) for path in shown}
+    rival, bound = fastest_rival(entries, entry.floors, accepted), max(entry.most, accepted or 0.0)
+    lenient = next((e for e in sound_dems(entries) if e.least <= bound), None)
+    if lenient is None:
+        return EqualAccuracy(entry, None, None, "alone")
+
+    ratios = [Ratio(math.inf, math.inf, math.inf) if dem is None else speed_up(entry, dem) for dem in (rival, lenient)]
+    answers = {"neither" if not r.decides else "entry" if r.middle > 1.0 else "rival" for r in ratios}
+    return EqualAccuracy(entry, rival, lenient, answers.pop() if len(answers) == 1 else "undecided")
+
+
+def paid_back(beside: EqualAccuracy) -> float | None:
+    """Simulated seconds after which data and training are paid back: (data + training) / (the DEM's − its seconds).
+
+    None where every DEM is significantly worse; NaN where nobody knows who is faster; infinite where the DEM is.
+    """
+    entry, rival = beside.entry, beside.rival or beside.lenient
+    if rival is None:
+        return None
+    if beside.faster in ("undecided", "neither"):
+        return math.nan
+    saved = rival.seconds - entry.seconds
+    return (entry.data_seconds + entry.training_seconds) / saved if saved > 0.0 else math.inf
+
+
+def crossing(abscissa: Sequence[float], costs: Sequence[float], level: float) -> float | None:
+    """Where a cost first rises to a level, linearly in logarithms over a rising abscissa; None where it stays below."""
+    x, y = np.log(np.asarray(abscissa, float)), np.log(np.asarray(costs, float) / level)
+    above = np.flatnonzero(y >= 0.0)
+    if not len(above) or not above[0]:
+        return float(abscissa[0]) if len(above) else None
+    k = above[0]
+    return float(np.exp(x[k - 1] + (x[k] - x[k - 1]) * -y[k - 1] / (y[k] - y[k - 1])))

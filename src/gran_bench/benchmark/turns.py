@@ -1,14 +1,12 @@
 """Methods take turns: round by round, in an order that is shuffled anew, one at a time on an otherwise idle machine.
 
-Each method lives in a process of its own that waits between its turns. Each finished run is a JSON file, whole or not
-there, so that an interrupted benchmark goes on from where it was.
+A finished run is a JSON file, whole or not there, so that an interrupted benchmark goes on from where it was.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ from tqdm import tqdm
 
 from gran_bench.benchmark.contest import Method
 from gran_bench.files import write_text
-from gran_bench.workers import Worker
+from gran_bench.workers import Worker, crew
 
 PREPARED_AT_A_TIME = 2
 PATIENCE = 3600.0  # s that a method may prepare itself, or take for one run: the slowest take minutes
@@ -29,13 +27,11 @@ ROUNDS_OF_A_SEED = 1000
 
 @dataclass(frozen=True)
 class Record:
-    """All turns of one method."""
+    """All turns of one method, as its process told them (`jobs.prepare`), by round; why it failed, if it did."""
 
-    # by round, as the method's process told them (`jobs.prepare`); none of a method that failed at once
     turns: list[dict[str, Any]]
-    failure: str = ""  # why it failed; empty where it did not
-    # wall time of a simulated second before it failed, s; None where it never got to a frame
-    failed_seconds: float | None = None
+    failure: str = ""
+    failed_seconds: float | None = None  # wall time of a simulated second before it failed; None without a frame
 
 
 def trajectory_file(folder: Path, index: int) -> Path:
@@ -54,41 +50,35 @@ def take_turns(
     after_round: Callable[[int, dict[str, Path]], None] = lambda index, folders: None,
     label: str = "timing",
 ) -> dict[str, Record]:  # fmt: skip
-    """Run every method once a round, and keep what was measured.
+    """Run every method that fits the scene once a round, and keep what was measured; records by the method's name.
 
     Args:
-        methods: that fit the scene; others are passed over.
-        rounds: how often.
         seed: of the order in each round, and of the nudges that the rounds start from.
-        folder: of all measurements.
-        conditions: what else decides a measurement (`Method.key`).
+        folder: of all measurements; ``conditions`` are what else decides one (`Method.key`).
         frame_interval: s.
         wants_frames: whether the frames of a method's round, in its folder, are still to be judged.
         after_round: called with the round and the folders of all methods, to judge what was kept.
-        label: of the bar.
-
-    Returns:
-        Records by the method's name.
     """
     fit = [method for method in methods if not method.unfit_because]
     folders = {method.name: folder / method.key(*conditions) for method in fit}
 
-    def wants(method: Method, index: int) -> tuple[bool, bool]:
-        """Whether a turn is missing, and whether its frames are wanted."""
+    def keeps(method: Method, index: int) -> bool:
         place = folders[method.name]
-        frames_wanted = wants_frames(method, place, index) and not trajectory_file(place, index).exists()
-        if (place / FAILURE).exists():
-            return False, False
-        return frames_wanted or not _path(place, index).exists(), frames_wanted
+        return wants_frames(method, place, index) and not trajectory_file(place, index).exists()
 
-    for place in folders.values():
+    def wants(method: Method, index: int) -> bool:
+        place = folders[method.name]
+        return not (place / FAILURE).exists() and (keeps(method, index) or not _path(place, index).exists())
+
+    for failed in (place / FAILURE for place in folders.values()):
         # A run that diverged will diverge again; a process that died (of a lack of memory, say) gets another chance.
-        if (place / FAILURE).exists() and json.loads((place / FAILURE).read_text("utf-8"))["died"]:
-            (place / FAILURE).unlink()
+        if failed.exists() and json.loads(failed.read_text("utf-8"))["died"]:
+            failed.unlink()
     orders = [np.random.default_rng([seed, index]).permutation(len(fit)) for index in range(rounds)]
-    missing = [(fit[k], index) for index, order in enumerate(orders) for k in order if wants(fit[k], index)[0]]
+    missing = [(fit[k], index) for index, order in enumerate(orders) for k in order if wants(fit[k], index)]
     workers = {method.name: Worker("gran_bench.benchmark.jobs") for method, _ in missing}
-    with tqdm(total=len(missing), desc=label, unit="run", disable=None, leave=False) as bar:
+    bar = tqdm(total=len(missing), desc=label, unit="run", disable=None, leave=False)
+    with bar, crew(list(workers.values()), PREPARED_AT_A_TIME) as threads:
 
         def prepare(method: Method) -> None:
             bar.set_postfix_str(f"preparing {method.name}", refresh=True)
@@ -96,40 +86,32 @@ def take_turns(
             request = {"job": method.job, "frames": frames, "nudge_seed": nudge_seed(seed, 0)}
             answer = workers[method.name].ask(request, PATIENCE)
             if "died" in answer:
-                _fail(folders[method.name], answer["died"], died=True)
+                _note(method, answer, folders[method.name], 0, frame_interval)
 
-        lanes = ThreadPoolExecutor(PREPARED_AT_A_TIME)
-        try:
-            # All are compiled and warm before the first is timed; the first compiles what the others then load.
-            needed = list({method.name: method for method, _ in missing}.values())
-            for some in (needed[:1], needed[1:]):
-                list(lanes.map(prepare, some))
-            for index in range(rounds):
-                for method in [method for method, when in missing if when == index]:
-                    wanted, keeps = wants(method, index)
-                    bar.set_postfix_str(method.name, refresh=True)
-                    bar.update()
-                    if wanted:
-                        place = folders[method.name]
-                        keep = str(trajectory_file(place, index).resolve()) if keeps else None
-                        request = {"nudge_seed": nudge_seed(seed, index), "keep": keep}
-                        _note(method, workers[method.name].ask(request, PATIENCE), place, index, frame_interval)
-                after_round(index, folders)
-        finally:
-            lanes.shutdown(wait=False, cancel_futures=True)  # nobody waits for what an interruption ends
-            for worker in workers.values():
-                worker.end()
-            lanes.shutdown()
+        # All are compiled and warm before the first is timed; the first compiles what the others then load.
+        needed = list({method.name: method for method, _ in missing}.values())
+        for some in (needed[:1], needed[1:]):
+            list(threads.map(prepare, some))
+        for index in range(rounds):
+            for method in [method for method, when in missing if when == index]:
+                bar.set_postfix_str(method.name, refresh=True)
+                bar.update()
+                if wants(method, index):
+                    place = folders[method.name]
+                    keep = str(trajectory_file(place, index).resolve()) if keeps(method, index) else None
+                    request = {"nudge_seed": nudge_seed(seed, index), "keep": keep}
+                    _note(method, workers[method.name].ask(request, PATIENCE), place, index, frame_interval)
+            after_round(index, folders)
     return {method.name: _read(folders[method.name], rounds) for method in fit}
 
 
 def _note(method: Method, answer: dict[str, Any], folder: Path, index: int, frame_interval: float) -> None:
     """Write down what came of a run."""
-    if "died" in answer:
-        _fail(folder, answer["died"], died=True)
-    elif "failure" in answer:
-        reached = answer["reached"] * frame_interval
-        _fail(folder, answer["failure"], died=False, seconds=answer["wall_seconds"] / reached if reached else None)
+    if "died" in answer or "failure" in answer:
+        reached = answer.get("reached", 0) * frame_interval
+        found = {"failure": answer.get("died") or answer["failure"], "died": "died" in answer}
+        found["seconds"] = answer["wall_seconds"] / reached if reached else None
+        write_text(folder / FAILURE, json.dumps(found) + "\n")
     else:
         turn = {"round": index, **answer, "method": method.name}
         write_text(_path(folder, index), json.dumps(turn, indent=1) + "\n")
@@ -139,13 +121,7 @@ def _path(folder: Path, index: int) -> Path:
     return folder / f"round{index}.json"
 
 
-def _fail(folder: Path, message: str, died: bool, seconds: float | None = None) -> None:
-    write_text(folder / FAILURE, json.dumps({"failure": message, "died": died, "seconds": seconds}) + "\n")
-
-
 def _read(folder: Path, rounds: int) -> Record:
     turns = [json.loads(_path(folder, k).read_text("utf-8")) for k in range(rounds) if _path(folder, k).exists()]
-    if not (folder / FAILURE).exists():
-        return Record(turns)
-    failed = json.loads((folder / FAILURE).read_text("utf-8"))
-    return Record(turns, failed["failure"], failed["seconds"])
+    failed = json.loads((folder / FAILURE).read_text("utf-8")) if (folder / FAILURE).exists() else {}
+    return Record(turns, failed.get("failure", ""), failed.get("seconds"))

@@ -24,6 +24,7 @@ from gran_bench.state import Continuation, FloatArray, Held, ParticleState, name
 
 # Between two looks at who leaves and who escaped, s.
 LOOK = 0.01
+MOST_POSES = 100_000  # at a time: with steps of 1e-10 s all those up to a look would be 10 GB
 # Looks until the particles are sorted anew: neighbours in space soon lie apart in memory, and sorting takes new lists.
 LOOKS_BETWEEN_SORTS = 5
 
@@ -73,11 +74,12 @@ class Run:
                 frames so far and its own.
         """
         while steps:
-            began, some = clock.perf_counter(), min(steps, self._to_look())
+            began = clock.perf_counter()
             if self._stretch is None:
                 self._begin()
             elif self._steps == self._posed_until:
-                self._stretch.set_walls(self._poses(self._to_look()))
+                self._stretch.set_walls(self._poses())
+            some = min(steps, self._to_look() if self._stretch is None else self._posed_until - self._steps)
             if self._stretch is not None:
                 with self._divergence():
                     self._stretch.run(some)
@@ -132,7 +134,9 @@ class Run:
         """Steps from here to the next look."""
         return self._look_steps - self._steps % self._look_steps
 
-    def _poses(self, steps: int) -> FloatArray:
+    def _poses(self) -> FloatArray:
+        """Poses from here to the next look, or as many as may be."""
+        steps = min(self._to_look(), MOST_POSES)
         self._posed_until = self._steps + steps
         return wall_poses(self._scene, self._start, self._time_step, steps, self._steps)
 
@@ -151,7 +155,7 @@ class Run:
             self._held = held._replace(order=number)
             held = Held(*(array[number] for array in held[:3]), order)
         if len(number):
-            part, poses = part_of(whole, inside), self._poses(self._to_look())
+            part, poses = part_of(whole, inside), self._poses()
             with self._divergence():
                 self._stretch = self._engine.Stretch(part, self._tuner.physics, self._time_step, poses, held)
 

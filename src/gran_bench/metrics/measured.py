@@ -211,11 +211,14 @@ def noise_floor(metric: Callable[[Run, Run], Measured], replicas: Sequence[Run],
     return mean_of([metric(replicas[i], replicas[j]) for i in range(len(replicas)) for j in range(i)], unit)
 
 
-def prediction_interval(figures: Sequence[float]) -> Interval | None:
-    """95 % prediction interval of one more figure, mean ± t s √(1 + 1/n), t of Student; None below two figures."""
+def prediction_interval(figures: Sequence[float], others: float = 1.0) -> Interval | None:
+    """95 % interval of the mean of ``others`` more figures, mean ± t s √(1/n + 1/others), t of Student.
+
+    Infinitely many others give the confidence interval of the mean. None below two figures.
+    """
     count = len(figures)
     if count < 2:
         return None
     mean, deviation = float(np.mean(figures)), float(np.std(figures, ddof=1))
-    reach = float(student_t.ppf(0.5 + 0.5 * CONFIDENCE, count - 1)) * deviation * math.sqrt(1.0 + 1.0 / count)
+    reach = float(student_t.ppf(0.5 + 0.5 * CONFIDENCE, count - 1)) * deviation * math.sqrt(1.0 / others + 1.0 / count)
     return Interval(mean, mean - reach, mean + reach)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gran_bench.files import whole_file, write_part
+from gran_bench.files import markdown, whole_file, write_part
 from gran_bench.metrics.judgement import shown_multiple
 from gran_bench.provenance import stamp
 from gran_bench.run.summary import SUMMARY, missed_requirements, read_summary
@@ -33,10 +33,7 @@ class ResultPageError(ValueError):
 def write_page(run: Path, target: Path, title: str) -> Path:
     """Copy a finished run's summary, figures and small model to a folder, and renew the table of its README.
 
-    Args:
-        run: folder of a run; a `ResultPageError` where it is not finished.
-        target: folder of the page; what people wrote there stays.
-        title: of a new page; the experiment's name where it is empty.
+    What people wrote there stays; a new page has ``title``, or the experiment's name. `ResultPageError` of no such run.
     """
     if read_summary(run) is None:
         raise ResultPageError(f"{run} has no {SUMMARY}: the run is not finished; run its command again")
@@ -62,19 +59,22 @@ def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
         f"{training['seconds'] / 60:.0f} min; judged at {summary['judged_rpm']:g} rpm, {summary['judged_as']}."
     )
     yield ""
-    yield f"| | {' | '.join(f'{name} packing' for name in packings)} |"
-    yield "|---|" + "---:|" * len(packings)
-    for kind, shown, what in (("requirements", _requirement, ""), ("errors", _error, " (noise floors)")):
+    rows = [["", *(f"{name} packing" for name in packings)]]
+    for kind, shown, what in (
+        ("requirements", lambda row: f"{_value(row)}, {row['verdict']}", ""),
+        ("errors", _error, " (noise floors)"),
+    ):
         for key, row in next(iter(packings.values()))[kind].items():
             if kind == "requirements" or key in ERRORS:
-                yield f"| {row['label']}{what} | {' | '.join(shown(one[kind][key]) for one in packings.values())} |"
-    counts = (judged["failures"] for judged in packings.values())
-    yield f"| states not finite; spheres outside by more than r | {' | '.join(map(_failures, counts))} |"
+                rows.append([f"{row['label']}{what}", *(shown(one[kind][key]) for one in packings.values())])
+    counts = [judged["failures"] for judged in packings.values()]
+    failures = (
+        "" if count is None else f"{count['non_finite_states']}; {count['outside_spheres']}" for count in counts
+    )
+    yield from markdown([*rows, ["states not finite; spheres outside by more than r", *failures]])
     yield ""
-    yield f"| baseline, shared packing | {' | '.join(ERRORS.values())} |"
-    yield "|---|" + "---:|" * len(ERRORS)
-    for name, errors in summary["baselines"].items():
-        yield f"| {name} | {' | '.join(_error(errors[key]) for key in ERRORS)} |"
+    baselines = ([name, *(_error(errors[key]) for key in ERRORS)] for name, errors in summary["baselines"].items())
+    yield from markdown([["baseline, shared packing", *ERRORS.values()], *baselines])
     yield ""
     if missed := missed_requirements(summary):
         further = [line for line in missed if not line.endswith("packing)")]  # the others are in the table
@@ -92,10 +92,6 @@ def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     yield f"- Judgement: {stamp(summary['provenance'])}, data `{summary['data_digest']}`"
 
 
-def _requirement(row: dict[str, Any]) -> str:
-    return f"{_value(row)}, {row['verdict']}"
-
-
 def _error(row: dict[str, Any]) -> str:
     multiple = row["multiple_of_floor"]
     return _value(row) if multiple is None else f"{_value(row)} ({shown_multiple(multiple)})"
@@ -103,10 +99,6 @@ def _error(row: dict[str, Any]) -> str:
 
 def _value(row: dict[str, Any]) -> str:
     return "undefined" if row["value"] is None else f"{row['value']:.3g} {row['unit']}".replace(" deg", "°")
-
-
-def _failures(count: dict[str, Any] | None) -> str:
-    return "" if count is None else f"{count['non_finite_states']}; {count['outside_spheres']}"
 
 
 def main() -> None:

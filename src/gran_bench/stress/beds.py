@@ -1,25 +1,30 @@
-"""The DEM with a bed: any container, motion, material, step or precision, and what must not change a bit."""
+"""A bed under stress, of the DEM or of a surrogate: what is wrong is counted, what must not change is compared."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count, islice
+from typing import Any
 
 import numpy as np
+import torch
 
-from gran_bench.config import DemConfig
+from gran_bench.compose import checked_config, compose
+from gran_bench.config import BoundaryConfig, DemConfig, TrainConfig
+from gran_bench.config.reading import read_config
 from gran_bench.dataset import CaseSpec, read_settled
 from gran_bench.dataset.generation import Job
 from gran_bench.dem.simulate import simulate
 from gran_bench.files import locked
 from gran_bench.metrics.bed import rotational_energy, sphere_masses, translational_energy
-from gran_bench.metrics.outside import FailureCount, count_failures, counted
+from gran_bench.metrics.outside import count_failures, counted, distance_outside
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
-from gran_bench.stress.expectation import Observation
-from gran_bench.stress.experiment import Bench, Experiment
-from gran_bench.stress.impacts import deepest_overlap
+from gran_bench.stress.expectation import Bench, Experiment, Observation
+from gran_bench.surrogate.rollout import Rollout, rollout, step_frames
+from gran_bench.surrogate.step import Surrogate, build_model
 
 STATE_ARRAYS = ("position", "velocity", "angular_velocity")
 
@@ -35,13 +40,10 @@ def settled_bed(bench: Bench, scene: Scene) -> ParticleState:
 def bed_in_place(
     bench: Bench, scene: str, speed_rpm: float | None, changes: dict | None = None, then: dict | None = None
 ) -> tuple[Scene, ParticleState]:
-    """A scene and its settled bed, at the time when the scene starts.
+    """A shipped scene and its settled bed, at the time when the scene starts.
 
-    Args:
-        scene: shipped one.
-        speed_rpm: constant speed; None for the scene's own motion.
-        changes: of its keys before the bed settles.
-        then: further changes of its keys after that.
+    ``speed_rpm`` is a constant speed, or None for the scene's own motion; ``changes`` of keys come before the bed
+    settles, ``then`` after that.
     """
     bed = settled_bed(bench, shipped_scene(scene, changes))
     place = shipped_scene(scene, (changes or {}) | (then or {}))
@@ -56,26 +58,16 @@ def energy_scale(scene: Scene, state: ParticleState) -> float:
     return float(mass) * (scene.gravity_strength * fall + 0.5 * rim**2)
 
 
-def kinetic_energy(trajectory: Trajectory, scene: Scene) -> FloatArray:
-    """Translational and, where there is spin, rotational energy of each frame, ``(F,)`` J; NaN where not finite."""
-    energy = translational_energy(trajectory, scene).value
-    if trajectory.angular_velocity is not None:
-        energy = energy + rotational_energy(trajectory, scene).value
-    return energy
+def deepest_overlap(diagnostics: dict[str, FloatArray]) -> float:
+    """The largest overlap of a run, of pairs and walls, m."""
+    return float(max(diagnostics[name].max() for name in ("overlap_peak", "wall_overlap_peak")))
 
 
-def escapes(count: FailureCount) -> tuple[str, ...]:
-    """What a count of failures says, as flags; nothing where nothing is further out than the soft walls let it."""
-    told = []
-    if count.non_finite_states:
-        told.append(f"{count.non_finite_states} of {count.states} states not finite from {count.first_non_finite:g} s")
-    if count.outside_tolerated:
-        told.append(
-            f"{count.share(count.outside_tolerated):.2g} % of sphere states outside by > 5 mm, "
-            f"{count.share(count.outside_radius):.2g} % ({counted(count.outside_spheres, 'sphere')}) by > r, "
-            f"farthest {1e3 * count.farthest:.3g} mm"
-        )
-    return tuple(told)
+def with_nan(state: ParticleState, field: str, particle: int) -> ParticleState:
+    """The state with a NaN for one particle in one of its arrays."""
+    values = np.array(getattr(state, field))
+    values[particle] = np.nan
+    return replace(state, **{field: values})
 
 
 BED_UNITS = {
@@ -88,7 +80,9 @@ def seen_of(trajectory: Trajectory, scene: Scene, bed: ParticleState) -> tuple[d
     """What any trajectory of a bed shows: figures in `BED_UNITS`, flags, and each state's energy in `energy_scale`."""
     span = max(trajectory.frame_count - 1, 1) * scene.frame_interval
     count = count_failures(trajectory, replace(scene, end_time=scene.start_time + span))
-    share = kinetic_energy(trajectory, scene) / (energy_scale(scene, bed) or 1.0)
+    share = translational_energy(trajectory, scene).value / (energy_scale(scene, bed) or 1.0)
+    if trajectory.angular_velocity is not None:
+        share = share + rotational_energy(trajectory, scene).value / (energy_scale(scene, bed) or 1.0)
     finite = share[np.isfinite(share)]
     figures = {
         "energy": float(finite.max()) if len(finite) else 0.0,
@@ -97,16 +91,25 @@ def seen_of(trajectory: Trajectory, scene: Scene, bed: ParticleState) -> tuple[d
         "frames": float(trajectory.frame_count),
         "non_finite": float(count.non_finite_states),
     }
-    return figures, escapes(count), share
+    flags = []
+    if count.non_finite_states:
+        flags.append(f"{count.non_finite_states} of {count.states} states not finite from {count.first_non_finite:g} s")
+    if count.outside_tolerated:
+        flags.append(
+            f"{count.share(count.outside_tolerated):.2g} % of sphere states outside by > 5 mm, "
+            f"{count.share(count.outside_radius):.2g} % ({counted(count.outside_spheres, 'sphere')}) by > r, "
+            f"farthest {1e3 * count.farthest:.3g} mm"
+        )
+    return figures, tuple(flags), share
 
 
 def turning_bed(
     bench: Bench, scene: str = "drum_small", changes: dict | None = None, then: dict | None = None,
     speed_rpm: float | None = 30.0, seconds: float = 0.5, time_step: float | None = None, unsafe: bool = False,
 ) -> Observation:  # fmt: skip
-    """A settled bed (`bed_in_place`) that is turned for some seconds.
+    """A settled bed (`bed_in_place`) that turns for some seconds; ``time_step`` (s) is the solver's choice where null.
 
-    ``time_step`` (s) is the solver's choice where null; ``unsafe`` lets a step beyond a fifth of the contact time pass.
+    ``unsafe`` lets a step beyond a fifth of the contact time pass.
     """
     place, bed = bed_in_place(bench, scene, speed_rpm, changes, then)
     dem = DemConfig(time_step=time_step, allow_unsafe_step=unsafe)
@@ -120,10 +123,9 @@ def turning_bed(
 
 def differing(one: ParticleState, other: ParticleState) -> int:
     """How many numbers of two states, contact forces included, are not the same to the last bit."""
-    count = sum(int((getattr(one, name) != getattr(other, name)).sum()) for name in STATE_ARRAYS)
-    if len(one.history) != len(other.history):
-        return count + abs(len(one.history) - len(other.history))
-    return count + int((one.history.force != other.history.force).sum())
+    off = sum(int((getattr(one, name) != getattr(other, name)).sum()) for name in STATE_ARRAYS)
+    more = abs(len(one.history) - len(other.history))
+    return off + (more or int((one.history.force != other.history.force).sum()))
 
 
 def farthest(one: FloatArray, other: FloatArray) -> float:
@@ -173,15 +175,10 @@ IMAGES = {
 def image(
     what: str, scene: Scene, state: ParticleState
 ) -> tuple[Scene, ParticleState, Callable[[FloatArray], FloatArray]]:
-    """A moving drum and its bed, turned (with gravity), mirrored along the axis or across it, or renumbered.
+    """A moving drum and its bed in other axes or another order, and what brings positions back, ``(N, 3)`` m.
 
-    Args:
-        what: ``turned``, ``mirrored``, ``backwards`` (the mirror image across the axis, which turns the other way) or
-            ``renumbered``.
-        scene, state: as they are.
-
-    Returns:
-        Scene and state, and what brings positions back, ``(N, 3)`` m.
+    ``what`` is ``turned`` (with gravity), ``mirrored`` along the axis, ``backwards`` (across it, turning the other way)
+    or ``renumbered``.
     """
     if what == "renumbered":
         order = np.random.default_rng(3).permutation(state.count)
@@ -215,8 +212,126 @@ def alike(bench: Bench, what: str) -> Observation:
     return Observation({"position_off": farthest(one, other), "moved": farthest(bed.position, one)})
 
 
+WILD = 2.0  # M (g D + ½ ω² R²): more kinetic energy than falling and turning can give, with room for a model's errors
+UNITS = BED_UNITS | {"time_to_failure": "s", "horizon": "s", "failed_frame": "frames"}
+
+
+def model_rollout(
+    bench: Bench, scene: str = "drum", changes: dict | None = None, then: dict | None = None,
+    speed_rpm: float | None = 30.0, frames: int = 400,
+) -> Observation:  # fmt: skip
+    """Roll the model out from a settled bed of the DEM (`bed_in_place`), for a number of frames."""
+    place, bed = bed_in_place(bench, scene, speed_rpm, changes, then)
+    return observed(rollout(bench.model, place, bed, frames + 1), place, bed)
+
+
+def observed(result: Rollout, scene: Scene, start: ParticleState) -> Observation:
+    """What a rollout did: failures told, timed and bounded; bounds hold for the finite states.
+
+    It fails at the first state that is not finite, has a centre outside by more than a radius, or is `WILD`.
+    """
+    trajectory, frames = result.trajectory, result.trajectory.frame_count
+    figures, flags, share = seen_of(trajectory, scene, start)
+    with np.errstate(invalid="ignore"):
+        positions = trajectory.position.astype(np.float64)
+        beyond = np.array([distance_outside(x, trajectory.radius, scene) for x in positions]) - trajectory.radius
+        outside = np.where(np.isfinite(beyond), beyond, -np.inf).max(axis=1, initial=-np.inf)
+        failed = ~np.isfinite(share) | (share > WILD) | (outside > 0.0)
+    if result.failed_frame is not None:
+        flags = (f"failed at frame {result.failed_frame}: not finite", *flags)
+    if figures["energy"] > WILD:
+        flags = (*flags, f"kinetic energy up to {figures['energy']:.3g} M(gD+½ω²R²)")
+    # A state that is not finite must lie at or after the frame that the rollout itself calls failed.
+    told = frames if result.failed_frame is None else result.failed_frame
+    horizon = scene.frame_interval * (frames - 1)
+    until = scene.frame_interval * int(np.argmax(failed)) if failed.any() else horizon
+    figures |= {"time_to_failure": until, "horizon": horizon, "failed_frame": float(told)}
+    curves = {"speed_rpm": [scene.rotation.speeds_rpm[-1]], "time_to_failure": [until], "horizon": [horizon]}
+    curves["survived"] = [float(not failed.any())]
+    return Observation(figures, flags, curves, int((~np.isfinite(share[:told])).sum()))
+
+
+def untrained_rollout(
+    bench: Bench, model: str, scene: str = "drum_small", speed_rpm: float = 40.0, frames: int = 100
+) -> Observation:
+    """Roll out a model of the default configuration with random weights, which must fail: whether it is seen is tested.
+
+    ``model`` is ``contact``, ``radial`` or ``ccnn``.
+    """
+    config = checked_config(compose("train", [f"model={model}"]), TrainConfig)
+    torch.manual_seed(0)
+    built = build_model(config.model, read_config(BoundaryConfig, vars(config.boundary)), shipped_scene(scene)).eval()
+    return model_rollout(replace(bench, model=built), scene, speed_rpm=speed_rpm, frames=frames)
+
+
+def model_nan(bench: Bench, frame: int) -> Observation:
+    """A NaN in the state that the model is given at a frame of twenty: it must show from the next one on, for good."""
+    asked = count()
+
+    def poison(_: Surrogate, inputs: tuple[Any, ...]) -> tuple[Any, ...]:
+        state, *others = inputs
+        if next(asked) == frame:
+            position = state.position.clone()
+            position[len(position) // 2, 1] = torch.nan
+            state = replace(state, position=position)
+        return state, *others
+
+    hook = bench.model.register_forward_pre_hook(poison)
+    try:
+        return model_rollout(bench, "drum_small", frames=20)
+    finally:
+        hook.remove()
+
+
+def model_start(bench: Bench, field: str) -> Observation:
+    """A start state with a NaN in one of its fields."""
+    place, bed = bed_in_place(bench, "drum_small", 30.0)
+    return observed(rollout(bench.model, place, with_nan(bed, field, 0), 3), place, bed)
+
+
+def model_symmetry(bench: Bench, what: str) -> Observation:
+    """Transform the state as `image` does, step a frame, transform back: is every sphere where it was?
+
+    Twenty frames of the model come before, so that the bed moves; a memory, if it has one, begins anew after them.
+    """
+    if what not in ("renumbered", "turned", "mirrored"):
+        raise ValueError(f"with.what={what} is unknown; choose renumbered, turned or mirrored")
+    place, bed = bed_in_place(bench, "drum_small", 40.0)
+    motion = rollout(bench.model, place, bed, 21).trajectory
+    spin = np.zeros_like(motion.position) if motion.angular_velocity is None else motion.angular_velocity
+    last = (np.asarray(values[-1], np.float64) for values in (motion.position, motion.velocity, spin))
+    state = ParticleState(*last, bed.radius, time=float(motion.time[-1]))
+    there, changed, back = image(what, place, state)
+
+    def ahead(scene: Scene, start: ParticleState) -> FloatArray:
+        _, frame = islice(step_frames(bench.model, scene, start), 2)
+        return frame.position.cpu().numpy().astype(np.float64)
+
+    one, other = ahead(place, state), back(ahead(there, changed))
+    return Observation({"position_off": farthest(one, other), "moved": farthest(state.position, one)})
+
+
+def model_threads(bench: Bench) -> Observation:
+    """One, two and four threads of torch: how many numbers of a rollout over twenty frames differ."""
+    (place, bed), before, runs = bed_in_place(bench, "drum_small", 40.0), torch.get_num_threads(), []
+    try:
+        for number in (1, 2, 4):
+            torch.set_num_threads(number)
+            runs.append(rollout(bench.model, place, bed, 21).trajectory.position)
+    finally:
+        torch.set_num_threads(before)
+    off = float(sum((run != runs[0]).sum() for run in runs[1:]))
+    return Observation({"differing": off, "moved": farthest(runs[0][0], runs[0][-1])})
+
+
 BEDS = {
     "turning_bed": Experiment(turning_bed, BED_UNITS | {"overlap": "d", "spheres": "spheres"}),
     "bit_identical": Experiment(bit_identical, {"differing": "numbers", "moved": "m"}),
     "alike": Experiment(alike, {"position_off": "m", "moved": "m"}),
+    "model_rollout": Experiment(model_rollout, UNITS, of_model=True),
+    "untrained_rollout": Experiment(untrained_rollout, UNITS),
+    "model_nan": Experiment(model_nan, UNITS, of_model=True),
+    "model_start": Experiment(model_start, UNITS, of_model=True),
+    "model_symmetry": Experiment(model_symmetry, {"position_off": "m", "moved": "m"}, of_model=True),
+    "model_threads": Experiment(model_threads, {"differing": "numbers", "moved": "m"}, of_model=True),
 }

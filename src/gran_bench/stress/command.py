@@ -1,28 +1,40 @@
-"""The command around the list: which part of it, the run, the table, the page, and an error where one is not met."""
+"""The stress test: which cases, two at a time where they may, each kept as it ends; then table, page and verdict."""
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import json
 import os
-import sys
+import queue
+import shutil
 import time
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import asdict
+from importlib.resources import files
 from pathlib import Path
+
+from tqdm import tqdm
 
 from gran_bench.config import StressConfig
 from gran_bench.config.rules import ConfigError
-from gran_bench.files import locked
+from gran_bench.files import locked, write_text
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
-from gran_bench.processes import stop_on_signals
+from gran_bench.processes import stop_on_signals, tell
 from gran_bench.provenance import provenance
+from gran_bench.provenance.source_digest import source_digest
 from gran_bench.shipped import SHIPPED, shipped_model
 from gran_bench.stress.case_list import StressCase, cases_of_file, near_match, shipped_cases
 from gran_bench.stress.expectation import FAILED, Observation
-from gran_bench.stress.page import PAGE, closing_line, table, write_results
-from gran_bench.stress.run import Errand, carry_out, errands, forget
+from gran_bench.stress.page import PAGE, Errand, closing_line, table, write_results
+from gran_bench.stress.perform import EXPERIMENTS, model_words, outcome_of, perform
+from gran_bench.surrogate.checkpoint import file_digest
+from gran_bench.workers import Worker, crew
 
 LOCK = ".lock"  # in the folder of the page
 PART = "part"  # folder of the page of less than the whole list
+KEPT, SHARED = "kept", "beds"
 
 
 class StressFailed(RuntimeError):
@@ -51,7 +63,8 @@ def run_stress(config: StressConfig) -> list[Errand]:
         origin = provenance() | {"load, mean of 1, 5 and 15 min": ", ".join(f"{load:.1f}" for load in os.getloadavg())}
         draw_figures(results, folder)
         write_results(results, folder, origin)
-        forget(folder)
+        for name in (KEPT, SHARED):  # so that the next one does everything anew
+            shutil.rmtree(folder / name, ignore_errors=True)
     print(f"\nthe page is {folder / PAGE}\n{closing_line(results, seconds)}")
     failed = [result.name for result in results if result.verdict[0] == FAILED]
     if failed:
@@ -60,16 +73,11 @@ def run_stress(config: StressConfig) -> list[Errand]:
 
 
 def _tell_of_another(folder: Path) -> None:
-    message = f"another stress test runs in {folder}; waiting for it to end (output=FOLDER would be one of its own)"
-    print(message, file=sys.stderr, flush=True)
+    tell(f"another stress test runs in {folder}; waiting for it to end (output=FOLDER would be one of its own)")
 
 
 def chosen(config: StressConfig) -> tuple[list[StressCase], bool]:
-    """The cases that a config asks for, and whether they are the whole list for the shipped model.
-
-    Raises:
-        ConfigError: an unknown case, or nothing left.
-    """
+    """The cases of a config, and whether they are the whole list for the shipped model; `ConfigError` of none."""
     everything = shipped_cases() if config.case_list is None else cases_of_file(Path(config.case_list))
     names = [case.name for case in everything]
     for name in config.cases:
@@ -88,24 +96,83 @@ def draw_figures(results: Sequence[Errand], folder: Path) -> None:
     """The figures that the results have curves for."""
     folder.mkdir(parents=True, exist_ok=True)
     runs = defaultdict(list)
-    for result in results:
-        if not isinstance(result.outcome, Observation):
-            continue
+    for result in (result for result in results if isinstance(result.outcome, Observation)):
         curves = result.outcome.curves
         if result.case.kind == "step_ladder":
             draw_dem_step(curves, folder / "dem_step.png")
         elif result.case.kind == "energy_drift":
             draw_energy_drift(curves, folder / "energy_drift.png")
-        elif label := _label_in_drum(result):
-            runs[label].append((curves["speed_rpm"][0], curves["time_to_failure"][0], bool(curves["survived"][0])))
+        elif result.case.kind in ("model_rollout", "untrained_rollout"):
+            values, known = result.case.parameters, EXPERIMENTS[result.case.kind].parameters
+            # The paper's drum, unchanged but for its speed.
+            if values.get("scene", known["scene"].default) == "drum" and not {"changes", "then"} & set(values):
+                end = curves["speed_rpm"][0], curves["time_to_failure"][0], bool(curves["survived"][0])
+                runs[result.model or f"{values['model']}, untrained"].append(end)
     if runs:
         draw_time_to_failure(runs, folder / "time_to_failure.png")
 
 
-def _label_in_drum(result: Errand) -> str:
-    """The model whose rollout in the paper's drum, unchanged but for its speed, a result is; empty for any other."""
-    values, kind = result.case.parameters, result.case.kind
-    plain = values.get("scene", "drum") == "drum" and not {"changes", "then"} & set(values)
-    if kind == "model_rollout" and plain:
-        return result.model
-    return f"{values['model']}, untrained" if kind == "untrained_rollout" and values.get("scene") == "drum" else ""
+def errands(cases: Sequence[StressCase], checkpoints: Sequence[Path], folder: Path) -> list[Errand]:
+    """Every case once, or once for each model file it is for; raises what `model_words` raises."""
+    code, found = package_digest(), []
+    models = [(path, *model_words(path), file_digest(path)) for path in checkpoints]
+    for case in cases:
+        fitting = [m for m in models if not case.models or m[1] in case.models]
+        for path, _, label, digest in fitting if EXPERIMENTS[case.kind].of_model else [("", "", "", "")]:
+            words = json.dumps([case.kind, case.parameters, digest, code], sort_keys=True)
+            name = hashlib.sha256(words.encode()).hexdigest()[:16]
+            found.append(Errand(case, str(path), label, folder / KEPT / f"{name}.json"))
+    return found
+
+
+@functools.cache
+def package_digest() -> str:
+    """SHA-256 (64 hex digits) of all code, configs and lists of the package: a case may go through any of it."""
+    digest = hashlib.sha256(source_digest(["."]).encode())
+    for folder in (files("gran_bench.conf"), files("gran_bench.stress") / "lists"):
+        for path in sorted(Path(str(folder)).rglob("*.yaml")):
+            content = path.read_bytes()
+            digest.update(f"{path.relative_to(str(folder))}\n{len(content)}\n".encode() + content)
+    return digest.hexdigest()
+
+
+def carry_out(todo: Sequence[Errand], folder: Path, workers: int, patience: float) -> None:
+    """Give each errand its outcome; what an interrupted run in the folder has finished is taken from there.
+
+    ``workers`` cases run at a time, each for ``patience`` s at most; a single one runs here, and nothing ends its hang.
+    """
+    shared, idle = str((folder / SHARED).resolve()), queue.SimpleQueue()
+    # Threads of the DEM are a case's own choice: some compare them.
+    hands = [Worker("gran_bench.stress.perform", {"OMP_NUM_THREADS": "1"}) for _ in range(workers * (workers > 1))]
+    for worker in hands or [None]:
+        idle.put(worker)
+    alone = [errand for errand in todo if EXPERIMENTS[errand.case.kind].alone]
+    groups = [[errand for errand in todo if errand not in alone], *([errand] for errand in alone)]
+    # None: silent where stderr is no terminal.
+    bar = tqdm(total=len(todo), unit=" cases", leave=False, disable=None)
+    with bar, crew(hands, workers) as threads:
+
+        def one(errand: Errand) -> None:
+            worker = idle.get()
+            _carry_out(errand, shared, worker, patience)
+            idle.put(worker)
+            bar.set_postfix_str(errand.case.name[:40], refresh=False)
+            bar.update()
+
+        for some in groups:
+            list((threads.map if hands else map)(one, some))
+
+
+def _carry_out(errand: Errand, shared: str, worker: Worker | None, patience: float) -> None:
+    case, began = errand.case, time.perf_counter()
+    if errand.file.exists():
+        answer, errand.seconds = json.loads(errand.file.read_text("utf-8"))
+    else:
+        task = {"kind": case.kind, "parameters": case.parameters, "checkpoint": errand.checkpoint, "shared": shared}
+        answer = asdict(perform(**task)) if worker is None else worker.ask(task, patience)
+        errand.seconds = time.perf_counter() - began
+        if "died" in answer:  # it gets another chance in the next run
+            answer = {"error": "Hang" if answer["late"] else "Crash", "message": answer["died"]}
+        else:
+            write_text(errand.file, json.dumps([answer, errand.seconds]) + "\n")
+    errand.outcome = outcome_of(answer)

@@ -1,10 +1,17 @@
-"""What a stress case must show, what it showed, and the verdict: three forms of expectation, none of them vague."""
+"""What a stress experiment is, what a case of it must show, what it showed, and the verdict."""
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from textwrap import shorten
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gran_bench.surrogate.step import Surrogate
 
 MET, FLAGGED, FAILED = "met", "flagged", "FAILED"
 
@@ -33,12 +40,10 @@ class Bound:
 
 @dataclass(frozen=True)
 class Expectation:
-    """What a case must show.
+    """What a case must show: ``met``, that each bound holds; ``error``, to be refused with these words; or ``flagged``.
 
-    - ``met``: it ends without an error and every bound holds.
-    - ``error``: it is refused or stops with an error of this class that holds these words.
-    - ``flagged``: it may fail, but not silently: it ends without an error, every bound holds for what it did up to
-      its failure, and each failure stands among its flags, of which some hold these words.
+    A flagged case may fail, but not silently: it ends without an error, every bound holds for what it did up to its
+    failure, and each failure stands among its flags, of which some hold these words.
     """
 
     form: str
@@ -59,8 +64,7 @@ class Observation:
     """What a case showed."""
 
     quantities: Mapping[str, float] = field(default_factory=dict)  # figures by name
-    # what the software itself says is wrong: failed frames, warnings, counts of escaped spheres
-    flags: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()  # what the software itself says is wrong: warnings, failed frames, escaped spheres
     curves: Mapping[str, list[float]] = field(default_factory=dict)  # arrays by name as lists, for a figure
     unflagged: int = 0  # failures that nothing in the flags tells of; a sound program has none
 
@@ -77,11 +81,7 @@ Outcome = Observation | Failure
 
 
 def verdict(expectation: Expectation, outcome: Outcome) -> tuple[str, str]:
-    """Hold what a case showed, or the error that stopped it, against what it must show.
-
-    Returns:
-        ``met``, ``flagged`` (as expected, with flags) or ``FAILED``, and what was found, in a line.
-    """
+    """``met``, ``flagged`` or ``FAILED``, of what a case showed or the error that ended it; and what was found."""
     if isinstance(outcome, Failure):
         right = expectation.form == "error" and outcome.error == expectation.error
         right = right and all(word in outcome.message for word in expectation.says)
@@ -98,13 +98,34 @@ def verdict(expectation: Expectation, outcome: Outcome) -> tuple[str, str]:
 
 def _found(expectation: Expectation, outcome: Observation) -> str:
     """The bounded quantities, or all where none is; then the flags, then what nothing flagged."""
-    seen, bounds = outcome.quantities, expectation.bounds
-    values = [f"{b.quantity} {seen.get(b.quantity, math.nan):.4g} {b.unit.removeprefix('-')}".rstrip() for b in bounds]
-    values = values or [f"{name} {value:.4g}" for name, value in seen.items()]
+    seen, units = outcome.quantities, {b.quantity: f" {b.unit.removeprefix('-')}" for b in expectation.bounds}
+    values = [f"{name} {seen.get(name, math.nan):.4g}{units.get(name, '')}".rstrip() for name in units or seen]
     hidden = [f"{outcome.unflagged} failures that no flag tells of"] if outcome.unflagged else []
     return "; ".join([*values, *map(_one_line, outcome.flags), *hidden])
 
 
-def _one_line(text: str, longest: int = 200) -> str:
-    line = " ".join(text.split())
-    return line if len(line) <= longest else line[: longest - 1] + "…"
+def _one_line(text: str) -> str:
+    return shorten(text, 200, placeholder=" …")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What an experiment may use beside its parameters."""
+
+    shared: Path  # folder of settled beds that the cases of a run share
+    model: Surrogate | None = None  # under stress, in evaluation mode; None for the DEM
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A kind of stress case."""
+
+    run: Callable[..., Observation]  # called with a bench and the parameters of the case by name
+    measures: Mapping[str, str]  # unit of each quantity by its name
+    of_model: bool = False  # whether it is done with a model
+    alone: bool = False  # whether nothing else may run beside it, because it takes times
+
+    @property
+    def parameters(self) -> dict[str, inspect.Parameter]:
+        """The parameters that a case may set, by name, with evaluated annotations."""
+        return dict(list(inspect.signature(self.run, eval_str=True).parameters.items())[1:])

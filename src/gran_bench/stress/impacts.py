@@ -1,4 +1,4 @@
-"""The DEM with a few bodies: impacts beyond all reason, spheres that start overlapping, a mass ratio of a million."""
+"""The DEM with a few bodies, beyond all reason, and its time step: what it costs, errs, and where it blows up."""
 
 from __future__ import annotations
 
@@ -8,13 +8,19 @@ from itertools import product
 import numpy as np
 
 from gran_bench.config import DemConfig
-from gran_bench.dem.simulate import simulate
+from gran_bench.dataset.generation import nudged
+from gran_bench.dem.simulate import SimulationError, simulate
+from gran_bench.dem.time_step import contact_times, dividing_step
+from gran_bench.metrics.angle_of_repose import center_of_mass_angles
+from gran_bench.shipped import shipped_scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState
-from gran_bench.stress.expectation import Observation
-from gran_bench.stress.experiment import Bench, Experiment
+from gran_bench.stress.beds import deepest_overlap, settled_bed, with_nan
+from gran_bench.stress.expectation import Bench, Experiment, Observation
 from gran_bench.verification import CASES, run_case
 from gran_bench.verification import laboratory as lab
+from gran_bench.verification.convergence import DRIFT_BOUND, elastic_energy, gas, quick_impact
 from gran_bench.verification.impacts import at_angles
+from gran_bench.verification.laboratory import SOFT, run
 
 ANGLES = (0.0, 20.0, 40.0, 60.0, 80.0, 85.0)  # degrees between approach and normal
 DEEP = 0.1  # of a radius; a contact circle is then a third of the sphere's, and no small one any more
@@ -74,9 +80,9 @@ def _moving(state: ParticleState) -> float:
 
 
 def fast_sphere(bench: Bench, speed: float, against: str, time_step: float | None = None) -> Observation:
-    """One sphere shot (m/s) at another or at a wall through the usual front door, with all its checks.
+    """One sphere shot (m/s) at a ``sphere`` or ``wall`` through the usual front door, with all its checks.
 
-    ``against`` is ``sphere`` or ``wall``; ``time_step`` (s) is the solver's choice where null.
+    ``time_step`` (s) is the solver's choice where null.
     """
     count = 1 if against == "wall" else 2
     scene = lab.laboratory(lab.sphere_material(lab.SOFT, 0.5, 0.3), (lab.FLOOR,) if count == 1 else ())
@@ -87,18 +93,6 @@ def fast_sphere(bench: Bench, speed: float, against: str, time_step: float | Non
     if deepest > DEEP:
         flags = (*flags, f"recorded overlap of {deepest:.3g} r, beyond what Hertz's law is for")
     return Observation({"energy_gain": _moving(result.final) / _moving(state) - 1.0, "overlap": deepest}, flags)
-
-
-def deepest_overlap(diagnostics: dict[str, FloatArray]) -> float:
-    """The largest overlap of a run, of pairs and walls, m."""
-    return float(max(diagnostics[name].max() for name in ("overlap_peak", "wall_overlap_peak")))
-
-
-def with_nan(state: ParticleState, field: str, particle: int) -> ParticleState:
-    """The state with a NaN for one particle in one of its arrays."""
-    values = np.array(getattr(state, field))
-    values[particle] = np.nan
-    return replace(state, **{field: values})
 
 
 def not_a_number(bench: Bench, field: str) -> Observation:
@@ -124,6 +118,96 @@ def verified(bench: Bench, case: str) -> Observation:
     return Observation({"error_of_tolerance": worst})
 
 
+NUDGE = 1e-9  # m
+
+
+def step_ladder(bench: Bench, steps: list[float], production: float, seconds: float = 2.0) -> Observation:
+    """Steps (s) from small to far too large on the paper's drum: error of the centre of mass's angle, and cost.
+
+    The smallest step is the reference; the floor is its error against itself, nudged by 1e-9 m, and what ``production``
+    errs more is beyond it. A step that ends with an error has an infinite one. The drum turns for ``seconds``, 30 rpm.
+    """
+    if production not in steps:
+        raise ValueError(f"with.production={production:g} is none of with.steps={steps}; choose one of them")
+    scene = shipped_scene("drum").at_speed(30.0)
+    bed, end = settled_bed(bench, scene), scene.start_time + seconds
+
+    def angles(step: float, state: ParticleState) -> tuple[FloatArray, float, tuple[str, ...]]:
+        # One thread, so that its cost stands beside that of the others.
+        result = simulate(scene, state, end, dem=DemConfig(time_step=step, threads=1, allow_unsafe_step=True))
+        found = np.degrees(center_of_mass_angles(result.trajectory.position, result.trajectory.radius, scene))
+        return found, 1e3 * result.wall_seconds / (result.trajectory.frame_count - 1), result.warnings
+
+    reference, double = angles(steps[0], bed)[0], angles(steps[0], nudged(bed, NUDGE, 1))[0]
+    floor, silent = float(np.abs(double - reference).mean()), 0
+    errors, costs, flags = [], [], []
+    for step in steps:
+        try:
+            found, cost, warnings = angles(step, bed)
+            error = float(np.abs(found - reference).mean())
+        except SimulationError as failure:
+            error, cost, warnings = np.inf, np.nan, (failure,)
+        errors.append(error)
+        costs.append(cost)
+        flags += [f"{step:g} s: {warning}" for warning in warnings]
+        # What is off by more than a degree beyond the floor must have been warned of.
+        silent += error > floor + 1.0 and not warnings
+    off = errors[steps.index(production)]
+    largest = max(error for error in errors if np.isfinite(error))
+    curves = {"step": list(steps), "error": errors, "cost": costs, "floor": [floor]}
+    curves |= {"contact_time": [contact_times(scene)[0]], "production": [production]}
+    quantities = {"error": off, "floor": floor, "beyond_floor": off - floor, "largest_error": largest}
+    return Observation(quantities, tuple(flags), curves, silent)
+
+
+def blow_up(bench: Bench) -> Observation:
+    """The smallest step, of the ladder of those that divide a frame, at which ``drum_small`` diverges or lets escape.
+
+    Every step of the ladder is tried at 30 rpm, from small to large, until two in a row end with an error.
+    """
+    place = shipped_scene("drum_small").at_speed(30.0)
+    bed, duration = settled_bed(bench, place), contact_times(place)[0]
+    survived, failed, flags = [], [], []
+    for count in (50, 35, 25, 20, 16, 14, 12, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1):
+        step = place.frame_interval / count
+        dem = DemConfig(time_step=step, allow_unsafe_step=True)
+        try:
+            simulate(place, bed, place.start_time + 0.5, dem=dem)
+            survived.append(step)
+        except SimulationError as error:
+            failed.append(step)
+            flags.append(f"{step:.3g} s ({step / duration:.2g} t_c): {error}")
+            if len(failed) == 2:
+                break
+    first = min(failed, default=np.inf)
+    safe = max((step for step in survived if step < first), default=0.0)
+    return Observation({"first_failure": first / duration, "largest_safe": safe / duration}, tuple(flags[:1]))
+
+
+def energy_drift(bench: Bench, steps_per_contact: list[float], seconds: float = 10.0) -> Observation:
+    """Largest change of the energy of an elastic gas in some seconds, against the step, until it diverges.
+
+    Steps are t_c over ``steps_per_contact``, from many to few, with t_c of an impact at three times the mean of both.
+    """
+    (scene, state), duration = gas(0, SOFT), quick_impact(SOFT)
+    changes, worst, flags = [], 0.0, []
+    for per_contact in steps_per_contact:
+        step = dividing_step(0.01, duration / per_contact)
+        stride = round(0.01 / step)
+        try:
+            trajectory = run(scene, state, step, round(seconds / 0.01) * stride, stride).trajectory
+        except SimulationError as error:
+            changes.append(np.inf)
+            flags.append(f"t_c/{per_contact:g}: {error}")
+            continue
+        energy = elastic_energy(scene, trajectory)
+        changes.append(float(np.abs(energy / energy[0] - 1.0).max()))
+        if per_contact >= 10:  # where a contact is resolved; the solver refuses less than five
+            worst = max(worst, changes[-1] / (DRIFT_BOUND * (step / duration) ** 2))
+    curves = {"steps_per_contact": list(steps_per_contact), "change": changes, "bound": [DRIFT_BOUND]}
+    return Observation({"drift": worst, "smallest_step_drift": changes[0]}, tuple(flags), curves)
+
+
 IMPACTS = {
     "impacts": Experiment(
         impacts, {"restitution_error": "-", "energy_gain": "of before", "momentum_change": "of before", "overlap": "r"}
@@ -132,4 +216,9 @@ IMPACTS = {
     "fast_sphere": Experiment(fast_sphere, {"energy_gain": "of before", "overlap": "r"}),
     "not_a_number": Experiment(not_a_number, {"overlap": "r"}),
     "verified": Experiment(verified, {"error_of_tolerance": "of the tolerance"}),
+    "step_ladder": Experiment(
+        step_ladder, {"error": "°", "floor": "°", "beyond_floor": "°", "largest_error": "°"}, alone=True
+    ),
+    "blow_up": Experiment(blow_up, {"first_failure": "t_c", "largest_safe": "t_c"}),
+    "energy_drift": Experiment(energy_drift, {"drift": "of 3(Δt/t_c)²", "smallest_step_drift": "of the energy"}),
 }

@@ -7,12 +7,16 @@ import io
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from gran_bench.files import write_part
+from gran_bench.files import markdown, write_part
 from gran_bench.provenance import read_table, stamp, write_table
-from gran_bench.stress.expectation import FAILED, FLAGGED, MET, Observation
-from gran_bench.stress.run import Errand
+from gran_bench.stress.expectation import FAILED, FLAGGED, MET, Observation, Outcome, verdict
+
+if TYPE_CHECKING:
+    from gran_bench.stress.case_list import StressCase
 
 PAGE, TABLE = "README.md", "stress.csv"
 HEADS = ("case", "model", "expectation", "found", "verdict", "s")
@@ -28,19 +32,38 @@ FIGURES = {
 }
 
 
+@dataclass
+class Errand:
+    """A case for the DEM or for one model, and what came of it once it is carried out."""
+
+    case: StressCase
+    checkpoint: str  # model file; empty for the DEM
+    model: str  # its label
+    file: Path  # where the outcome is kept until the whole run ends
+    outcome: Outcome | None = None
+    seconds: float = 0.0  # wall time
+
+    @property
+    def name(self) -> str:
+        """Of the case, and of its model where it has one."""
+        return f"{self.case.name}, {self.model}" if self.model else self.case.name
+
+    @property
+    def verdict(self) -> tuple[str, str]:
+        """How it ended, in a word, and what was found."""
+        return verdict(self.case.expectation, self.outcome)
+
+
 def row(result: Errand) -> tuple[str, ...]:
     """A result in words, under `HEADS`."""
     case, (word, found) = result.case, result.verdict
-    word += f" (known: {case.known})" if case.known and word == FAILED else ""
     return (case.name, result.model, str(case.expectation), found, word, f"{result.seconds:.1f}")
 
 
 def table(results: Sequence[Errand], widest: int = 64) -> str:
     """All rows in columns, long cells cut; the page and the CSV have them whole."""
-    rows = [HEADS, *map(row, results)]
-    lines = [[cell if len(cell) <= widest else cell[: widest - 1] + "…" for cell in line] for line in rows]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
+    cut = [[cell if len(cell) <= widest else cell[: widest - 1] + "…" for cell in row(result)] for result in results]
+    return "\n".join(markdown([HEADS, *cut], aligned=True))
 
 
 def closing_line(results: Sequence[Errand], seconds: float) -> str:
@@ -73,22 +96,17 @@ def write_page(folder: Path) -> None:
 
 def _page(rows: Sequence[dict[str, str]], origin: Mapping[str, str], folder: Path) -> Iterator[str]:
     """A table of verdicts by part, every case that failed, rollouts of models that ended early, and figures."""
-    yield f"| {len(rows)} cases | {' | '.join(WORDS)} |"
-    yield "|---" + "|---:" * len(WORDS) + "|"
-    for part in dict.fromkeys(row["part"] for row in rows):
-        some = [row for row in rows if row["part"] == part]
-        yield f"| {PARTS.get(part, part)} | {' | '.join(str(count(some, word)) for word in WORDS)} |"
-    yield ""
-    if failed := [row for row in rows if row["verdict"].startswith(FAILED)]:
+    parts = {part: [row for row in rows if row["part"] == part] for part in dict.fromkeys(row["part"] for row in rows)}
+    counts = [[PARTS.get(part, part), *(str(count(some, word)) for word in WORDS)] for part, some in parts.items()]
+    failed = [row for row in rows if row["verdict"].startswith(FAILED)]
+    heads = ("rollout that failed before its end", "model", "after, s", "of, s")
+    early = [(case, model or "untrained", f"{after:g}", f"{whole:g}") for case, model, after, whole in early_ends(rows)]
+    yield from [*markdown([(f"{len(rows)} cases", *WORDS), *counts]), ""]
+    if failed:
         yield from (f"- {row['verdict']}: {row['case']} {row['model']}: {row['found']}" for row in failed)
         yield ""
-    if early := early_ends(rows):
-        yield "| rollout that failed before its end | model | after, s | of, s |"
-        yield "|---|---|---:|---:|"
-        yield from (
-            f"| {case} | {model or 'untrained'} | {after:g} | {whole:g} |" for case, model, after, whole in early
-        )
-        yield ""
+    if early:
+        yield from [*markdown([heads, *early]), ""]
     yield from (f"![{caption}]({name})\n" for name, caption in FIGURES.items() if (folder / name).exists())
     yield f"Every expectation, figure and flag: [`{TABLE}`]({TABLE}). {stamp(origin)}"
 
@@ -99,11 +117,7 @@ def count(rows: Sequence[dict[str, str]], word: str) -> int:
 
 
 def early_ends(rows: Sequence[dict[str, str]]) -> list[tuple[str, str, float, float]]:
-    """Rollouts that failed before their end: case, model (empty for random weights), when, and of how long, s.
-
-    A rollout fails at its first state that is not finite, has a centre outside by more than a radius, or has more
-    than twice the energy that falling and turning give.
-    """
+    """Rollouts that failed (`rollouts.observed`) before their end: case, model or "", when, and of how long, s."""
     found = []
     for row in rows:
         quantities = json.loads(row["quantities"] or "{}")

@@ -1,7 +1,4 @@
-"""A sweep around its jobs: data made once, finished runs found, parent and children in the store; at the end a report.
-
-The jobs themselves may run anywhere: what they need of their sweep is plain data that travels to them.
-"""
+"""A sweep around its jobs: data made once, finished runs found, parent and children in the store, a report."""
 
 from __future__ import annotations
 
@@ -46,7 +43,7 @@ class Found(NamedTuple):
 
 @contextmanager
 def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
-    """Prepare a sweep, let its jobs run in the block, and report; the name is of its folder, unless the config has one.
+    """Prepare a sweep, named as its folder, let its jobs run in the block, and report.
 
     Raises:
         ConfigError, TrackingError, SweepFileError: two jobs are one run; the store fails; a file is damaged.
@@ -90,19 +87,18 @@ def _refuse_twins(planned: Sequence[SweepJob]) -> None:
         if twin is not job:
             keys = [key for key in sorted(job.choices) if job.choices[key] != twin.choices.get(key)]
             one, other = (" ".join(f"{key}={it.choices.get(key)}" for key in keys) or it.run for it in (twin, job))
-            remedy = (
-                "give each value once, and sweep a key where it decides them, by a command with tracking.sweep=NAME"
+            raise ConfigError(
+                f"{one} and {other}: two jobs ({job.run}) would train the same weights; give each value once, and "
+                "sweep a key where it decides them, by a command with tracking.sweep=NAME "
+                "(python -m gran_bench.evaluate judges a model again)"
             )
-            remedy += " (python -m gran_bench.evaluate judges a model again)"
-            raise ConfigError(f"{one} and {other}: two jobs ({job.run}) would train the same weights; {remedy}")
 
 
 def _make_data(jobs: Sequence[SweepJob]) -> None:
     """Make every run of the DEM that the jobs need and that is not there, so that no two jobs wait for each other."""
     wanted = defaultdict(dict)
-    for data, specs in (
-        (job.config.dataset, (*splits(job.config).all, *judging_plan(job.config).cases)) for job in jobs
-    ):
+    for config in (job.config for job in jobs):
+        specs, data = (*splits(config).all, *judging_plan(config).cases), config.dataset
         wanted[data.root, data.workers] |= {spec.path(data.root): spec for spec in specs}
     for (root, workers), specs in wanted.items():
         tell(f"data of all jobs: {len(specs)} cases in {root}")
@@ -150,9 +146,7 @@ def _finished(folder: Path, jobs: Sequence[SweepJob]) -> dict[int, Found]:
         except runs.SweepFileError as error:  # which hides no run of another sweep
             tell(f"not looked at: {error}")
     found = {}
-    for number, job in enumerate(jobs):
-        if job.identity is None:
-            continue
+    for number, job in ((number, job) for number, job in enumerate(jobs) if job.identity is not None):
         known, summary = recorded[job.key, job.judged_by], finished_summary(job.identity)
         own = next((run for source, run in known if source == folder and run.run == job.run), None)
         if summary is not None and not wants_more(job.config, summary["training"]):
@@ -196,9 +190,8 @@ def _row(job: SweepJob, ended: float, facts: Mapping[str, str], **found: Any) ->
     facts |= {"model": job.config.model.name, "budget": _budget(job)}
     facts = {name: text for name, text in facts.items() if text}
     ended_at = datetime.fromtimestamp(ended, UTC).isoformat(timespec="seconds")
-    return SweepRun(
-        job.run, dict(job.choices), job.seed, job.key, job.judged_by, ended_at=ended_at, facts=facts, **found
-    )
+    who = job.run, dict(job.choices), job.seed, job.key, job.judged_by
+    return SweepRun(*who, ended_at=ended_at, facts=facts, **found)
 
 
 def _axes(planned: Sequence[SweepJob]) -> dict[str, Any]:

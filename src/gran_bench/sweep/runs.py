@@ -1,7 +1,4 @@
-"""The files of a sweep: its jobs in ``sweep.json``, the runs that have ended in ``runs.csv``, one row each.
-
-They are enough to make page and figures anew and to know that a run need not be done again.
-"""
+"""The files of a sweep: its jobs in ``sweep.json``, its runs that have ended in ``runs.csv``; they make all pages."""
 
 from __future__ import annotations
 
@@ -71,8 +68,7 @@ class SweepRun(Planned):
     status: str = FINISHED  # ``finished`` or ``failed``
     ended_at: str = ""  # ISO 8601, UTC
     reason: str = ""  # why it failed; else empty
-    # Updates done and planned, seconds, what stopped it, last loss, parameters, as in ``training.json``.
-    training: dict[str, Any] = field(default_factory=dict)
+    training: dict[str, Any] = field(default_factory=dict)  # updates, seconds, loss, …, as in ``training.json``
     figures: dict[str, float] = field(default_factory=dict)  # by their names in MLflow; an undefined one is absent
     # In words: on what it was judged, rollouts that broke down, model, budget, code, data, provenance.
     facts: dict[str, str] = field(default_factory=dict)
@@ -88,12 +84,11 @@ class SweepFile:
     experiment: str  # MLflow experiment that its parent run is in
     jobs: list[SweepJob] = field(default_factory=list)  # of its last command, in the order of their numbers
 
-    def write(self, folder: Path) -> Path:
+    def write(self, folder: Path) -> None:
         """Write ``sweep.json``, whole or not at all."""
         kept = [entry.name for entry in fields(SweepJob) if entry.name not in ("config", "identity")]
         values = vars(self) | {"jobs": [{name: getattr(job, name) for name in kept} for job in self.jobs]}
         write_text(folder / SWEEP, json.dumps(values, indent=1, ensure_ascii=False) + "\n")
-        return folder / SWEEP
 
 
 def read_sweep(folder: Path) -> SweepFile | None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from gran_bench import tracking
 from gran_bench.config import TrackingConfig
-from gran_bench.files import write_part, write_text
+from gran_bench.files import markdown, write_part, write_text
 from gran_bench.plots.style import drawn_for
 from gran_bench.plots.training import sweep_axis
 from gran_bench.provenance import stamp
@@ -153,8 +153,7 @@ class Reach:
     figure: str  # heading of the figure
     best: tuple[str, float]  # choice with the smallest mean, and the mean
     worst: tuple[str, float]  # choice with the largest mean, and the mean
-    # The ratio of worst to best that seeds alone would give, see `chance_ratio`; NaN where nothing says so.
-    chance: float
+    chance: float  # `chance_ratio`, of worst to best by seeds alone; NaN where nothing says so
     lost: tuple[str, ...]  # choices that have no mean, because a run of theirs failed or has no such figure
 
     @property
@@ -188,15 +187,9 @@ def reaches(runs: Sequence[SweepRun]) -> Iterator[Reach]:
 def chance_ratio(samples: Sequence[np.ndarray]) -> float:
     """The ratio of the largest to the smallest mean that chance alone exceeds in one of 20 rows of such samples.
 
-    exp(q s / √n): Tukey's studentised range (1949) of as many means as there are choices, the best and the worst of
-    which are looked at, on logarithms, because errors of choices that run away scatter in proportion.
-
-    Args:
-        samples: a figure's values over the seeds of each choice; s is pooled over choices, n the harmonic mean of
-            their numbers.
-
-    Returns:
-        NaN where each choice has one seed, or a figure is not positive.
+    exp(q s / √n): Tukey's studentised range (1949) of as many means as there are choices, on logarithms, because errors
+    of choices that run away scatter in proportion; s is pooled over choices, n the harmonic mean of numbers of seeds.
+    NaN where each choice has one seed, or a figure is not positive.
     """
     freedom = sum(len(sample) - 1 for sample in samples)
     if freedom == 0 or any((sample <= 0).any() for sample in samples):
@@ -238,14 +231,10 @@ def _what_matters(found: Sequence[tuple[str, Reach]]) -> Iterator[str]:
         "the ratio of worst to best that seeds alone exceed in one of 20 comparisons:"
     )
     yield ""
-    if counted:
-        yield "| sweep | key | beside | figure | best | worst | worst / best | chance |"
-        yield "|---|---|---|---|---|---|---:|---:|"
-    largest = {
-        (name, reach.axis, reach.figure): reach for name, reach in sorted(counted, key=lambda one: one[1].factor)
-    }
-    for (name, axis, figure), reach in sorted(largest.items()):
+    rows = [("sweep", "key", "beside", "figure", "best", "worst", "worst / best", "chance")]
+    ordered = sorted(counted, key=lambda one: one[1].factor)
+    for (name, axis, figure), reach in sorted({(name, one.axis, one.figure): one for name, one in ordered}.items()):
         best, worst = (f"{choice} ({value:.3g})" for choice, value in (reach.best, reach.worst))
         worst += f"; no figure: {', '.join(reach.lost)}" if reach.lost else ""
-        cells = [name, axis, reach.beside, figure, best, worst, f"{reach.factor:.2f}", f"{reach.chance:.2f}"]
-        yield f"| {' | '.join(cells)} |"
+        rows.append((name, axis, reach.beside, figure, best, worst, f"{reach.factor:.2f}", f"{reach.chance:.2f}"))
+    yield from markdown(rows)

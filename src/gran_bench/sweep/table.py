@@ -11,6 +11,7 @@ from pathlib import Path
 import pandas as pd
 
 from gran_bench.config.registry import METRICS
+from gran_bench.files import markdown
 from gran_bench.sweep.runs import FINISHED, SweepFile, SweepJob, SweepRun, read_runs, read_sweep
 from gran_bench.tracking import HEADLINE
 
@@ -66,8 +67,8 @@ def read_standing(folder: Path) -> Standing:
 def standing(sweep: SweepFile | None, runs: Sequence[SweepRun]) -> Standing:
     """Where a sweep stands that has some runs.
 
-    A folder may hold runs of several commands, and ``sweep.json`` lists the jobs of the last one. A run of these jobs
-    is known by its key; another counts if it was made with the same code, data, judge and budget as one of the jobs.
+    A run of the jobs in ``sweep.json``, those of the last command, is known by its key; another counts if it was made
+    with the same code, data, judge and budget as one of them.
     """
     jobs = sweep.jobs if sweep else []
     listed, choices = {job.whole for job in jobs}, {job.choice for job in jobs}
@@ -132,10 +133,7 @@ def shown_table(runs: Sequence[SweepRun]) -> str:
         done = group[group["status"] == FINISHED]
         counts = [str(len(done)), str(len(group) - len(done))]
         rows.append([*values.values(), *counts, *(_shown(done[column.name], column.digits) for column in columns)])
-    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
-    rows = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows]
-    heading, *lines = [f"| {' | '.join(row)} |" for row in rows]
-    return "\n".join([heading, f"|{'|'.join('-' * (width + 2) for width in widths)}|", *lines])
+    return "\n".join(markdown(rows, aligned=True))
 
 
 def best_choices(runs: Sequence[SweepRun]) -> dict[str, tuple[str, float]]:

@@ -1,8 +1,4 @@
-"""What a command does once a job: config checked, work done, errors said, here or in a process of its own.
-
-With ``hydra/launcher=local`` each job has a process, forked from one that has loaded PyTorch and done no work, so that
-a start is quick and no lock is inherited. In a pool one worker that is killed would end the others.
-"""
+"""What a command does once a job: config checked, work done, errors said, here or in a forked process of its own."""
 
 from __future__ import annotations
 
@@ -262,7 +258,6 @@ def _last_words(code: int) -> str:
         return f"the process that jobs are forked from was ended {memory}"
     if code < 0:
         return f"its process was ended by signal {-code}{f' {memory}' if code == -9 else ''}"
-    stopped = code - 128 in signal.valid_signals()
-    return (
-        f"it was stopped by {signal.Signals(code - 128).name}" if stopped else f"its process ended with status {code}"
-    )
+    if code - 128 in signal.valid_signals():
+        return f"it was stopped by {signal.Signals(code - 128).name}"
+    return f"its process ended with status {code}"

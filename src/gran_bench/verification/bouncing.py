@@ -1,14 +1,14 @@
-"""A ball that falls and bounces, and two balls squeezed between walls.
+"""A ball that falls and bounces, and two balls squeezed between walls: DEM01–DEM03 of the MFiX-DEM verification manual.
 
-DEM01–DEM03 of the MFiX-DEM verification manual (mfix.netl.doe.gov/doc/vvuq-manual; Chen et al. 2007, Garg et al. 2012)
-use linear springs, and DEM03 two densities; the contacts here are Hertzian and the balls alike, and so is what is
-expected.
+The manual (mfix.netl.doe.gov/doc/vvuq-manual; Chen et al. 2007, Garg et al. 2012) has linear springs and two densities;
+the contacts here are Hertzian and the balls alike, and so is what is expected.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -18,7 +18,7 @@ from gran_bench.scene import Material, Plane
 from gran_bench.state import FloatArray
 from gran_bench.verification import laboratory as lab
 from gran_bench.verification.case import Case, Check
-from gran_bench.verification.theory import Contact, damping
+from gran_bench.verification.theory import Contact
 
 MANUAL = "MFiX-DEM verification manual"
 BOUNCES = 3
@@ -26,22 +26,18 @@ BOUNCES = 3
 
 def _apexes(contact: Contact, height: float) -> list[float]:
     """Heights of the centre at the top of each bounce, m: free flight, and the contact by DOP853 at 1e-10."""
-    mass, stiffness = contact.effective_mass, contact.stiffness
-    alpha = damping(contact.second.material.restitution)
-    apexes, top = [], height
+    mass, radius, apexes = contact.effective_mass, contact.first.radius, [height]
     for _ in range(BOUNCES):
-        speed = math.sqrt(2.0 * lab.GRAVITY * (top - contact.first.radius))
+        speed = math.sqrt(2.0 * lab.GRAVITY * (apexes[-1] - radius))
         deepest, contact_time = contact.largest_overlap(speed), contact.duration(speed)
         # The force over δ^{1/4}; without damping it only touches zero, so it is lifted off by a trifle.
-        tiny = 1e-9 * deepest**1.25 * math.sqrt(stiffness / mass)
+        tiny = 1e-9 * contact.stiffness * deepest**1.25
 
         def motion(_: float, y: FloatArray) -> tuple[float, float]:
-            overlap = max(y[0], 0.0)
-            drag = alpha * math.sqrt(mass * stiffness) * overlap**0.25
-            return y[1], lab.GRAVITY - (stiffness * overlap**1.5 + drag * y[1]) / mass
+            return y[1], lab.GRAVITY - contact.force(*y) / mass
 
         def unloaded(_: float, y: FloatArray, tiny: float = tiny) -> float:
-            return max(y[0], 0.0) ** 1.25 * math.sqrt(stiffness / mass) + alpha * y[1] - tiny
+            return contact.stiffness * max(y[0], 0.0) ** 1.25 + contact.damper * y[1] - tiny
 
         unloaded.terminal, unloaded.direction = True, -1.0
         part = solve_ivp(
@@ -49,16 +45,15 @@ def _apexes(contact: Contact, height: float) -> list[float]:
             rtol=1e-10, atol=(deepest * 1e-12, 1e-12 * speed), max_step=0.05 * contact_time,
         )  # fmt: skip
         overlap, velocity = part.y_events[0][0]
-        top = contact.first.radius - overlap + velocity**2 / (2.0 * lab.GRAVITY)
-        apexes.append(top)
-    return apexes
+        apexes.append(radius - overlap + velocity**2 / (2.0 * lab.GRAVITY))
+    return apexes[1:]
 
 
 def bounce() -> Iterator[Check]:
     """A ball (0.1 m radius, dropped from 0.5 m) between bounces, and how high each one takes it."""
     radius, height, number = 0.1, 0.5, np.arange(1, BOUNCES + 1)
     at, drop = [f"bounce {k}" for k in number], height - radius
-    for modulus, e in ((modulus, e) for modulus in (lab.SOFT, lab.STIFF) for e in (0.6, 0.8, 1.0)):
+    for modulus, e in product((lab.SOFT, lab.STIFF), (0.6, 0.8, 1.0)):
         contact = lab.on_wall(Material(modulus, 0.3, 2600.0, e, 0.0), radius)
         step = contact.duration(math.sqrt(2.0 * lab.GRAVITY * drop)) / 200
         fall = math.sqrt(2.0 * drop / lab.GRAVITY)
@@ -84,15 +79,14 @@ def bounce() -> Iterator[Check]:
 
 def _stack_forces(contact: Contact, pair: Contact, gap: float, y: FloatArray) -> tuple[float, float]:
     """Upward forces on the lower and the upper sphere between two walls; y = (z₁, z₂, ż₁, ż₂)."""
-
-    def push(c: Contact, overlap: float, closing: float) -> float:
-        overlap = max(overlap, 0.0)
-        drag = damping(c.second.material.restitution) * math.sqrt(c.effective_mass * c.stiffness) * overlap**0.25
-        return max(0.0, c.stiffness * overlap**1.5 + drag * closing)
-
     r, weight = contact.first.radius, contact.first.mass * lab.GRAVITY
-    floor, middle = push(contact, r - y[0], -y[2]), push(pair, 2.0 * r - (y[1] - y[0]), y[2] - y[3])
-    return floor - middle - weight, middle - push(contact, r - (gap - y[1]), y[3]) - weight
+    floor, middle, ceiling = (
+        max(0.0, one.force(overlap, closing))
+        for one, overlap, closing in (
+            (contact, r - y[0], -y[2]), (pair, 2.0 * r - (y[1] - y[0]), y[2] - y[3]), (contact, r - (gap - y[1]), y[3])
+        )
+    )  # fmt: skip
+    return floor - middle - weight, middle - ceiling - weight
 
 
 def _rest_of_stack(contact: Contact, pair: Contact, gap: float) -> tuple[float, float]:
@@ -112,13 +106,9 @@ def stack() -> Iterator[Check]:
     """Two spheres (0.5 mm radius) squeezed between walls 3.6 r apart: their motion, and where they come to rest."""
     r, names = 5e-4, ("lower", "upper")
     gap = 3.6 * r
-    walls, start = (
-        (lab.FLOOR, Plane((0.0, 0.0, gap), (0.0, 0.0, -1.0), turns=False)),
-        np.array([0.25 * gap, 0.75 * gap]),
-    )
-    for modulus, e, periods in (
-        (modulus, *choice) for modulus in (lab.SOFT, lab.STIFF) for choice in ((1.0, 10), (0.5, 60))
-    ):
+    walls = lab.FLOOR, Plane((0.0, 0.0, gap), (0.0, 0.0, -1.0), turns=False)
+    start = np.array([0.25 * gap, 0.75 * gap])
+    for modulus, (e, periods) in product((lab.SOFT, lab.STIFF), ((1.0, 10), (0.5, 60))):
         contact = lab.on_wall(Material(modulus, 0.3, 2500.0, e, 0.0), r)
         pair, mass = Contact(contact.first, contact.first), contact.first.mass
         step = 2.0 * math.pi * math.sqrt(mass / (1.5 * contact.stiffness * math.sqrt(0.1 * r))) / 400

@@ -15,10 +15,7 @@ Curves = dict[str, FloatArray]  # arrays by name, for a figure
 
 @dataclass(frozen=True)
 class Check:
-    """One quantity at P points, expected and found.
-
-    The error of a point is |found − expected| / scale. A value that is not finite has an infinite error.
-    """
+    """One quantity at P points; an error is |found − expected| / scale, infinite where anything is not finite."""
 
     quantity: str  # its name, with the unit
     expected: FloatArray  # ``(P,)`` from ``source``
@@ -66,8 +63,7 @@ class Outcome:
     """A case that was run."""
 
     case: Case  # which
-    # what it checked; as far as it came, where it stopped with an error
-    checks: list[Check] = field(default_factory=list)
+    checks: list[Check] = field(default_factory=list)  # as far as it came, where it stopped with an error
     curves: Curves = field(default_factory=dict)  # arrays by name, for a figure
     seconds: float = 0.0  # s of wall time
     failure: str | None = None  # the error that stopped it, in a line; None where it ran to its end

@@ -1,12 +1,8 @@
 """The eight benchmark tests of Chung & Ooi (2011), Granular Matter 13, 643–656, with their materials, sizes and speeds.
 
-The parameters are as public implementations of the tests give them: YADE's for tests 1–4, PySPH's for 5, 7 and 8; test
-6 has the metals of 7 on a plane. What comes of them is expected from Hertz's and the rigid body's closed forms, and
-between those from the equations that the solver claims to solve; the curves that the paper draws are of other codes.
-
-A rigid plane is a wall 10⁶ times as stiff as the sphere. In test 8 the larger sphere is 1000 times as dense as the
-smaller one, so that it hardly moves. The paper's other variant, a shear modulus raised by hand, no isotropic material
-has.
+Parameters are YADE's for tests 1–4 and PySPH's for 5, 7 and 8; test 6 has the metals of 7 on a plane. What is expected
+comes from closed forms, and between those from the equations that the solver claims to solve. A rigid plane is a wall
+10⁶ times as stiff as the sphere; in test 8 the larger sphere is 1000 times as dense as the smaller one.
 """
 
 from __future__ import annotations
@@ -44,19 +40,6 @@ def _elastic(contacts: dict[str, Contact], approach: float) -> Iterator[Check]:
         yield Check(f"largest force, N, {name}", contact.largest_force(approach), force, 1e-3, HERTZ)
         yield Check(f"duration, s, {name}", contact.duration(approach), touching, 2.0 / FINE, HERTZ)
         yield Check(f"speed after over before, {name}", 1.0, rebounds.normal / approach, 1e-3, RESTITUTION)
-
-
-def impact_1() -> Iterator[Check]:
-    """Elastic normal impact of two identical spheres (10 mm radius, 10 m/s each)."""
-    glass, limestone = Material(4.8e10, 0.20, 2800.0, 1.0, 0.35), Material(2.0e10, 0.25, 2500.0, 1.0, 0.35)
-    return _elastic({"glass": lab.on_sphere(glass, 0.01), "limestone": lab.on_sphere(limestone, 0.01)}, 20.0)
-
-
-def impact_2() -> Iterator[Check]:
-    """Elastic normal impact of a sphere with a rigid plane (0.1 m radius, 0.2 m/s)."""
-    aluminium, magnesium = Material(7.0e10, 0.30, 2699.0, 1.0, 0.0), Material(4.0e10, 0.35, 1800.0, 1.0, 0.0)
-    metals = {"aluminium alloy": aluminium, "magnesium alloy": magnesium}
-    return _elastic({name: lab.on_rigid_wall(metal, 0.1) for name, metal in metals.items()}, 0.2)
 
 
 def impact_3() -> Iterator[Check]:
@@ -109,13 +92,6 @@ def _spinning(contacts: dict[str, Contact], approach: float, both: bool = False)
         yield from _rebounds(impacts, name, [f"ω {spin:g} rad/s" for spin in SPINS])
 
 
-def impact_6() -> Iterator[Check]:
-    """Impact with a rigid plane at a constant normal speed and different spins (0.1 m radius, 0.2 m/s)."""
-    return _spinning(
-        {"aluminium alloy": lab.on_rigid_wall(ALUMINIUM, 0.1), "copper": lab.on_rigid_wall(COPPER, 0.1)}, 0.2
-    )
-
-
 def impact_7() -> Iterator[Check]:
     """Impact of two identical spheres that spin alike, or oppositely like two gears (0.1 m radius, 0.2 m/s each)."""
     contacts = {"aluminium alloy": lab.on_sphere(ALUMINIUM, 0.1), "copper": lab.on_sphere(COPPER, 0.1)}
@@ -126,23 +102,31 @@ def impact_7() -> Iterator[Check]:
         yield Check(f"spin after, like gears, rad/s, {name}", SPINS, found, 1e-12, source, at=at)
 
 
-def impact_8() -> Iterator[Check]:
-    """Impact of a spinning sphere on one five times larger and 1000 times as dense (0.1 and 0.5 m radius, 0.2 m/s)."""
-    metals = {"aluminium alloy": ALUMINIUM, "nylon": NYLON}
-    dense = {name: replace(metal, density=1000.0 * metal.density) for name, metal in metals.items()}
-    return _spinning({name: lab.on_sphere(metal, 0.1, 0.5, dense[name]) for name, metal in metals.items()}, 0.2)
-
-
+ALUMINIUM_ALLOY, MAGNESIUM = Material(7.0e10, 0.30, 2699.0, 1.0, 0.0), Material(4.0e10, 0.35, 1800.0, 1.0, 0.0)
+GLASS, LIMESTONE = Material(4.8e10, 0.20, 2800.0, 1.0, 0.35), Material(2.0e10, 0.25, 2500.0, 1.0, 0.35)
+# What hits what, with radii in m; the speeds of 1, 2, 6, 7 and 8 are the approach, 10 or 0.2 m/s of each body.
+PAIRS = {
+    1: {"glass": lab.on_sphere(GLASS, 0.01), "limestone": lab.on_sphere(LIMESTONE, 0.01)},
+    2: {
+        "aluminium alloy": lab.on_rigid_wall(ALUMINIUM_ALLOY, 0.1),
+        "magnesium alloy": lab.on_rigid_wall(MAGNESIUM, 0.1),
+    },
+    6: {"aluminium alloy": lab.on_rigid_wall(ALUMINIUM, 0.1), "copper": lab.on_rigid_wall(COPPER, 0.1)},
+    8: {
+        "aluminium alloy": lab.on_sphere(ALUMINIUM, 0.1, 0.5, replace(ALUMINIUM, density=1000.0 * ALUMINIUM.density)),
+        "nylon": lab.on_sphere(NYLON, 0.1, 0.5, replace(NYLON, density=1000.0 * NYLON.density)),
+    },
+}
 CASES = tuple(
     Case(f"chung-ooi-{number}", f"Chung & Ooi (2011), test {number}: {title}", run)
     for number, title, run in (
-        (1, "elastic normal impact of two spheres", impact_1),
-        (2, "elastic normal impact on a rigid plane", impact_2),
+        (1, "elastic normal impact of two spheres", lambda: _elastic(PAIRS[1], 20.0)),
+        (2, "elastic normal impact on a rigid plane", lambda: _elastic(PAIRS[2], 0.2)),
         (3, "restitution on a rigid plane", impact_3),
         (4, "oblique impact on a rigid plane, one speed", impact_4),
         (5, "oblique impact on a rigid plane, one normal speed", impact_5),
-        (6, "spinning sphere on a rigid plane", impact_6),
+        (6, "spinning sphere on a rigid plane", lambda: _spinning(PAIRS[6], 0.2)),
         (7, "two spinning spheres", impact_7),
-        (8, "a spinning sphere on a larger one", impact_8),
+        (8, "a spinning sphere on a larger one", lambda: _spinning(PAIRS[8], 0.2)),
     )
 )

@@ -24,7 +24,7 @@ ARRAYS = ("position", "velocity", "angular_velocity")
 def cluster(count: int, seed: int, gap: float, smallest: float) -> ParticleState:
     """A ball of ``count`` spheres of unequal size that fall towards their middle, with random velocities and spins.
 
-    ``gap`` is the least distance of two surfaces, m; ``smallest`` a radius over that of the largest, ``RADIUS``.
+    ``gap`` is the least distance of two surfaces, m; ``smallest`` a radius over the largest, ``RADIUS``.
     """
     rng, side = np.random.default_rng(seed), math.ceil(1.6 * count ** (1 / 3)) + 1
     line = (np.arange(side) - 0.5 * (side - 1)) * (2.0 * lab.RADIUS + gap)
@@ -145,10 +145,8 @@ def _two_engines(steps: int) -> Iterator[tuple[str, ParticleState, ParticleState
         gap, smallest, begun = (1e-4, 0.9, 60) if modulus == lab.SOFT else (1e-6, 0.9999, 25)
         free = lab.laboratory(rough_material(modulus))
         falling = lab.run(free, cluster(200, 3, gap, smallest), step, begun).final
-        for name, (scene, state) in (
-            ("bed in a turning drum", _drum_bed(modulus, step)),
-            ("free cluster", (free, falling)),
-        ):
+        places = {"bed in a turning drum": _drum_bed(modulus, step), "free cluster": (free, falling)}
+        for name, (scene, state) in places.items():
             fast, plain = (lab.run(scene, state, step, steps, engine=engine).final for engine in ("numba", "numpy"))
             yield f"{name}, E {modulus:g} Pa", state, fast, plain
 

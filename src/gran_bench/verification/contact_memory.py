@@ -1,7 +1,6 @@
 """What a contact remembers: shear–load cycles create no energy, the force turns with the contact, arms end at it.
 
-A contact is led along a path by a sphere so heavy that the contact hardly changes its velocity; what the contact takes
-from it or gives to it is read off that change.
+A sphere so heavy that the contact hardly changes its velocity leads it; that change tells what the contact took.
 """
 
 from __future__ import annotations
@@ -63,14 +62,7 @@ def cycles() -> Iterator[Check]:
 
 
 def _turned(force: FloatArray, turns: float, steps: int, engine: str) -> tuple[FloatArray, FloatArray]:
-    """Forces ``(M, 3)`` that M equal contacts remember after the pair was turned about y, and its normal.
-
-    Args:
-        force: ``(M, 3)`` before, with the normals along x.
-        turns: of the pair.
-        steps: in which the pair is turned.
-        engine: which.
-    """
+    """Forces ``(M, 3)`` that M contacts, at first with normals along x, keep while pairs turn about y; the normal."""
     count, scene = len(force), lab.laboratory(Material(lab.SOFT, 0.3, 1e18, 1.0, 1e6))
     distance, first = 2.0 * lab.RADIUS - 1e-3, np.arange(count)
     history = ContactHistory(first, first + count, force, np.full(count, 1e-3))

@@ -13,7 +13,7 @@ from gran_bench.scene import Plane, Scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState, Trajectory
 from gran_bench.verification import laboratory as lab
 from gran_bench.verification.case import Case, Check, Curves
-from gran_bench.verification.impact_theory import impact
+from gran_bench.verification.theory import impact
 
 HALVINGS = 2.0 ** np.arange(6)
 # Verlet errs in the energy of one elastic impact by 0.15 (Δt/t_c)² rms over the phases of the step, and on average by
@@ -26,12 +26,7 @@ PHASES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of a step, when an impact begins
 
 
 def gas(seed: int, modulus: float) -> tuple[Scene, ParticleState]:
-    """27 elastic smooth spheres in a box with elastic smooth walls, without gravity.
-
-    Args:
-        seed: of the velocities.
-        modulus: E, Pa.
-    """
+    """27 elastic smooth spheres (E in Pa; velocities of a seed) in a box of such walls, without gravity."""
     walls = tuple(
         Plane(tuple(sign * 0.5 * GAS_WIDTH * axis), tuple(-sign * axis), turns=False)
         for axis in np.eye(3)

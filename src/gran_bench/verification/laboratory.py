@@ -52,16 +52,10 @@ def laboratory(
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0), rpm: float | None = None, radius: float = RADIUS,
     second: Material | None = None,
 ) -> Scene:  # fmt: skip
-    """A scene with these walls and nothing else.
+    """A scene with these walls, which turn with ``rpm`` about y where they turn, and nothing else.
 
-    Args:
-        material: of the spheres.
-        walls: turning with ``rpm`` about y, where they turn.
-        wall_material: the spheres' where None.
-        gravity: m/s².
-        rpm: of the walls; None for no motion.
-        radius: of the smallest sphere, m.
-        second: material of further spheres, whose e, μ and μ_r count where they meet the first.
+    ``wall_material`` is the spheres' where None; ``radius`` is of the smallest sphere, m; ``second`` is the material of
+    further spheres, whose e, μ and μ_r count where they meet the first.
     """
     pair = () if second is None else (
         PairCoefficients(0, 1, second.restitution, second.friction, second.rolling_friction),
@@ -105,10 +99,9 @@ def watch(scene: Scene, state: ParticleState, time_step: float, duration: float,
 
 @dataclass
 class Impacts:
-    """P impacts of a sphere on a wall or on another sphere, each in the x–z plane with its spins about y.
+    """P impacts of a sphere on what lies under it (−z), a wall or a sphere at rest, in the x–z plane, spins about y.
 
-    The first body hits the second one, which lies under it (−z) or, where it is a sphere, is at rest there. Numbers
-    are broadcast to as many impacts as the longest array has.
+    Numbers are broadcast to as many impacts as the longest array has.
     """
 
     contact: Contact  # the bodies
@@ -143,11 +136,8 @@ def collide(
 ) -> Rebounds:  # fmt: skip
     """Let all impacts happen side by side in one run, long enough for the slowest to part.
 
-    Args:
-        impacts: what hits what.
-        steps_per_contact: the step is the shortest elastic contact time over this.
-        phase: ``(P,)`` of a step, between the last state apart and the first touch.
-        stride: steps between two frames; None keeps the end alone.
+    The step is the shortest elastic contact time over ``steps_per_contact``; ``phase``, ``(P,)`` of a step, is between
+    the last state apart and the first touch; ``stride`` is in steps between frames, or None (the end alone).
     """
     contact, count = impacts.contact, len(impacts.normal)
     first, second = contact.first, contact.second

@@ -1,7 +1,4 @@
-"""A ball on a plane, a slope or in a drum: it slides, starts to roll, rolls, swings, or rolling friction holds it.
-
-Slip to roll is DEM04 of the MFiX-DEM verification manual (mfix.netl.doe.gov/doc/vvuq-manual; Garg et al. 2012).
-"""
+"""A ball on a plane, a slope or in a drum; slip to roll is DEM04 of the MFiX-DEM manual (Garg et al. 2012)."""
 
 from __future__ import annotations
 
@@ -21,12 +18,7 @@ WALL = Cylinder((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), DRUM)
 
 
 class _Ball:
-    """A ball that lies on a wall under its weight; the contact is soft, so that arm and reach depend on the overlap.
-
-    Args:
-        modulus, e, friction, resistance: of its material, μ_r the last.
-        slope: of the wall under it, rad.
-    """
+    """A ball that lies on a soft wall, sloped by rad, under its weight; arm and reach depend on the overlap."""
 
     def __init__(self, modulus: float, e: float, friction: float, resistance: float = 0.0, slope: float = 0.0) -> None:
         self.material = lab.sphere_material(modulus, e, friction, resistance)
@@ -35,7 +27,8 @@ class _Ball:
         self.overlap = self.contact.resting_overlap(self.load)
         self.arm = lab.RADIUS - self.overlap
         self.reach = DRUM - lab.RADIUS + self.overlap  # from the axis of a drum
-        self.period = self.contact.bobbing_period(self.load)
+        stiffness = 1.5 * self.contact.stiffness * math.sqrt(self.overlap)
+        self.period = 2.0 * math.pi * math.sqrt(self.contact.first.mass / stiffness)  # bobbing, its fastest motion
 
     def on(self, wall: Wall, rpm: float | None = None) -> Scene:
         return lab.laboratory(self.material, (wall,), gravity=lab.DOWN, rpm=rpm)
@@ -182,9 +175,8 @@ def steady_place() -> Iterator[Check]:
             # The bed of a drum that turns with +y climbs towards −x.
             start = ball.reach * np.array([-math.sin(place), 0.0, -math.cos(place)])
             period = 2.0 * math.pi * math.sqrt(1.4 * ball.reach / (lab.GRAVITY * math.cos(place)))
-            trajectory = lab.watch(
-                ball.on(WALL, rpm), lab.spheres(start, None, [0.0, spin, 0.0]), step, 3.0 * period, 5e-3
-            )
+            state = lab.spheres(start, None, [0.0, spin, 0.0])
+            trajectory = lab.watch(ball.on(WALL, rpm), state, step, 3.0 * period, 5e-3)
             late = trajectory.time > period
             angle = np.arctan2(-trajectory.position[late, 0, 0], -trajectory.position[late, 0, 2])
             wanted.append((spin, place))
