@@ -5,8 +5,6 @@
 - `interpolated_statistics`: no particles at all, but the statistics of the neighbouring training speeds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 

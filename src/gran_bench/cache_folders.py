@@ -3,8 +3,6 @@
 Numba refuses to define a kernel that it has no place to keep, and Matplotlib makes a new folder for each process.
 """
 
-from __future__ import annotations
-
 import os
 import stat
 import sys

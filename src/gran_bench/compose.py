@@ -1,7 +1,5 @@
 """What a command line describes: the config of its one job, or of every job of its sweep, checked."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """What every entry does around its task: Hydra composes, the schema checks, the task runs, errors take one line."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -3,8 +3,6 @@
 A file is written under a temporary name in its own folder, fsynced and renamed, whenever power fails or a kill strikes.
 """
 
-from __future__ import annotations
-
 import fcntl
 import glob
 import os

@@ -5,8 +5,6 @@ A child gets a session of its own, where Ctrl-C and ``kill -9`` of its parent do
 package runs in that process; any other command is started by it, and its exit code handed on.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import runpy

@@ -1,7 +1,5 @@
 """The scenes and the model that ship with the package, by name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

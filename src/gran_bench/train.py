@@ -1,7 +1,5 @@
 """Train a surrogate, roll it out and judge it: ``python -m gran_bench.train +experiment=holdout30rpm``."""
 
-from __future__ import annotations
-
 from gran_bench.config import TrainConfig
 from gran_bench.entry import run
 

@@ -1,7 +1,5 @@
 """Processes that answer a line of JSON with one: one that crashes, or hangs, costs its own task and no other."""
 
-from __future__ import annotations
-
 import json
 import os
 import select

@@ -1,7 +1,5 @@
 """Compare every method on a scene, run time against error: ``python -m gran_bench.benchmark [scene=drum]``."""
 
-from __future__ import annotations
-
 from gran_bench.config import BenchmarkConfig
 from gran_bench.entry import run
 

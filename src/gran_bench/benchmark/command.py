@@ -1,7 +1,5 @@
 """The benchmark, stage by stage: data → turns → judgement → studies → results, figures, page."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

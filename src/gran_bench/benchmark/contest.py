@@ -1,7 +1,5 @@
 """Who is compared on a scene: the DEM over a ladder of steps, softened and in float32, surrogates, baselines."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

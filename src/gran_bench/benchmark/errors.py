@@ -1,7 +1,5 @@
 """The error of each method in noise floors, and what the DEM's own scatter makes of it."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

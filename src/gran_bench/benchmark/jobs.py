@@ -1,7 +1,5 @@
 """What a method does when it is its turn, from plain data; as a module, a process of its own that runs one method."""
 
-from __future__ import annotations
-
 import resource
 import time
 from collections.abc import Callable

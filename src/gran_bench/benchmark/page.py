@@ -1,7 +1,5 @@
 """What the page says of each benchmark, and its table as CSV, made from results alone."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from pathlib import Path

@@ -3,8 +3,6 @@
 A finished run is a JSON file, whole or not there, so that an interrupted benchmark goes on from where it was.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

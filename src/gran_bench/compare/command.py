@@ -1,7 +1,5 @@
 """``python -m gran_bench.compare RUN RUN ...``: what differs, every headline figure with its floor, a picture."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Headline errors of several runs in noise floors, in one picture."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Finished runs, read from their folders: what differs between them, and every headline figure with its floor."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """Which loss, rollout, boundary and radius a model can use: the choices that are compared with each other."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import fields
 

@@ -1,7 +1,5 @@
 """Which config values fit together: times in order, frames that divide a span, splits that do not overlap."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any

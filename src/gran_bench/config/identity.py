@@ -1,7 +1,5 @@
 """Which config keys decide the weights of a trained model: they give a run its key, and its folder a name."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from typing import Any
 

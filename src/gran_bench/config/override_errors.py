@@ -1,7 +1,5 @@
 """Say in one line what Hydra, OmegaConf or a full disk says in many, and name the nearest right word."""
 
-from __future__ import annotations
-
 import errno
 import re
 from difflib import get_close_matches

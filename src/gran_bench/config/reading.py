@@ -3,8 +3,6 @@
 OmegaConf would turn the text "3" into a number, and cannot hold the union of model schemas.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING as NO_DEFAULT
 from dataclasses import fields, is_dataclass

@@ -3,8 +3,6 @@
 A plugin is a package of the entry-point group ``gran_bench.plugins`` that registers something when it is imported.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, is_dataclass
 from importlib.metadata import entry_points

@@ -18,8 +18,6 @@ seeds, code version, cost; ``scene`` and ``key`` hold YAML. Two of them guard th
 - ``seal``, SHA-256 of all other attributes, the cost and the machine included.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager

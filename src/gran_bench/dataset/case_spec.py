@@ -1,7 +1,5 @@
 """What determines a case, and the file name that follows from it."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Make one file of a data set, once: a settled bed, or a case from its settled bed."""
 
-from __future__ import annotations
-
 import platform
 import time
 from collections.abc import Callable

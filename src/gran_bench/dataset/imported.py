@@ -1,7 +1,5 @@
 """Cases of another code: found by speed, packing and replica among the files of ``dataset.files``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path

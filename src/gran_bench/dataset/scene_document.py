@@ -1,7 +1,5 @@
 """A scene as plain numbers and text, for YAML files and for hashes, and back."""
 
-from __future__ import annotations
-
 import types
 from dataclasses import fields, is_dataclass
 from typing import Any, Union, get_args, get_origin, get_type_hints

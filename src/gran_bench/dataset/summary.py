@@ -1,7 +1,5 @@
 """A data set in a table: what each case is, what it cost, how fast it flows."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

@@ -4,8 +4,6 @@ In comes a pickled job with the path that it must have. Out go lines of JSON: th
 it waits for another process; what went wrong.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

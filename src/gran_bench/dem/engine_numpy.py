@@ -1,7 +1,5 @@
 """The reference engine: the laws of the other files, vectorised, one step after the other, to be read and trusted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A run between its frames: stretches of an engine, the walls' poses, who has left, and what may have gone wrong."""
 
-from __future__ import annotations
-
 import gc
 import hashlib
 import sys

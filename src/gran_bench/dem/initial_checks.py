@@ -1,7 +1,5 @@
 """What must hold before the first step; each refusal names the particles and the remedy."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from gran_bench.dem.outlet import taking_part

@@ -1,7 +1,5 @@
 """Spheres that leave: who takes part in a stretch, and how those who don't keep their last state."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a run leaves behind: frames, their energies and overlaps, and the error that carries them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

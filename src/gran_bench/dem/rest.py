@@ -8,8 +8,6 @@ Slow means that the root mean square of the speeds lies below v = ``filling.sett
 than 30 v. Spin does not count: nothing brakes a sphere that spins about its contact's normal.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -12,8 +12,6 @@ Source: Ai, Chen, Rotter & Ooi (2011), Powder Technology 206, 269–282, model C
 limit for the sum (Luding 2008, Granular Matter 10, 235) by the elastic load, so that damping does not resist rolling.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from gran_bench.state import FloatArray

@@ -4,8 +4,6 @@ A piece does not answer a sphere where its closest point lies on another piece o
 and earlier among the walls. What its contact remembers goes over to the piece that answers in its place.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

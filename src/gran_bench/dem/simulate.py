@@ -1,7 +1,5 @@
 """Running the DEM: from a state to a trajectory, and from a filling to a bed at rest."""
 
-from __future__ import annotations
-
 import time as clock
 import warnings
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The choice of the time step: a stated fraction of the fastest process, and what is too large to be trusted."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

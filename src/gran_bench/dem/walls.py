@@ -13,8 +13,6 @@ A row of a pose table is one wall at one instant, in SI and world coordinates:
     21       number of the surface that it is a piece of; 0 for a wall that meets no other
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from gran_bench.scene import Motion, Plane, Rotation, Scene, Wall

@@ -1,7 +1,5 @@
 """Judge one model on one scene: rollouts in which nothing but the model moves a sphere, replicas, a summary."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What a model is judged on: speeds, packings, and the runs of the DEM that it is held against."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from gran_bench.baselines import neighbouring_speeds

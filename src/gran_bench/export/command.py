@@ -1,7 +1,5 @@
 """``python -m gran_bench.export CASE|RUN --to FORMAT``: what is meant, where it goes, what was written."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from contextlib import suppress

@@ -3,8 +3,6 @@
 Each writer takes a case and the file, which is whole or absent afterwards.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

@@ -1,7 +1,5 @@
 """Walls as triangles, where they are at each instant and how fast their points move."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

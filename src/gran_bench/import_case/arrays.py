@@ -1,7 +1,5 @@
 """A trajectory of another code becomes a case: what is missing is derived and said, what is inconsistent is named."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """``python -m gran_bench.import_case FILE --scene SCENE``: the scene, the span, the file, and how to train on it."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from importlib import resources

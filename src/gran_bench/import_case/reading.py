@@ -5,8 +5,6 @@ A dump has one block a frame: ``ITEM: TIMESTEP`` or ``ITEM: TIME``, ``ITEM: NUMB
 of learning-to-simulate and gns: trajectories as pairs of positions ``(F, N, 3)`` and particle types.
 """
 
-from __future__ import annotations
-
 import gzip
 import pickle
 import zipfile

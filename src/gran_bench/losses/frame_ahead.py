@@ -1,7 +1,5 @@
 """What a loss looks at, one frame ahead of a model and of the DEM, and what it makes of a window of such frames."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -4,8 +4,6 @@ Errors of single spheres cancel in the terms of the bed, so that each leaves mos
 positions beside it.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Both are measured in the plane across the axis, from the horizontal, positive wh
 rotation, along e = axis × gravity.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """Figures of a whole bed: kinetic energy, the height of its centre of mass, overlaps with pairs and walls, mixing."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

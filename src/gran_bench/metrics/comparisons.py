@@ -1,7 +1,5 @@
 """The rows of a judgement: what is compared of two runs, and which figures of one are held against the replicas."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The judge: one candidate against the replicas of the DEM, every figure in its unit and in noise floors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 

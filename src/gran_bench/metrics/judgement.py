@@ -1,7 +1,5 @@
 """A judgement: every figure of one candidate beside the DEM's, as tables for people and for machines."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """What a rollout got wrong outright: centres outside the container, and values that are not finite. All counted."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

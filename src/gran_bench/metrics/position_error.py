@@ -3,8 +3,6 @@
 Two runs of the DEM itself separate within some 30 frames; beyond that, only statistics can be compared.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

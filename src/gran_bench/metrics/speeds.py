@@ -1,7 +1,5 @@
 """Distributions of particle speed: histogram, Wasserstein-1 distance, components, profile under the surface."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Everything a judgement needs to know of one trajectory, computed once."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Neighbour pairs from a jitted cell list: fast, with the answer of the KD-tree (tree.py)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

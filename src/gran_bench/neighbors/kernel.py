@@ -1,7 +1,5 @@
 """How pieces that run for every particle are jitted, and pieces of LLVM as functions of jitted code."""
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 A period L > 0 makes the y axis periodic: y lives in [−L/2, L/2) and distances take the nearest image.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The data card's figures and tables: what each case is, and how far apart equally right answers are."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The figures of an evaluated model: candidates, by their names, over the range of the DEM's replicas."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

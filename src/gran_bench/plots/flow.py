@@ -1,7 +1,5 @@
 """Flows seen along the drum's axis, coloured by speed: the pattern of one instant (paper, Fig. 2), and a film."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One state of any scene, cut open: the spheres of its vertical middle plane, coloured by speed, and its walls."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

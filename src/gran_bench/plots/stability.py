@@ -1,7 +1,5 @@
 """The figures of the stress test: time to failure by model and speed, and what the DEM's step does."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How every figure looks, and how it reaches the disk: whole or not at all."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar

@@ -1,7 +1,5 @@
 """Run time against error, and against what makes it dear: which method gives the answer in the least time."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass

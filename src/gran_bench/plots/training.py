@@ -1,7 +1,5 @@
 """Training: loss curves, and a swept choice against error and time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Figures of verification: oblique impacts, what the time step does, the drum beside another code, a hopper's flow."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

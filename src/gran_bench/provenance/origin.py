@@ -1,7 +1,5 @@
 """Where a result comes from: command, commit, day, hardware, versions. Every result file carries this."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform

@@ -4,8 +4,6 @@ A room is a file, a folder with all below it or a pattern (``metrics/*.py``) of 
 is taken out of those before it. A test holds the lists against imports. Of a plugin all source of its package counts.
 """
 
-from __future__ import annotations
-
 import ast
 import hashlib
 import importlib

@@ -1,7 +1,5 @@
 """Report what is there: sweeps, and the front page of the results. ``python -m gran_bench.report [FOLDER ...]``"""
 
-from __future__ import annotations
-
 import sys
 
 from gran_bench.processes import quiet_without_reader

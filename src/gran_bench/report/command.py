@@ -1,7 +1,5 @@
 """``python -m gran_bench.report [FOLDER ...]``: sweeps, and every table of the results, from their records."""
 
-from __future__ import annotations
-
 import argparse
 import csv
 import io

@@ -1,7 +1,5 @@
 """A finished run as a committed page: ``python -m gran_bench.report.result_page results/runs/NAME results/NAME``."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import shutil

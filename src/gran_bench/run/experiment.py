@@ -4,8 +4,6 @@ Every stage leaves whole files in the run's folder and skips what is there, so t
 any interruption and a finished run only prints its summary again.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a run is called and what determines it, known before any of its work is done and without loading PyTorch."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """What a finished run says: ``summary.json`` for machines, a table and a page in the UI for people."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """From a config to a scene: the containers that a config can name, and what goes into them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

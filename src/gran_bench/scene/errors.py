@@ -1,7 +1,5 @@
 """The one error of a scene, and how the parts of a scene are held against the table of the config keys."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The spheres of a scene: how many, how large, of what, and where they start."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """How walls move: pure functions of the scene's clock, piecewise linear in time or sinusoidal."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A flat wall and an infinite cylinder contain. Every other wall is thin, with two
 by a straight segment in the half plane of (distance from the axis, height along it).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

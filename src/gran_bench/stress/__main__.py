@@ -1,7 +1,5 @@
 """Stress-test numerical stability: ``python -m gran_bench.stress [selection=short] [checkpoint=FILE]``."""
 
-from __future__ import annotations
-
 from gran_bench.config import StressConfig
 from gran_bench.entry import run
 

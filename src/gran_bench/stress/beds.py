@@ -1,7 +1,5 @@
 """A bed under stress, of the DEM or of a surrogate: what is wrong is counted, what must not change is compared."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count, islice

@@ -14,8 +14,6 @@ beside it lists words that the error, or the flags, must hold. ``models: [contac
 name.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence

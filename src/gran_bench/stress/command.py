@@ -1,7 +1,5 @@
 """The stress test: which cases, two at a time where they may, each kept as it ends; then table, page and verdict."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The DEM with a few bodies, beyond all reason, and its time step: what it costs, errs, and where it blows up."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

@@ -1,7 +1,5 @@
 """One stress case, carried out in this process; as a module, a process that serves them."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping
 from dataclasses import asdict, replace

@@ -1,7 +1,5 @@
 """A trained model as one small file: weights, and all that is needed to build the model around them."""
 
-from __future__ import annotations
-
 import hashlib
 import zipfile
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Step a surrogate from a state, frame by frame: nothing clipped, dropped or projected on the way."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Iterator

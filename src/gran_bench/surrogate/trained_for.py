@@ -1,7 +1,5 @@
 """What a model was trained for, held against what it is asked to roll out: refused where it cannot be right."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import asdict, dataclass
 

@@ -1,7 +1,5 @@
 """A sweep around its jobs: data made once, finished runs found, parent and children in the store, a report."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The reports of sweeps: table, a figure of each axis, what failed and why; and over all sweeps what matters."""
 
-from __future__ import annotations
-
 import functools
 import math
 import sys

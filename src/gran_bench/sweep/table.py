@@ -1,7 +1,5 @@
 """The table of a sweep: which runs count, and for each choice mean and spread over its seeds and how many failed."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Sequence

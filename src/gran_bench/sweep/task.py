@@ -1,7 +1,5 @@
 """What a command does once a job: config checked, work done, errors said, here or in a forked process of its own."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

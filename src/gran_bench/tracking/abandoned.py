@@ -1,7 +1,5 @@
 """Runs whose process is gone: killed with ``kill -9``, for want of memory or by a power cut, they could not say so."""
 
-from __future__ import annotations
-
 import functools
 import json
 import os

@@ -1,7 +1,5 @@
 """Names as the UI shows them: of runs, short; of metrics, in groups that it draws in the order of the alphabet."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

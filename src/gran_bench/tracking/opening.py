@@ -1,7 +1,5 @@
 """Opening a run: a new one, or the one that the same key has already, and closing it with the right status."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading

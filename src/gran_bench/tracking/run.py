@@ -4,8 +4,6 @@ What the store does not take (it is locked, or has vanished) waits in memory whi
 when the run ends, is said in one clear error, and is sent when the next run opens.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -1,7 +1,5 @@
 """The MLflow UI on the store, in this process: ``mlflow ui`` would import MLflow twice more, seconds each."""
 
-from __future__ import annotations
-
 import os
 import socket
 import sys

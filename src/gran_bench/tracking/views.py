@@ -5,8 +5,6 @@ times and the state of the run table and of the charts as JSON text. The keys of
 reads; a tag that it cannot read it ignores.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

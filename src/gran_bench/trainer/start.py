@@ -1,7 +1,5 @@
 """Where a training starts: the windows that it sees and the model's seeded first weights."""
 
-from __future__ import annotations
-
 import torch
 
 from gran_bench.config import TrainConfig

@@ -6,8 +6,6 @@ result doesn't depend on the number of threads. What window and what noise an up
 of the seed and the update's number, so a resumed training is bit-identical to one that never stopped.
 """
 
-from __future__ import annotations
-
 import copy
 import itertools
 import math

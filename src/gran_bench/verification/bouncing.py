@@ -4,8 +4,6 @@ The manual (mfix.netl.doe.gov/doc/vvuq-manual; Chen et al. 2007, Garg et al. 201
 the contacts here are Hertzian and the balls alike, and so is what is expected.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from itertools import product

@@ -1,7 +1,5 @@
 """The vocabulary of the suite: a case is an experiment that yields checks, found against expected, and curves."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field

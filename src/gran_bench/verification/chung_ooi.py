@@ -5,8 +5,6 @@ comes from closed forms, and between those from the equations that the solver cl
 10⁶ times as stiff as the sphere; in test 8 the larger sphere is 1000 times as dense as the smaller one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Clusters that fall in on themselves: momentum, the symmetries of space and time, and the two engines."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace

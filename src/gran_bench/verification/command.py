@@ -1,7 +1,5 @@
 """The command around the suite: arguments, a bar, tables, page and JSON, and an exit code: is everything met?"""
 
-from __future__ import annotations
-
 import argparse
 import difflib
 import json

@@ -3,8 +3,6 @@
 A sphere so heavy that the contact hardly changes its velocity leads it; that change tells what the contact took.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

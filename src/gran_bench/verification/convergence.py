@@ -1,7 +1,5 @@
 """What the step does: time runs backwards, errors fall with its square, and an elastic gas keeps its energy."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Impacts head-on and at 0–89°: restitution, what friction, stick and slip make of them, and no energy gained."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
 

@@ -1,7 +1,5 @@
 """Experiments on the solver: scenes of a few bodies, runs of so many steps, many impacts side by side."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """A ball on a plane, a slope or in a drum; slip to roll is DEM04 of the MFiX-DEM manual (Garg et al. 2012)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """What theory says of spheres in contact, from the equations alone: nothing here is shared with the solver."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

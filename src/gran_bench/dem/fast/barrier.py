@@ -1,7 +1,5 @@
 """Threads that run one jitted loop together: they meet by spinning, and what one wrote before, all see after."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

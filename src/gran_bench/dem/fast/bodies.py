@@ -1,7 +1,5 @@
 """Bodies of a stretch: sorted in space, as rows of four; and the contacts that they are known to have."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

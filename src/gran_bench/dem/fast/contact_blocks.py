@@ -4,8 +4,6 @@ A block is laid out as columns of one flat buffer, one lane a contact. Loops are
 wait for a chain of roots and divisions too long to overlap with the next ones.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Forces of touching pairs and walls: blocks of contacts are gathered, computed in SIMD, and scattered (jitted)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from gran_bench.dem.fast import contact_blocks as block

@@ -5,8 +5,6 @@ the chunks, each with loads of its own that are added in one order, depend on th
 pauses nor skin nor threads change a bit.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -10,8 +10,6 @@ has the row of its pair's last touch, and the list of those that touched says wh
 where row r is not place q's, q remembers nothing.
 """
 
-from __future__ import annotations
-
 import math
 from collections import namedtuple
 

@@ -4,8 +4,6 @@ Bodies are rows of four doubles in arrays ``(N, 4)``; column c of a block begins
 float64 or float32, one lane a contact. These functions carry four contacts at a time from one to the other.
 """
 
-from __future__ import annotations
-
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils

@@ -6,8 +6,6 @@ It pauses between forces and kick, so a pause changes nothing. Chunk c adds the 
 ``force[c]`` and ``torque[c]``; before a kick the owner of a particle takes over what earlier chunks left there.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Skin and threads of the fast engine, chosen by the clock from stretch to stretch; neither changes a bit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numba

@@ -1,7 +1,5 @@
 """Which spheres a wall is near, and how far it is (jitted). Walls are rows of a pose table (walls.py)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ copies inside these. Both are right to rounding, but the sums may go in another 
 of an installation would train other weights than the same run does later.
 """
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

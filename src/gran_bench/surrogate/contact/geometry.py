@@ -1,7 +1,5 @@
 """Which contacts a frame has: a particle i and a partner j, another particle or a wall."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The contact network: a learned solver of contacts that moves spheres by one frame."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -3,8 +3,6 @@
 A contact joins particle i to a partner j; the normal n points from i to j. In millimetres and mm per frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

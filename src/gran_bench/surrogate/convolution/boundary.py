@@ -1,7 +1,5 @@
 """How a convolutional surrogate sees the walls: as spheres on their surface, or as analytic closest points."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The continuous-convolution network: contact accelerations from a particle and a wall branch."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

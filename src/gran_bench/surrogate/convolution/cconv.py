@@ -10,8 +10,6 @@ uses eight functions. They, and the window a, depend on the points alone:
 Source: Ummenhofer, Prantl, Thuerey & Koltun (2020), Lagrangian fluid simulation with continuous convolutions, ICLR.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

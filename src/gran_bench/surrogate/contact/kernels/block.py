@@ -6,8 +6,6 @@ lanes into SIMD; separate or two-dimensional arrays keep it scalar. The equation
 :func:`gran_bench.surrogate.contact.solver.solve_contacts`, which the tests hold this file to.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -6,8 +6,6 @@ from the last iteration back to the first: each starts from the kept rows and su
 """
 
 # ruff: noqa: F403, F405 (the rows of a block, and what is done with them)
-from __future__ import annotations
-
 import hashlib
 import math
 from pathlib import Path

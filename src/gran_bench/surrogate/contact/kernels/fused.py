@@ -4,8 +4,6 @@ The same function as :func:`gran_bench.surrogate.contact.solver.solve_contacts`,
 :mod:`gran_bench.surrogate.contact.kernels.frame` does the work; this file packs a frame for it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

@@ -1,7 +1,5 @@
 """The tangential springs of contacts over one frame, jitted; the rule is that of the module `contact.memory`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

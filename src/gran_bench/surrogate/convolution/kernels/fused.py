@@ -12,8 +12,6 @@ The geometry counts as constant. Sums run in an order that depends on the number
 repeat bit for bit.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor

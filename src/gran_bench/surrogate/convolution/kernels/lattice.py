@@ -1,7 +1,5 @@
 """The lattice basis: a kernel stored on a regular lattice of the cube, read by trilinear interpolation."""
 
-from __future__ import annotations
-
 import math
 
 import torch
