@@ -1,5 +1,7 @@
 """Judge a trained model without training: ``python -m gran_bench.evaluate [checkpoint=FILE]``."""
 
+from __future__ import annotations
+
 from gran_bench.config import EvaluateConfig
 from gran_bench.entry import run
 from gran_bench.shipped import SHIPPED, shipped_model

@@ -1,5 +1,7 @@
 """Make the cases of a dataset with the DEM: ``python -m gran_bench.generate scene=drum dataset=holdout30``."""
 
+from __future__ import annotations
+
 from gran_bench.config import GenerateConfig
 from gran_bench.entry import run
 

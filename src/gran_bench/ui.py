@@ -3,6 +3,8 @@
 python -m gran_bench.ui port=5001
 """
 
+from __future__ import annotations
+
 from gran_bench.config import UiConfig
 from gran_bench.entry import run
 

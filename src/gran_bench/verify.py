@@ -4,6 +4,8 @@ python -m gran_bench.verify            # the whole suite: analytic cases, publis
 python -m gran_bench.verify --quick    # a subset; --help for the rest
 """
 
+from __future__ import annotations
+
 from gran_bench.plots.verification import draw_verification
 from gran_bench.processes import quiet_without_reader
 from gran_bench.verification.command import run

@@ -3,6 +3,8 @@
 ``conf/`` chooses values, Hydra composes them, ``reading`` reads them into these classes, the only place of a key.
 """
 
+from __future__ import annotations  # the types of keys are read as words
+
 from dataclasses import dataclass, field
 
 from gran_bench.config.registry import holds_weights, register_model, register_wall
