@@ -11,7 +11,7 @@ from beds import RADIUS, drum, flowing, inclined_bed, resting
 
 from gran_bench.metrics import judge, nearest_case, summarise
 from gran_bench.metrics.summary import why_no_steady_part
-from gran_bench.scene import Rotation
+from gran_bench.scene import Rotation, surface_of_revolution
 from gran_bench.state import Trajectory
 
 SCENE = replace(drum(end_time=3.7), frame_interval=0.04)
@@ -112,6 +112,13 @@ def test_one_sphere_outside_by_more_than_its_radius_fails(replicas):
     judgement = judge(escaped, replicas, SCENE)
     assert verdicts(judgement)["none_outside"] == "fail"
     assert judgement.failures.outside_radius == 1
+
+
+def test_where_no_wall_tells_inside_from_outside_nobody_passes_for_being_inside(replicas):
+    walls = surface_of_revolution((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), [(0.0, -0.5), (0.5, -0.5), (0.5, 0.5), (0.0, 0.5)])
+    escaped = rotating_bed(60.0)
+    escaped.position[20, 0] = [0.0, 0.0, -1.5]
+    assert verdicts(judge(escaped, replicas, replace(SCENE, walls=tuple(walls))))["none_outside"] == "undefined"
 
 
 def test_the_steady_part_begins_at_3_5_s_and_the_peak_ends_before_3_s():

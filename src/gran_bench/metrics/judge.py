@@ -56,7 +56,7 @@ def judge(candidate: Run, replicas: Sequence[Run], scene: Scene, others: Mapping
     return Judgement(
         errors=[_error_row(row, mine, truth, beside) for row in (*COMPARISONS, *more)],
         figures=[_figure_row(row, mine, truth) for row in (*FIGURES, *more)],
-        requirements=list(acceptance(mine, truth)),
+        requirements=list(acceptance(mine, truth, scene)),
         failures=mine.failures,
         dem_outside=None if None in failures else float(np.mean([count.share(count.outside) for count in failures])),
         velocity_kind=kind,
@@ -107,7 +107,9 @@ def _figure_row(row: Comparison, mine: TrajectorySummary, truth: Sequence[Trajec
     return FigureRow(row.key, row.label, row.unit, row.figure(mine), mean, interval)
 
 
-def acceptance(candidate: TrajectorySummary, replicas: Sequence[TrajectorySummary]) -> Iterator[Requirement]:
+def acceptance(
+    candidate: TrajectorySummary, replicas: Sequence[TrajectorySummary], scene: Scene
+) -> Iterator[Requirement]:
     """What a surrogate of the drum has to show; a figure that the DEM has and the candidate lacks is a failure.
 
     No bound is tighter than what a further run of the DEM would keep (95 %), so that a noisy scene is not asked for
@@ -116,8 +118,12 @@ def acceptance(candidate: TrajectorySummary, replicas: Sequence[TrajectorySummar
     if (failures := candidate.failures) is not None:
         broken = Measured(failures.non_finite_states + failures.missing_states, "states")
         yield _row("all_finite", "every state there and finite", broken, 0.0)
-        escaped = Measured(failures.outside_radius, "sphere states")
-        yield _row("none_outside", "no centre more than a radius outside", escaped, 0.0)
+        key, label = "none_outside", "no centre more than a radius outside"
+        if any(wall.contains for wall in scene.walls):
+            yield _row(key, label, Measured(failures.outside_radius, "sphere states"), 0.0)
+        else:
+            unknown = Measured(None, "sphere states", "no wall of this scene has a side that is inside")
+            yield Requirement(key, label, unknown, 0.0, "undefined")
     for (_, steady, peak, _), label in ((SURFACE, "angle of repose"), (CENTER, "centre-of-mass angle")):
         yield _angle_row(steady, f"{label}, steady", STEADY_WITHIN, candidate, replicas)
         yield _angle_row(peak, f"{label}, first peak", PEAK_WITHIN, candidate, replicas)
