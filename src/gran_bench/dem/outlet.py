@@ -29,6 +29,8 @@ def leaked(scene: Scene, position: FloatArray) -> np.ndarray:
 
 def part_of(state: ParticleState, inside: np.ndarray) -> ParticleState:
     """The particles where ``inside`` is true, with what their contacts among themselves and with walls remember."""
+    if inside.all():
+        return state
     history, walls, name = state.history, state.history.second < 0, np.cumsum(inside) - 1
     other = np.where(walls, 0, history.second)
     kept = inside[history.first] & (walls | inside[other])
@@ -39,6 +41,8 @@ def part_of(state: ParticleState, inside: np.ndarray) -> ParticleState:
 
 def rejoined(state: ParticleState, inside: np.ndarray, part: ParticleState) -> ParticleState:
     """The whole state after its part was moved on; the others are as they were, and touch nothing."""
+    if inside.all():
+        return part
     number, history = np.flatnonzero(inside), part.history
     arrays = {field: np.array(getattr(state, field)) for field in _BY_PARTICLE[:3]}
     for field, values in arrays.items():

@@ -114,7 +114,7 @@ def import_arrays(
     states = [ParticleState(*row, radius, clock[k], material=material) for k, row in enumerate(rows)]
     for k, state in enumerate(states):
         inside = taking_part(scene, state.position)
-        part = state if inside.all() else part_of(state, inside)
+        part = part_of(state, inside)
         beyond[k] = (largest_excess(scene, poses[k], state.position) > radius) & inside
         with np.errstate(divide="ignore", invalid="ignore"):  # two centres in one place have no normal
             history = Stretch(part, physics, 1.0, poses[k : k + 1]).state().history if part.count else part.history
