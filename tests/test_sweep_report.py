@@ -12,7 +12,7 @@ from finished_runs import lost, run, sweep_in
 
 from gran_bench.report.command import report_command
 from gran_bench.sweep.runs import SweepRun, read_sweep, write_runs
-from gran_bench.sweep.sweep_report import chance_ratio, reaches, report_sweep, write_overview
+from gran_bench.sweep.sweep_report import chance_ratio, reaches, report_sweep, unequal_updates, write_overview
 from gran_bench.sweep.table import best_choices
 
 # ---- the page --------------------------------------------------------------------------------------------
@@ -98,7 +98,7 @@ def test_the_smallest_time_of_a_frame_is_named_only_where_every_key_changes_the_
     assert "angle error floors" in best_choices(losses)
 
 
-def test_the_page_says_on_which_machines_its_runs_were_made(tmp_path: Path):
+def test_the_page_says_on_what_its_runs_were_made_and_warns_of_several_machines(tmp_path: Path):
     def made(radius: str, hardware: str) -> SweepRun:
         return run(radius, 0, 1.0, facts={"hardware": hardware, "commit": "abc"})
 
@@ -106,7 +106,21 @@ def test_the_page_says_on_which_machines_its_runs_were_made(tmp_path: Path):
     assert "commit `abc`, 2025-01-01, a fast one*" in report_sweep(tmp_path / "one").text
     sweep_in(tmp_path / "two", made("0.08", "a fast one"), made("0.1", "a slow one"))
     text = report_sweep(tmp_path / "two").text
-    assert "a fast one (1 runs); a slow one (1 runs)*" in text
+    assert "a fast one (1 runs); a slow one (1 runs)* Times, and what equal time bought" in text
+
+
+def test_the_page_says_where_equal_time_bought_unequal_updates_of_one_model(tmp_path: Path):
+    def trained(model: str, seed: int, steps: int, stopped_by: str = "time") -> SweepRun:
+        one = run("0.1", seed, 1.0, name=f"{model}-{seed}", training={"steps": steps, "stopped_by": stopped_by})
+        choices, facts = {"model": model, "seed": str(seed)}, one.facts | {"model": model}
+        return replace(one, key=one.run, choices=choices, facts=facts)
+
+    sweep_in(tmp_path, *(trained("contact", k, n) for k, n in enumerate((1000, 1501))),
+             *(trained("radial", k, n) for k, n in enumerate((200, 300))))  # fmt: skip
+    text = report_sweep(tmp_path).text
+    assert "- equal processor time bought `contact` 1000 to 1501 updates: compare with care" in text
+    assert "`radial` 200" not in text
+    assert not [*unequal_updates([trained("contact", 0, 10, "steps"), trained("contact", 1, 90, "steps")])]
 
 
 def test_a_figure_that_cannot_be_drawn_costs_no_page(tmp_path: Path, monkeypatch):

@@ -6,10 +6,13 @@ A file is written under a temporary name in its own folder, fsynced and renamed,
 import fcntl
 import glob
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
+
+NUMBER = r"[−-]?[\d.]+(e[+-]?\d+)?|[–]?"  # or that there is none
 
 
 @contextmanager
@@ -59,11 +62,16 @@ def write_part(path: Path, part: str, text: str, title: str = "", heading: str =
 
 
 def markdown(rows: Iterable[Sequence[str]], aligned: bool = False) -> list[str]:
-    """Lines of a Markdown table whose first row is its heading, none without a second; aligned ones suit terminals."""
+    """Lines of a Markdown table whose first row is its heading, none without a second; aligned ones suit terminals.
+
+    Columns of numbers stand to the right.
+    """
     rows = list(rows)
     widths = [max(map(len, column)) if aligned else 0 for column in zip(*rows, strict=True)]
     lines = [f"| {' | '.join(map(str.ljust, row, widths))} |" for row in rows]
-    lines.insert(1, f"|{'|'.join('-' * max(width + 2, 3) for width in widths)}|")
+    numbers = (all(re.fullmatch(NUMBER, cell) for cell in column) for column in zip(*rows[1:], strict=True))
+    rules = ("-" * max(width + 1, 2) + "-:"[right] for width, right in zip(widths, numbers, strict=False))
+    lines.insert(1, f"|{'|'.join(rules)}|")
     return lines if len(rows) > 1 else []
 
 

@@ -220,7 +220,7 @@ class Run:
 @contextmanager
 def _compiling_notice() -> Iterator[None]:
     """Says on stderr what a user waits for when the kernels are not in Numba's cache, from where they load sooner."""
-    said = "compiling the DEM kernels (once, 10 to 20 s) …"
+    said = "compiling the DEM kernels (once, about 10 s) …"
     notice = threading.Timer(1.0, print, (said,), {"file": sys.stderr, "flush": True})
     notice.daemon = True
     notice.start()

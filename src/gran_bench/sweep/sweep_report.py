@@ -3,7 +3,7 @@
 import functools
 import math
 import sys
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -23,6 +23,7 @@ from gran_bench.sweep.runs import FAILED, SweepFileError, SweepRun, read_sweep
 from gran_bench.sweep.table import axes_of, read_standing, runs_frame
 
 PAGE = "README.md"
+UNEQUAL = 1.5  # times the updates, from which on a page speaks of it
 CHANCE = 0.05  # share of rows without any effect whose ratio chance alone brings above what a page calls chance
 
 
@@ -129,8 +130,22 @@ def body(stands: table.Standing, figures: Sequence[str]) -> str:
         "commit": ", ".join(sorted({run.facts["commit"] for run in runs if "commit" in run.facts})),
         "hardware": "; ".join(counted),
     }
-    parts = [counts, table.shown_table(runs) if runs else "", "\n".join(notes), shown, stamp(made)]
-    return "\n\n".join(filter(None, parts))
+    several = " Times, and what equal time bought, are of several machines: compare with care."
+    notes = [*unequal_updates(runs), *notes]
+    parts = [counts, table.shown_table(runs) if runs else "", "\n".join(notes), shown]
+    return "\n\n".join(filter(None, [*parts, stamp(made) + several * (len(machines) > 1)]))
+
+
+def unequal_updates(runs: Sequence[SweepRun]) -> Iterator[str]:
+    """A sentence for each model whose runs made very different numbers of updates in the same processor time."""
+    updates: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for run in runs:
+        if run.training.get("stopped_by") == "time" and not run.training.get("planned_steps"):
+            updates[run.facts.get("model", ""), run.facts.get("budget", "")].append(run.training["steps"])
+    for (model, _), found in updates.items():
+        if max(found) > UNEQUAL * min(found):
+            bought = f"{f'`{model}` ' if model else ''}{min(found)} to {max(found)} updates"
+            yield f"- equal processor time bought {bought}: compare with care"
 
 
 def _judged(runs: Sequence[SweepRun]) -> str:
