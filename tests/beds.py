@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from gran_bench.config import SceneConfig
+from gran_bench.config import ContainerConfig, FillingConfig, SceneConfig
 from gran_bench.scene import Scene, build_scene
 from gran_bench.state import Trajectory
 
 RADIUS = 0.025
+# A drum whose case is made in a second.
+DRUM_TINY = SceneConfig(
+    name="drum_tiny",
+    container=ContainerConfig(diameter=0.4, length=0.2),
+    filling=FillingConfig(count=40),
+    start_time=0.4,
+    end_time=0.6,
+)
 
 
 def drum(speed_rpm: float = 30.0, periodic: bool = False, length: float = 1.0, end_time: float = 5.5) -> Scene:

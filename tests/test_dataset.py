@@ -1,15 +1,15 @@
 """Cases on disk: the layout keeps every bit, the name follows from the contents, damage is told."""
 
-import io
 import resource
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from beds import DRUM_TINY
 
 from gran_bench.config import (
     ContainerConfig,
@@ -17,7 +17,6 @@ from gran_bench.config import (
     DemConfig,
     FillingConfig,
     MaterialConfig,
-    SceneConfig,
     SizesConfig,
 )
 from gran_bench.dataset import (
@@ -36,19 +35,11 @@ from gran_bench.dataset import (
     split_cases,
     to_document,
 )
-from gran_bench.dataset.ensure import SimulatedTimeBar
 from gran_bench.dem.simulate import SimulationResult, choose_time_step, settle, simulate
 from gran_bench.provenance.source_digest import bare_code
 from gran_bench.scene import Rotation, SceneError, build_scene
 
-CONFIG = SceneConfig(
-    name="drum_tiny",
-    container=ContainerConfig(diameter=0.4, length=0.2),
-    filling=FillingConfig(count=40),
-    start_time=0.4,
-    end_time=0.6,
-)
-SCENE = build_scene(CONFIG)
+SCENE = build_scene(DRUM_TINY)
 SPEC = CaseSpec(SCENE.at_speed(30.0))
 
 
@@ -105,7 +96,7 @@ def test_the_layout_is_the_published_one(made: Path):
         assert file["time"].shape == (21,)
         assert file["settled/position"].dtype == np.float64
         assert file["settled/history/force"].shape[1] == 3
-        assert file.attrs["material.friction"] == CONFIG.material.friction
+        assert file.attrs["material.friction"] == DRUM_TINY.material.friction
         assert file.attrs["engine"] == "numba"
 
 
@@ -116,7 +107,7 @@ def test_some_frames_can_be_read_alone(made: Path):
 
 
 def test_an_empty_drum_is_a_case_too(tmp_path: Path):
-    scene = build_scene(replace(CONFIG, filling=FillingConfig(count=0)))
+    scene = build_scene(replace(DRUM_TINY, filling=FillingConfig(count=0)))
     case = read_case(ensure_case(CaseSpec(scene), tmp_path))
     assert case.trajectory.position.shape == (21, 0, 3)
 
@@ -125,7 +116,7 @@ def test_an_empty_drum_is_a_case_too(tmp_path: Path):
 
 
 def changed(**values: object) -> CaseSpec:
-    return CaseSpec(build_scene(replace(CONFIG, **values)).at_speed(30.0))
+    return CaseSpec(build_scene(replace(DRUM_TINY, **values)).at_speed(30.0))
 
 
 DIFFERENT = {
@@ -370,46 +361,3 @@ def test_the_papers_speeds_are_split_as_the_paper_did():
 def test_a_speed_is_on_one_side_only(speeds: dict, message: str):
     with pytest.raises(DatasetError, match=message):
         split_cases(SCENE, DemConfig(), DatasetConfig(**speeds))
-
-
-# ---- progress ------------------------------------------------------------------------------------------------
-
-
-class Terminal(io.StringIO):
-    """A terminal that remembers what was written to it."""
-
-    def isatty(self) -> bool:
-        return True
-
-
-@dataclass(eq=False)
-class Simulation:
-    """A job of the bar's."""
-
-    simulated_seconds: float
-
-
-def test_one_bar_counts_the_simulated_time_of_all_jobs(monkeypatch: pytest.MonkeyPatch):
-    terminal = Terminal()
-    monkeypatch.setattr("sys.stderr", terminal)
-    bed, case = Simulation(1.5), Simulation(4.0)
-    with SimulatedTimeBar([bed, case], show=True) as bar:
-        bar.reached(bed, 1.0)
-        bar.reached(bed, 2.5)  # longer than expected
-        bar.finished(bed)
-        bar.reached(case, 1.0)
-        bar.waits(case)
-        bar.finished(case)
-    shown = terminal.getvalue().split("\r")
-    assert "data 0/2 files:   0%" in shown[1]
-    assert "6.5/6.5 s simulated" in shown[-1], "2.5 s of settling and 4 s of the case"
-    assert "data 2/2 files: 100%" in shown[-1]
-    assert any("waiting for another process" in line for line in shown)
-
-
-def test_the_bar_is_silent_without_a_terminal(monkeypatch: pytest.MonkeyPatch):
-    log = io.StringIO()
-    monkeypatch.setattr("sys.stderr", log)
-    with SimulatedTimeBar([job := Simulation(1.0)], show=True) as bar:
-        bar.finished(job)
-    assert log.getvalue() == ""

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from beds import DRUM_TINY
 
-from gran_bench.config import ContainerConfig, FillingConfig, SceneConfig
 from gran_bench.dataset import Case, CaseSpec, ensure_case, read_case
 from gran_bench.export.command import FORMATS, export_command
 from gran_bench.export.walls import container, wall_mesh
@@ -19,14 +19,7 @@ from gran_bench.shipped import shipped_scene
 from gran_bench.state import ParticleState, Trajectory
 from gran_bench.tracking import search
 
-CONFIG = SceneConfig(
-    name="drum_tiny",
-    container=ContainerConfig(diameter=0.4, length=0.2),
-    filling=FillingConfig(count=40),
-    start_time=0.4,
-    end_time=0.6,
-)
-SPEC = CaseSpec(build_scene(CONFIG).at_speed(30.0))
+SPEC = CaseSpec(build_scene(DRUM_TINY).at_speed(30.0))
 
 
 @pytest.fixture(scope="module")
