@@ -6,7 +6,7 @@ With --output the part hopper_discharge of the page there is renewed, and a figu
 
     W = C ρ_b √g (D − k d)^{5/2}
 
-with ρ_b the bulk density, D the diameter of the orifice and d that of the spheres: what leaves falls freely from about
+with ρ_b the bulk density, D and d the diameters of the orifice and of the spheres: what leaves falls freely from about
 one orifice above it, so that the fill height does not matter. k ≈ 1.4 for spheres: no centre passes within some
 half a diameter of the rim. Source: Beverloo, Leniger & van de Velde (1961), Chem. Eng. Sci. 15, 260; k and C of
 spheres: Nedderman (1992), Statics and Kinematics of Granular Materials, §10.2. The flow out of a cone is faster than

@@ -35,7 +35,7 @@ class MissingProgramError(RuntimeError):
 def start_module(module: str, *arguments: str, environment: Mapping[str, str] | None = None, **pipes: Any) -> Child:
     """A process of ``python -m module arguments`` of this package, found wherever the process works.
 
-    The environment is beside that of this process; ``pipes`` are further keys of `subprocess.Popen`.
+    The environment is added to the environment of this process; ``pipes`` are further keys of `subprocess.Popen`.
     """
     return _started(["-m", module, *arguments], environment, pipes)
 

@@ -145,7 +145,7 @@ def errors_file(folder: Path, digest: str, index: int) -> Path:
 def pooled_judgement(judgements: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """One judgement of several, in the layout of a single one (`Judgement.to_dict`), pooled by `RULES`.
 
-    What a round lacks is undefined. A requirement is that of the round farthest beyond its bound.
+    What a round lacks is undefined. A requirement is the one of the round farthest beyond its bound.
     """
     found = judgements[0] | {"rounds": len(judgements), "pooled": RULES}
     for table in ("errors", "figures", "requirements"):
@@ -190,6 +190,6 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def _interval(values: Sequence[float], others: float) -> tuple[float, float, float]:
-    """Mean, and the interval of that of ``others`` more; of infinitely many it is the mean's own."""
+    """Mean, and the interval of the mean of ``others`` more figures; of infinitely many it is the mean's own."""
     found = prediction_interval(values, others)
     return (_mean(values),) * 3 if found is None else astuple(found)

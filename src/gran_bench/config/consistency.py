@@ -139,7 +139,7 @@ def _check_dataset(dataset: schema.DatasetConfig) -> Iterator[str]:
             seen[speed] = name
     if dataset.unseen_packing_seed == dataset.packing_seed:
         given = f"dataset.unseen_packing_seed={dataset.unseen_packing_seed}"
-        yield f"{given} is that of dataset.packing_seed, so the packing would not be unseen; choose another"
+        yield f"{given} is dataset.packing_seed too, so the packing would not be unseen; choose another"
 
 
 @raising

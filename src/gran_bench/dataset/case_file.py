@@ -197,7 +197,7 @@ def _checked_attributes(file: h5py.File) -> dict[str, Any]:
 
 
 def _read_state(file: h5py.File, digest: str | None, key: str, others: dict[str, np.ndarray]) -> ParticleState:
-    """The settled state; with a digest, that of the key, the state and the other arrays is held against it."""
+    """The settled state; a digest that is given must be the one of the key, the state and the other arrays."""
     names = [f"settled/{name}" for name in _STATE] + [f"settled/history/{name}" for name in _HISTORY]
     arrays, time = {name: file[name][...] for name in names}, float(file["settled"].attrs["time"])
     if digest is not None and _digest(key, arrays | others, time) != digest:

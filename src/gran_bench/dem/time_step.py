@@ -61,7 +61,7 @@ def contact_times(scene: Scene, radius: float | None = None, speed: float | None
 
     The latter is m*/γ with γ = α √(m* K) δmax^{1/4}, or I*/C_r of rolling.py with I* = 2/5 m* r²; inf at speed 0.
 
-    The radius of the smallest sphere, m, is the filling's where None; the speed, m/s, that of :func:`impact_speed`.
+    Where None, the radius of the smallest sphere, m, is the filling's and the speed, m/s, is :func:`impact_speed`.
     """
     speed = impact_speed(scene) if speed is None else speed
     r = scene.filling.smallest_radius if radius is None else radius

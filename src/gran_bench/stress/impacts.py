@@ -131,7 +131,7 @@ def step_ladder(bench: Bench, steps: list[float], production: float, seconds: fl
     bed, end = settled_bed(bench, scene), scene.start_time + seconds
 
     def angles(step: float, state: ParticleState) -> tuple[FloatArray, float, tuple[str, ...]]:
-        # One thread, so that its cost stands beside that of the others.
+        # One thread, so that its cost stands beside the cost of the others.
         result = simulate(scene, state, end, dem=DemConfig(time_step=step, threads=1, allow_unsafe_step=True))
         found = np.degrees(center_of_mass_angles(result.trajectory.position, result.trajectory.radius, scene))
         return found, 1e3 * result.wall_seconds / (result.trajectory.frame_count - 1), result.warnings

@@ -101,7 +101,7 @@ def search(
 
 
 def _history(known: Known, contacts: int, evaluation: int, rolling: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Room for the histories of so many contacts; in that of ``evaluation`` rows 1, 2, … are the known ones."""
+    """Room for the histories of so many contacts; in the room of ``evaluation`` rows 1, 2, … are the known ones."""
     rows = max(contacts, len(known.first)) + 5  # row 0, and three lanes of a block that is not full
     slot, moment = np.empty((2, rows, 4)), np.empty((2, rows if rolling else 1, 4))
     for room, remembered in ((slot, known.slot), (moment, known.moment)):

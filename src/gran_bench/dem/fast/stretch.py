@@ -19,7 +19,7 @@ from gran_bench.neighbors.kernel import entry, kernel
 # What threads tell each other. The last is a thread's own: how far the fastest went, in margins, since its inner list
 # was made; infinite where its lists are new.
 PACE, CULPRIT, SINCE_PRUNING, SINCE_SEARCH, TRAVELLED = range(5)
-# A thread's progress: the step that the positions are at, that at which to pause, that of the first pose, whether the
+# A thread's progress: the steps that the positions are at, at which to pause, of the first pose, whether the
 # forces are still to come, whether the velocities are of a whole step, and one more than the pairs and the walls that
 # the last evaluation found touching.
 STEP, PAUSE, FIRST_POSE, DUE, WHOLE, PAIRS, WALLS = range(7)
