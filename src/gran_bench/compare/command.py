@@ -8,9 +8,10 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from gran_bench.compare.runs import ComparedRun, CompareError, find_run, read_run
+from gran_bench.compare.runs import ComparedRun, CompareError, read_run
 from gran_bench.compare.tables import UNKNOWN, Figure, differences, figures_of, figures_table
 from gran_bench.config.rules import ConfigError
+from gran_bench.run.finding import find_run
 from gran_bench.tracking import TrackingError
 
 _SHORT = 24  # characters of a name that heads a column; with longer ones the columns are numbered

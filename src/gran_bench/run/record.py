@@ -18,11 +18,12 @@ from gran_bench.config import EvaluateConfig, TrainConfig
 from gran_bench.files import locked, write_atomically, write_text
 from gran_bench.processes import tell
 from gran_bench.provenance import command, provenance
+from gran_bench.run.finding import CONFIG
 from gran_bench.run.identity import RunIdentity
 from gran_bench.run.summary import FIGURES, finished_summary, params_of, record_judgement, summary_table, write_summary
 from gran_bench.surrogate.checkpoint import MODEL
 
-TRAINING, LOSSES, CONFIG, CLOCK = "training.json", "losses.csv", "config.json", "clock.json"
+TRAINING, LOSSES, CLOCK = "training.json", "losses.csv", "clock.json"
 TRACKED = "tracked"  # subfolder of the summary that the store gets; the run's own is written when the store is done
 
 
