@@ -1,4 +1,4 @@
-"""A training that goes on from a finished one, or starts from its weights: its bits, its key, what it says, refusals."""
+"""A training that goes on from a finished one, or starts from its weights: its bits, its key, its words, refusals."""
 
 from __future__ import annotations
 
@@ -123,9 +123,10 @@ def kill_at(step: int, config: TrainConfig, monkeypatch: pytest.MonkeyPatch) -> 
             raise Killed
         return original(self, pool)
 
-    with monkeypatch.context() as patch, pytest.raises(Killed):
+    with monkeypatch.context() as patch:
         patch.setattr(Trainer, "update", update)
-        run_experiment(config)
+        with pytest.raises(Killed):
+            run_experiment(config)
 
 
 # ---- more steps ----------------------------------------------------------------------------------------------
@@ -248,7 +249,7 @@ def test_a_training_starts_from_the_weights_of_a_run_with_an_optimiser_of_its_ow
     assert not same(again, parent)
     assert not same(again, trained(job(**OTHER))[0])
     # And on from there, as from any other.
-    further, training = trained(replace(moved, trainer=replace(moved.trainer, steps=6)))
+    _, training = trained(replace(moved, trainer=replace(moved.trainer, steps=6)))
     assert training["parent_run"] == again.name
     assert training["parent_weights"] == json.loads((again / "training.json").read_text())["parent_weights"]
 
@@ -296,7 +297,7 @@ def test_what_differs_from_the_training_of_the_weights_is_told(job, capfd):
         ({"model__memory": False}, "another architecture (model.memory=False, trained with True); choose as there"),
         ({"trainer__start_from": "holdout30rpm"}, "another architecture (model."),
         ({"trainer__start_from": "shipped"}, "another architecture (model."),
-        ({"trainer__start_from": "paper"}, "choose model=ccnn"),
+        ({"trainer__start_from": "paper"}, "paper has no model.pt (yet); finish its training"),
         ({"trainer__start_from": "tiny"}, "trainer.start_from=tiny: no run has this name, id or folder"),  # a beginning
         ({"trainer__start_from": "NOT"}, "NOT has no model.pt (yet)"),
         ({"trainer__start_from": "README.md"}, "README.md is not a whole gran-bench model file"),
@@ -321,8 +322,9 @@ def test_weights_that_do_not_fit_are_refused_before_any_work(job, tmp_path, chan
         run_experiment(config)
     assert said in str(refused.value)
     assert "\n" not in str(refused.value)
-    with pytest.raises(ConfigError), open_sweep([SweepJob("one", {}, 0, config=config)], "sweep"):
+    with pytest.raises(ConfigError) as again, open_sweep([SweepJob("one", {}, 0, config=config)], "sweep"):
         pass
+    assert str(again.value) == str(refused.value)
     assert not (tmp_path / "none").exists()
 
 
