@@ -19,11 +19,11 @@ import torch
 from gran_bench.config import BoundaryConfig, CconvModelConfig, SceneConfig
 from gran_bench.dem.simulate import settle
 from gran_bench.scene import Scene, build_scene
-from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.convolution.cconv import ContinuousConvolution
 from gran_bench.surrogate.convolution.kernels.lattice import LatticeBasis
 from gran_bench.surrogate.convolution.kernels.radial import RadialBasis
 from gran_bench.surrogate.convolution.neighborhood import KernelBasis, particle_neighborhood
+from gran_bench.surrogate.step import build_model
 
 RADIUS = 0.1125  # m
 

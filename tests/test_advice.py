@@ -74,7 +74,8 @@ def test_the_help_lists_the_groups_of_its_own_command_and_each_choice_works(comm
             assert set(choices.split(", ")) <= {"basic", *(path.stem for path in (CONF / group).glob("*.yaml"))}
             continue
         assert group.lstrip("+") in get_type_hints(COMMANDS[command])
-        for choice in choices.split(", "):
+        assert set(choices.split(", ")) <= {path.stem for path in (CONF / group.lstrip("+")).glob("*.yaml")}
+        for choice in choices.split(", ") if command != "train" else ():  # test_config.py composes those of train
             refusals = (refusal(command, f"{group}={choice}", *partner) for partner in PARTNERS)
             assert None in refusals, (group, choice)
 

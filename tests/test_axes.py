@@ -210,7 +210,7 @@ def test_the_hats_of_a_radial_kernel_lie_within_its_radius_and_add_up_to_one(rad
 
 def test_a_touching_pair_is_answered_in_full_at_the_smallest_radius(models):
     config = replace(models["contact"], model=replace(models["contact"].model, radius=1.1 * D))
-    reach, width = make_model(config, build_scene(config.scene)).weights.fades[0]
+    reach, width = make_model(config, build_scene(config.scene)).fades[0]
     assert reach == pytest.approx(width, rel=1e-6)  # the answer begins to fade where the gap opens
 
 

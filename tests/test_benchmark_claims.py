@@ -11,7 +11,6 @@ import pytest
 from gran_bench.benchmark.claims import (
     Entry,
     best_in_time,
-    break_even,
     crossing,
     equal_accuracy,
     fastest_rival,
@@ -60,17 +59,21 @@ def test_the_rival_is_the_fastest_dem_that_is_as_exact_and_noise_counts_as_exact
     assert best_in_time(everyone, 0.05) is None
 
 
+def paid_beside(one: Entry, seconds: float) -> float | None:
+    return paid_back(equal_accuracy(one, [one, entry("DEM", seconds, 1.0)], accepted=1.3))
+
+
 def test_break_even_divides_what_was_spent_by_what_is_saved():
     surrogate = entry("surrogate", 0.6, 1.8, "surrogate", data_seconds=40.0, training_seconds=860.0)
-    assert break_even(surrogate, entry("DEM", 0.9, 1.0)) == pytest.approx(900.0 / 0.3)
-    assert break_even(surrogate, entry("DEM", 0.4, 1.0)) == math.inf
-    assert break_even(entry("free", 0.1, 9.0), entry("DEM", 0.5, 1.0)) == 0.0
+    assert paid_beside(surrogate, 0.9) == pytest.approx(900.0 / 0.3)
+    assert paid_beside(surrogate, 0.4) == math.inf
+    assert paid_beside(entry("free", 0.1, 9.0, "baseline"), 0.5) == 0.0
 
 
 def test_where_the_times_overlap_nobody_knows_whether_anything_is_paid_back():
     surrogate = entry("surrogate", 0.6, 1.8, "surrogate", training_seconds=860.0)
     for seconds in (0.59, 0.6, 0.61):
-        assert math.isnan(break_even(surrogate, entry("DEM", seconds, 1.0)))
+        assert math.isnan(paid_beside(surrogate, seconds))
 
 
 def uncertain(one: Entry, low: float, high: float) -> Entry:

@@ -9,8 +9,8 @@ import torch
 
 from gran_bench.config import BoundaryConfig, CconvModelConfig, SceneConfig
 from gran_bench.scene import build_scene
-from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.convolution.neighborhood import particle_neighborhood
+from gran_bench.surrogate.step import build_model
 
 SMALL = {"width": 8, "layers": 3}
 KERNELS = ("lattice", "radial")

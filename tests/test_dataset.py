@@ -11,7 +11,15 @@ import h5py
 import numpy as np
 import pytest
 
-from gran_bench.config import ContainerConfig, DatasetConfig, DemConfig, FillingConfig, MaterialConfig, SceneConfig
+from gran_bench.config import (
+    ContainerConfig,
+    DatasetConfig,
+    DemConfig,
+    FillingConfig,
+    MaterialConfig,
+    SceneConfig,
+    SizesConfig,
+)
 from gran_bench.dataset import (
     CaseSpec,
     DatasetError,
@@ -29,7 +37,7 @@ from gran_bench.dataset import (
     to_document,
 )
 from gran_bench.dataset.ensure import SimulatedTimeBar
-from gran_bench.dem.simulate import SimulationResult, settle, simulate
+from gran_bench.dem.simulate import SimulationResult, choose_time_step, settle, simulate
 from gran_bench.provenance.source_digest import bare_code
 from gran_bench.scene import Rotation, SceneError, build_scene
 
@@ -321,6 +329,17 @@ def test_a_case_that_fails_names_itself_and_the_others_are_made(tmp_path: Path):
     with pytest.raises(DatasetError, match=r"drum_tiny_30rpm_seed0.*longest_settling"):
         ensure_cases([SPEC, hopeless], tmp_path, progress=False)
     assert SPEC.path(tmp_path).exists()
+
+
+def test_spheres_of_many_sizes_make_the_case_that_the_name_says(tmp_path: Path):
+    # Forty quantiles leave out the tails, so that the smallest sphere is larger than the sizes allow.
+    filling = FillingConfig(count=40, diameter=0.04, sizes=SizesConfig(kind="lognormal", spread=0.2))
+    spec = changed(filling=filling)
+    case = read_case(ensure_case(spec, tmp_path))
+    radius = case.trajectory.radius.min()
+    assert radius > 1.001 * spec.scene.filling.smallest_radius
+    assert case.attributes["time_step"] == spec.key["dem"]["time_step"]
+    assert case.attributes["time_step"] < choose_time_step(spec.scene, radius=radius)[0]
 
 
 def test_a_case_records_the_bed_it_started_from(tmp_path: Path):

@@ -157,14 +157,14 @@ def test_a_step_that_cannot_resolve_an_impact_of_the_first_state_is_refused(engi
     assert any("cannot resolve it" in flag for flag in allowed.warnings)
 
 
-def test_an_impact_that_became_faster_than_anybody_had_reckoned_with_is_flagged(engine):
+def test_an_impact_that_became_faster_than_anybody_had_reckoned_with_is_flagged():
     # Nothing tells beforehand that it falls from 20 m; the nominal impact is of a metre's fall.
     scene = open_space(1e8, floor=True, gravity=9.81)
     nominal, _ = contact_times(scene)
     state = ParticleState(np.array([[0, 0, 20.0]]), np.zeros((1, 3)), np.zeros((1, 3)), np.full(1, RADIUS))
-    fine = simulate(scene, replace(state, position=0.03 * state.position), 0.5, dem=DemConfig(engine=engine))
+    fine = simulate(scene, replace(state, position=0.03 * state.position), 0.5, dem=DemConfig())
     assert fine.warnings == ()
-    dem = DemConfig(engine=engine, time_step=0.095 * nominal)
+    dem = DemConfig(time_step=0.095 * nominal)
     result = simulate(scene, state, 2.1, dem=dem)
     speed = math.sqrt(2 * 9.81 * (20.0 - RADIUS))
     assert any(f"an impact at {speed:.3g} m/s by t = 2.02 s" in flag for flag in result.warnings)
@@ -182,14 +182,14 @@ def soft_drum() -> SceneConfig:
     )
 
 
-def test_settling_has_the_same_flags(engine):
+def test_settling_has_the_same_flags():
     said: list[str] = []
-    bed = settle(build_scene(soft_drum()), 0, dem=DemConfig(engine=engine), warn=said.append)
+    bed = settle(build_scene(soft_drum()), 0, warn=said.append)
     assert bed.history.overlap.max() < 0.2 * 2 * RADIUS
     (flag,) = said
     assert "while the bed of 'soft' settled: an overlap that reached" in flag
     with pytest.warns(UserWarning, match="while the bed of 'soft' settled"):
-        settle(build_scene(soft_drum()), 0, dem=DemConfig(engine=engine))
+        settle(build_scene(soft_drum()), 0)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         calm = SceneConfig(filling=FillingConfig(count=5), material=MaterialConfig(rolling_friction=0.1))

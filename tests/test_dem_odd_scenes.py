@@ -62,7 +62,7 @@ def test_without_gravity_the_filling_is_at_rest_where_it_is_put(dem):
 
 def test_a_drum_at_0_rpm_stands_still(dem):
     scene = drum()
-    bed = settle(scene, 0, dem=dem)
+    bed = settle(scene, 0)
     still = simulate(scene.at_rest(), bed, 0.36, dem=dem).final
     assert identical(simulate(scene.at_speed(0.0), bed, 0.36, dem=dem).final, still)
 
@@ -121,10 +121,9 @@ def small(name: str) -> Scene:
         ("packing_polydisperse", 0.24, 0.3),
     ],
 )
-def test_a_checkpoint_in_mid_contact_goes_on_bit_for_bit(dem, name, middle, end):
+def test_a_checkpoint_in_mid_contact_goes_on_bit_for_bit(name, middle, end):
     scene = small(name)
-    # A coarse step: what is compared are bits, not physics, and the reference engine is slow.
-    dem = replace(dem, time_step=2e-4, allow_unsafe_step=True)
+    dem = DemConfig(time_step=2e-4, allow_unsafe_step=True)
     bed = settle(scene, 3)
     whole, half = simulate(scene, bed, end, dem=dem), simulate(scene, bed, middle, dem=dem).final
     assert len(half.history) > 10

@@ -97,6 +97,7 @@ def refuse(monkeypatch, capsys, tmp_path):
         ("dem.time_step=0.01", ["dem.time_step=0.01", "largest safe step"]),
         ("scene.filling.count=9999", ["scene.filling.count=9999", "do not fit"]),
         ("scene.container.kind=none", ["no container"]),
+        ("scene.container.lifters=4", ["the keys of scene.container are kind, diameter, length, periodic_axis\n"]),
         ("model=cnn", ["model=cnn", "did you mean ccnn?", "radial"]),
         ("optim=adam", ["optim=adam", "choose ccnn or contact or paper or radial"]),
         ("+experiment=holdout3", ["experiment=holdout3", "did you mean holdout30rpm?", "smoke"]),
@@ -129,6 +130,7 @@ def test_a_config_folder_of_ones_own_is_searched_and_held_to_the_same_rules(refu
     (mine / "scene" / "mine.yaml").write_text("defaults: [drum, _self_]\nname: mine\nfriction: 0.1\n")
     assert "scene.friction=0.1" in refuse(f"--config-dir={mine}", "scene=mine")
     assert "did you mean mine?" in refuse(f"--config-dir={mine}", "scene=mines")
+    assert f"--config-dir={mine}s: no such folder" in refuse(f"--config-dir={mine}s", "scene=mine")
 
 
 # ---- jobs ------------------------------------------------------------------------------------------------

@@ -90,6 +90,21 @@ def test_the_commands_of_the_page_run(place):
     assert list((place / "data").glob("*bowl*"))
 
 
+TAKEN = """
+from gran_bench.compose import checked_config, compose
+from gran_bench.config import GenerateConfig, TrainConfig
+for name, words in {commands}:
+    checked_config(compose(name, words, "conf"), dict(train=TrainConfig, generate=GenerateConfig)[name])
+    print(name)
+"""
+
+
+def test_the_commands_of_the_page_are_taken_as_they_are_written(place):
+    split = [command.split()[2:] for command in COMMANDS if "--config-dir=conf" in command]
+    commands = [(name.removeprefix("gran_bench."), words) for name, _, *words in split]
+    assert said(place, TAKEN.format(commands=commands)).split() == ["generate", "train", "train"]
+
+
 def test_the_python_of_the_page_runs(place):
     assert "height of the bed" in said(place, SCRIPT)
 
@@ -148,6 +163,7 @@ def test_a_run_is_known_by_the_plugins_that_take_part_and_by_no_other(place, tmp
         (["+loss.height=-1"], "loss.height=-1 is impossible; choose a value ≥ 0"),
         (["scene=bowl", "scene.container.kind=bowel"], "did you mean bowl?"),
         (["scene=bowl"], "does not turn"),
+        (["model=field", "~model.width", "model.width=9"], "if that is the model, write +model.width=9"),
     ],
 )
 def test_what_a_plugin_adds_is_refused_as_the_houses_own(place, overrides, message):
@@ -166,6 +182,19 @@ def test_a_plugin_that_fails_is_named_in_one_sentence(place):
         assert done.returncode == 2
         assert done.stderr.count("\n") == 1
         assert "the plugin grains of the package grains (grains) cannot be loaded: ModuleNotFoundError" in done.stderr
+    finally:
+        source.write_text(text)
+
+
+def test_a_wall_that_does_not_hold_its_filling_is_refused_before_any_work(place):
+    source = place / "grains/walls.py"
+    text = source.read_text("utf-8")
+    try:
+        source.write_text(text.replace("-rim, 0.25 * height", "-rim, 0.0"))  # into the slope
+        done = run(place, "-m", "gran_bench.generate", "--config-dir=conf", "scene=bowl", "dataset.root=elsewhere")
+        assert done.returncode == 2
+        assert "let the Container of scene.container.kind=bowl have a room" in done.stderr
+        assert not (place / "elsewhere").exists()
     finally:
         source.write_text(text)
 

@@ -10,10 +10,9 @@ from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConf
 from gran_bench.scene import Plane
 from gran_bench.shipped import shipped_model, shipped_scene
 from gran_bench.state import ParticleState
-from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import load_model
 from gran_bench.surrogate.rollout import rollout
-from gran_bench.surrogate.step import Surrogate
+from gran_bench.surrogate.step import Surrogate, build_model
 
 # A floor that a hundred frames don't reach.
 SCENE = replace(

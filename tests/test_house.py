@@ -35,7 +35,7 @@ ROOMS = [
     *("cache_folders", "files", "config", "provenance", "processes", "workers"),
     *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses"),
     *("metrics", "baselines", "trainer", "evaluation", "plots", "export", "tracking", "compose", "shipped", "run"),
-    *("sweep", "compare", "entry", "benchmark", "stress", "report"),
+    *("sweep", "compare", "entry", "import_case", "benchmark", "stress", "report"),
 ]
 ENTRIES = ["train", "generate", "verify", "evaluate", "ui"]
 

@@ -11,6 +11,8 @@ import pytest
 from gran_bench.compare.command import compare_command
 from gran_bench.compose import Source, checked_config, described_jobs
 from gran_bench.config import BenchmarkConfig, EvaluateConfig, GenerateConfig, StressConfig, TrainConfig
+from gran_bench.export.command import export_command
+from gran_bench.import_case.command import import_command
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
@@ -21,13 +23,14 @@ SCHEMAS = {
     "benchmark": BenchmarkConfig,
     "stress": StressConfig,
 }
+WITHOUT_CONFIG = {"export": export_command, "import_case": import_command}
 PLAIN_BLOCKS = re.findall(r"^```\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
 COMMANDS = [line.partition("#")[0].strip() for block in PLAIN_BLOCKS for line in block.splitlines()]
 SNIPPETS = re.findall(r"^```python\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
 
 
 @pytest.mark.parametrize("command", [command for command in COMMANDS if command.startswith("python -m gran_bench.")])
-def test_a_command_composes_into_a_legal_config(command, tmp_path):
+def test_a_command_composes_into_a_legal_config(command, tmp_path, capsys):
     _, _, module, *arguments = shlex.split(command)
     entry = module.removeprefix("gran_bench.")
     if entry == "verify":  # arguments, no config
@@ -39,6 +42,10 @@ def test_a_command_composes_into_a_legal_config(command, tmp_path):
         return
     if entry == "compare":
         assert compare_command([*arguments, "--out", str(tmp_path / "compared.png")]) == 0
+        return
+    if entry in WITHOUT_CONFIG:
+        assert WITHOUT_CONFIG[entry](arguments) == 2
+        assert f"{arguments[0]} is no file" in capsys.readouterr().err
         return
     overrides = [argument for argument in arguments if not argument.startswith("-")]
     for _, composed in described_jobs(Source(entry), overrides, "-m" in arguments).jobs:

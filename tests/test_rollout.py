@@ -10,9 +10,8 @@ from gran_bench.dem.outlet import taking_part
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import ParticleState
-from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.rollout import rollout
-from gran_bench.surrogate.step import FrameState, Surrogate
+from gran_bench.surrogate.step import FrameState, Surrogate, build_model
 
 SCENE = build_scene(SceneConfig(name="drum"))
 

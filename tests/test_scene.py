@@ -405,7 +405,7 @@ def test_a_schedule_keeps_itself_when_cases_are_made(tmp_path, capsys):
 
 def test_a_scene_of_two_materials_is_a_case_that_goes_on_bit_for_bit(tmp_path):
     changes = {"filling.count": 30, "end_time": 0.3, "container.height": 1.0}
-    scene, dem = shipped_scene("packing_binary", changes), DemConfig(engine="numpy")
+    scene, dem = shipped_scene("packing_binary", changes), DemConfig()
     spec = own_case(scene, dem, DatasetConfig())
     assert isinstance(spec, CaseSpec)
     case = read_case(ensure_case(spec, tmp_path))

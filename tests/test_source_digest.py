@@ -31,7 +31,7 @@ NEUTRAL = (
     *("surrogate/checkpoint", "__init__"),
 )
 # In a run's key by the digest of its data.
-DATA = ("dataset/case_spec", "dem/simulate")
+DATA = ("dataset/case_spec", "dataset/imported", "dem/simulate")
 
 
 @pytest.fixture

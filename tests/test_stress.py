@@ -39,8 +39,8 @@ from gran_bench.stress.experiment import Bench, Experiment
 from gran_bench.stress.page import closing_line, row
 from gran_bench.stress.perform import EXPERIMENTS
 from gran_bench.stress.run import Errand, carry_out, errands, forget
-from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, save_model
+from gran_bench.surrogate.step import build_model
 
 CASE = """
 - name: gap

@@ -27,7 +27,7 @@ def test_the_page_says_what_it_is_judged_on_what_failed_and_what_waits(tmp_path:
     assert "2 runs finished, 1 failed, 2 wait; judged at 35 rpm, the validation speed" in text
     assert "the loss is not finite at update 7 (log: `logs/r+model.radius-0.15+seed-0-0.150.log`)" in text
     assert "waits 1" in text
-    assert (len(report.failed), len(report.waiting)) == (1, 2)
+    assert (len(report.failed), report.metrics["sweep/jobs waiting"]) == (1, 2.0)
     assert report.metrics["best/angle error floors"] == 2.0
     assert report.tags["best.angle error floors"] == "model.radius=0.08"
     assert (folder / "model.radius.png").read_bytes().startswith(b"\x89PNG")

@@ -10,9 +10,9 @@ from gran_bench.run.summary import rollout_warnings
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_model, shipped_scene
 from gran_bench.state import ParticleState
-from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import load_model
 from gran_bench.surrogate.rollout import rollout, step_frames
+from gran_bench.surrogate.step import build_model
 from gran_bench.surrogate.trained_for import ModelMismatch
 
 HOME = shipped_scene("drum").at_speed(30.0)

@@ -23,9 +23,8 @@ from gran_bench.config import (
     TrainerConfig,
 )
 from gran_bench.scene import build_scene
-from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import CheckpointError
-from gran_bench.surrogate.step import FrameState, Surrogate
+from gran_bench.surrogate.step import FrameState, Surrogate, build_model
 from gran_bench.trainer import (
     CHECKPOINT,
     DIVERGED,

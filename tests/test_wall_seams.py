@@ -120,7 +120,7 @@ def test_an_impact_on_a_seam_comes_back_with_the_materials_restitution(advance, 
 
 
 @ENGINES
-@pytest.mark.parametrize("speed", [0.2, 2.0, 50.0])
+@pytest.mark.parametrize("speed", [1.0, 50.0])
 def test_a_sphere_that_rolls_over_a_seam_feels_nothing_of_it(advance, speed):
     """Position, spin, and the elastic force that the contact remembers are those of a floor of one piece."""
     step, steps = 1e-4, round(0.1 / speed / 1e-4) if speed < 50.0 else 15  # of a fifth of a radius

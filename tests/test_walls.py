@@ -313,7 +313,7 @@ def test_a_sphere_rolls_down_a_cone_through_its_hole(advance):
     scene = scene_with(Cone((0, 0, 0), UP, 0.1, 0.6, 0.5), gravity=(0.0, 0.0, -9.81), friction=0.5)
     state = one_sphere((0.4 - 0.025 * S, 0, 0.3 + 0.025 * S))
     physics, lowest = Physics.of(scene, 0.025), []
-    for k in range(120):
+    for k in range(60):
         state = advance(state, physics, STEP, wall_poses(scene, 0.01 * k, STEP, 50))
         lowest.append(state.position[0, 2])
     assert min(lowest) > -20.0

@@ -16,13 +16,14 @@ __version__ = "0.1.0"
 _HOMES = {
     **dict.fromkeys(("register_loss", "register_metric", "register_model", "register_wall"), "config.registry"),
     **dict.fromkeys(("ConfigError", "Section", "at_least", "between", "key", "one_of", "positive"), "config.rules"),
-    **dict.fromkeys(("Container", "Room", "Scene", "surface_of_revolution"), "scene"),
+    **dict.fromkeys(("Cone", "Container", "Cylinder", "Disc", "Outlet", "Plane", "Room", "Scene"), "scene"),
+    "surface_of_revolution": "scene",
     **dict.fromkeys(("settle", "simulate"), "dem.simulate"),
     **dict.fromkeys(("shipped_model", "shipped_scene"), "shipped"),
     **dict.fromkeys(("FrameState", "NewtonSurrogate", "Surrogate"), "surrogate.step"),
     **dict.fromkeys(("Measured", "Series"), "metrics.measured"),
     **{"DemConfig": "config", "Trajectory": "state", "FrameAhead": "losses", "judge": "metrics.judge"},
-    **{"load_model": "surrogate.checkpoint", "rollout": "surrogate.rollout"},
+    **{"import_arrays": "import_case", "load_model": "surrogate.checkpoint", "rollout": "surrogate.rollout"},
 }
 __all__ = sorted(_HOMES)
 

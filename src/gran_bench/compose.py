@@ -22,6 +22,7 @@ from omegaconf import DictConfig, OmegaConf
 from gran_bench.config import GenerateConfig, TrainConfig
 from gran_bench.config.identity import UNDECIDING
 from gran_bench.config.reading import read_config
+from gran_bench.config.registry import HOUSE, WALLS
 from gran_bench.config.rules import LONGEST_NAME, ConfigError
 from gran_bench.scene import build_scene
 
@@ -63,7 +64,13 @@ class Source:
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """Hydra, ready to compose from here and to say which choices there are."""
+        """Hydra, ready to compose from here and to say which choices there are.
+
+        Raises:
+            ConfigError: a folder that is not there.
+        """
+        if self.config_dir is not None and not Path(self.config_dir).is_dir():
+            raise ConfigError(f"--config-dir={self.config_dir}: no such folder; name the one that has your configs")
         if self.config_path is not None and "://" not in self.config_path:
             start = hydra.initialize_config_dir(str(Path(self.config_path).resolve()), version_base=VERSION_BASE)
         else:
@@ -160,8 +167,16 @@ def checked_config(composed: DictConfig, schema: type[Config]) -> Config:
 
         scene, data = build_scene(config.scene), config.dataset
         filled = scene.fresh_filling(seed=0)
-        if scene.filling.positions:  # sites of a lattice are apart and inside
+        kind = config.scene.container.kind
+        if scene.filling.positions:  # sites of a lattice are apart, and inside a container of the house
             check_initial_state(scene, filled)
+        elif WALLS.owner(kind) != HOUSE:
+            check_initial_state(
+                scene,
+                filled,
+                f"let the Container of scene.container.kind={kind} have a room, or a drum_radius and a length, that "
+                "lies within its walls",
+            )
         if scene.takes_speeds:
             speeds = data.training_speeds_rpm + data.validation_speeds_rpm + data.holdout_speeds_rpm
             scene = scene.at_speed(max(speeds, key=abs, default=0.0))

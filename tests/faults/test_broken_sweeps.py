@@ -16,7 +16,7 @@ from gran_bench.config.override_errors import explain
 from gran_bench.run import experiment
 from gran_bench.sweep.opening import open_sweep
 from gran_bench.sweep.runs import SweepJob, read_runs
-from gran_bench.sweep.task import Sweep, Task, complain
+from gran_bench.sweep.task import Sweep, Task
 from gran_bench.tracking import TrackingError
 
 
@@ -43,12 +43,12 @@ def do(sweep: Sweep, jobs: list[SweepJob], number: int) -> None:
     """What a job of the sweep does, but for its log."""
     if number not in sweep.done:
         jobs[number].config.tracking.parent = sweep.parent
-        with sweep.logged(number):
-            try:
-                experiment.run_experiment(jobs[number].config)
-            except Exception as error:
-                complain(error, TrainConfig)
-                raise
+        sweep.log(number).parent.mkdir(parents=True, exist_ok=True)
+        try:
+            experiment.run_experiment(jobs[number].config)
+        except Exception as error:
+            sweep.log(number).write_text(f"error: {explain(error, TrainConfig)}\n")
+            raise
 
 
 @pytest.fixture

@@ -152,10 +152,10 @@ def test_a_finished_command_prints_its_summary_again(undisturbed):
 
 
 def test_kill_9_of_a_run_that_goes_on_and_of_one_that_starts_from_its_weights_changes_no_weight(tmp_path):
-    steady = ["optim.schedule=constant", "rollout.final_frames=null", "judge.speeds_rpm=[30]"]
+    steady = ["optim.schedule=constant", "rollout.final_frames=null", "judge.speeds_rpm=[40]"]
     steady.append(override("dataset.root", tmp_path / "data"))
     half, whole = (*steady, "trainer.steps=30", "tracking.folder=half"), (*steady, "tracking.folder=whole")
-    tuned = (*steady, "trainer.steps=20", "dataset.training_speeds_rpm=[20]", "tracking.folder=tuned")
+    tuned = (*steady, "trainer.steps=20", "dataset.training_speeds_rpm=[50]", "tracking.folder=tuned")
     there, calm = tmp_path / "there", tmp_path / "calm"
     finish(there, *half)
     parent = run_of(there, "half").name

@@ -12,8 +12,8 @@ from gran_bench.compose import checked_config, compose
 from gran_bench.config import ContainerConfig, FillingConfig, SceneConfig, TrainConfig
 from gran_bench.dataset import CaseSpec, Windows, ensure_cases, read_case, split_cases
 from gran_bench.scene import Scene, build_scene
-from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.checkpoint import ModelCard, save_model
+from gran_bench.surrogate.step import build_model
 from gran_bench.trainer import Trainer
 
 SPEEDS = (20.0, 30.0, 40.0)  # rpm

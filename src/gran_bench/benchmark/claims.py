@@ -13,14 +13,10 @@ from gran_bench.plots.time_error import Contender
 
 @dataclass(frozen=True)
 class Entry(Contender):
-    """One method with what was measured of it; ``fast`` and ``slow`` are the range of its times over the rounds.
+    """One method with what was measured of it; ``fast`` and ``slow`` are the range of its times over the rounds."""
 
-    Attributes:
-        data_seconds, training_seconds: spent before the first run, s.
-    """
-
-    data_seconds: float = 0.0
-    training_seconds: float = 0.0
+    data_seconds: float = 0.0  # spent before the first run, s
+    training_seconds: float = 0.0  # spent before the first run, s
 
     @property
     def least(self) -> float:
@@ -58,13 +54,7 @@ def sound_dems(entries: Sequence[Entry]) -> list[Entry]:
 
 
 def fastest_rival(entries: Sequence[Entry], floors: float, accepted: float | None) -> Entry | None:
-    """The fastest DEM whose measured error is no larger; None where no DEM is.
-
-    Args:
-        entries: all methods.
-        floors: error to be met, in noise floors.
-        accepted: the DEM's own accuracy: whoever is below is exact enough; None where it is not known.
-    """
+    """The fastest DEM whose measured error is at most ``floors``, or the DEM's own accuracy where that is known."""
     return next((e for e in sound_dems(entries) if e.floors <= max(floors, accepted or 0.0)), None)
 
 
@@ -83,28 +73,22 @@ def not_told_apart(first: Entry, entries: Sequence[Entry]) -> list[Entry]:
 class EqualAccuracy:
     """A method beside the fastest DEM that is as exact.
 
-    Attributes:
-        entry: the method.
-        rival: the fastest DEM whose measured error is no larger; None where there is none.
-        lenient: the fastest DEM that is not significantly worse (the low end of its interval lies above the high end
-            of the entry's, and above the DEM's own accuracy); at least as fast as the rival.
-        faster: who is, of ``entry``, ``rival``, ``neither`` (the ranges of the times overlap), ``undecided`` (the two
-            DEMs give two answers) and ``alone`` (every DEM is significantly worse).
+    A DEM is significantly worse where the low end of its interval lies above the high end of the method's, and above
+    the DEM's own accuracy.
     """
 
     entry: Entry
-    rival: Entry | None
-    lenient: Entry | None
+    rival: Entry | None  # the fastest DEM whose measured error is no larger; None where there is none
+    lenient: Entry | None  # the fastest DEM that is not significantly worse; at least as fast as the rival
+    # Who is, of ``entry``, ``rival``, ``neither`` (the ranges of the times overlap), ``undecided`` (the two DEMs give
+    # two answers) and ``alone`` (every DEM is significantly worse).
     faster: str
 
 
 def equal_accuracy(entry: Entry, entries: Sequence[Entry], accepted: float | None) -> EqualAccuracy:
-    """Whether a method or the DEM is faster at equal accuracy, where the errors' intervals allow to say so.
+    """Whether a method that did not fail or the DEM is faster at equal accuracy, where the intervals allow to say so.
 
-    Args:
-        entry: the method; it did not fail.
-        entries: all methods.
-        accepted: the DEM's own accuracy, in noise floors; None where it is not known.
+    ``accepted`` is the DEM's own accuracy, in noise floors; None where it is not known.
     """
     rival, bound = fastest_rival(entries, entry.floors, accepted), max(entry.most, accepted or 0.0)
     lenient = next((e for e in sound_dems(entries) if e.least <= bound), None)
@@ -119,36 +103,25 @@ def equal_accuracy(entry: Entry, entries: Sequence[Entry], accepted: float | Non
     return EqualAccuracy(entry, rival, lenient, answers.pop() if len(answers) == 1 else "undecided")
 
 
-def break_even(entry: Entry, rival: Entry) -> float:
-    """Simulated seconds after which data and training are paid back; infinite where the rival is faster.
-
-    (data + training of the entry − those of the rival) / (rival's − entry's seconds a simulated second); 0 where
-    nothing was spent; NaN where the ranges of the times overlap, so that nobody knows whether anything is saved.
-    """
-    spent = entry.data_seconds + entry.training_seconds - rival.data_seconds - rival.training_seconds
-    if not speed_up(entry, rival).decides:
-        return math.nan
-    saved = rival.seconds - entry.seconds
-    return max(0.0, spent) / saved if saved > 0.0 else math.inf
-
-
 def paid_back(beside: EqualAccuracy) -> float | None:
     """Simulated seconds after which a method's data and training are paid back beside the DEM that is as exact.
 
-    None where every DEM is significantly worse; NaN where it is undecided who is faster.
+    (data + training) / (the DEM's − the method's seconds a simulated second). None where every DEM is significantly
+    worse; NaN where nobody knows who is faster; infinite where the DEM is.
     """
-    if beside.lenient is None:
+    entry, rival = beside.entry, beside.rival or beside.lenient
+    if rival is None:
         return None
-    return math.nan if beside.faster == "undecided" else break_even(beside.entry, beside.rival or beside.lenient)
+    if beside.faster in ("undecided", "neither"):
+        return math.nan
+    saved = rival.seconds - entry.seconds
+    return (entry.data_seconds + entry.training_seconds) / saved if saved > 0.0 else math.inf
 
 
 def crossing(abscissa: Sequence[float], costs: Sequence[float], level: float) -> float | None:
     """Where a cost first rises to a level: straight lines between the points in logarithms; None where it stays below.
 
-    Args:
-        abscissa: increasing, > 0.
-        costs: at these, > 0.
-        level: > 0.
+    The abscissa increases; all are > 0.
     """
     x, y = np.log(np.asarray(abscissa, float)), np.log(np.asarray(costs, float) / level)
     above = np.flatnonzero(y >= 0.0)

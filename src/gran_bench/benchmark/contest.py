@@ -25,27 +25,17 @@ Study = dict[str, list[tuple[float, "Method"]]]  # by label: an abscissa, and th
 
 @dataclass(frozen=True)
 class Method:
-    """A method on a scene.
+    """A method on a scene."""
 
-    Attributes:
-        name: for people, unique among those that are compared.
-        kind: ``dem``, ``surrogate`` or ``baseline``.
-        job: what a worker does, as plain data (`jobs.prepare`); empty where the method does not fit the scene.
-        seconds: of the scene that one run of the job covers.
-        data_seconds: wall time of the data that it was made from, s.
-        training_seconds: wall time of its training, s.
-        judged: whether a run covers the whole scene, so that its error is known.
-        unfit_because: why it cannot answer for this scene; empty where it can.
-    """
-
-    name: str
-    kind: str
+    name: str  # for people, unique among those that are compared
+    kind: str  # ``dem``, ``surrogate`` or ``baseline``
+    # What a worker does, as plain data (`jobs.prepare`); empty where the method does not fit the scene
     job: dict[str, Any]
-    seconds: float
-    data_seconds: float = 0.0
-    training_seconds: float = 0.0
-    judged: bool = True
-    unfit_because: str = ""
+    seconds: float  # of the scene that one run of the job covers
+    data_seconds: float = 0.0  # wall time of the data that it was made from, s
+    training_seconds: float = 0.0  # wall time of its training, s
+    judged: bool = True  # whether a run covers the whole scene, so that its error is known
+    unfit_because: str = ""  # why it cannot answer for this scene; empty where it can
 
     def key(self, *conditions: str) -> str:
         """A readable name of the method's files, with a hash of the job, how long it is, and under which conditions.
@@ -70,29 +60,24 @@ class Contest:
     Args:
         config: of the command.
         models: model files by the name that they are shown under.
-
-    Attributes:
-        scene: at the held-out speed, or with the motion that it keeps.
-        case: the run of the DEM whose settled state all methods start from: a packing that no training saw.
-        replicas: what errors are measured from: nudged runs of the DEM at half its automatic step.
-        neighbours: the training speeds below and above, rpm, from the packing of training; none where a side lacks one.
-        cases: every run of the DEM that the comparison needs before anything is timed.
-        automatic: name of the DEM at its automatic step, which all times are held against.
     """
 
     def __init__(self, config: BenchmarkConfig, models: dict[str, Path]) -> None:
         self.config, self.models, data = config, models, config.dataset
         self.rpm, scene = float(data.holdout_speeds_rpm[0]), build_scene(config.scene)
-        self.takes_speeds = scene.takes_speeds
+        self.takes_speeds = scene.takes_speeds  # or it keeps its own motion
         self.scene = scene.at_speed(self.rpm) if self.takes_speeds else scene
+        # The run of the DEM whose settled state all methods start from: a packing that no training saw.
         self.case = CaseSpec(self.scene, config.dem, data.unseen_packing_seed)
+        # What errors are measured from: nudged runs of the DEM at half its automatic step.
         self.replicas = replicas(half_step(self.case), data.replicas)
+        # The training speeds below and above, rpm, from the packing of training; none where a side lacks one.
         found = neighbouring_speeds(self.rpm, data.training_speeds_rpm) if self.takes_speeds else None
         self.neighbours = {rpm: CaseSpec(scene.at_speed(rpm), config.dem, data.packing_seed) for rpm in found or ()}
         counts = sorted(config.profile.counts) if self.takes_speeds else []
         self._count_cases = {count: self._count_case(count) for count in counts}
         self.cases = [*self.replicas, *self.neighbours.values(), *self._count_cases.values()]
-        self.automatic = next(self._dem_ladder([1.0])).name
+        self.automatic = next(self._dem_ladder([1.0])).name  # the DEM that all times are held against
 
     @property
     def methods(self) -> list[Method]:
@@ -214,13 +199,7 @@ class Contest:
 
 
 def why_unfit(card: ModelCard, scene: Scene, packing_seed: int) -> str:
-    """Why a trained model cannot answer for a scene, or may not; empty where it can.
-
-    Args:
-        card: of the model.
-        scene: with its motion.
-        packing_seed: of the bed that it would start from.
-    """
+    """Why the model of a card cannot answer for a scene from a packing, or may not; empty where it can."""
     home = build_scene(read_config(SceneConfig, card.scene))
     if scene.needs.polydispersity:
         return "it knows spheres of one size alone"

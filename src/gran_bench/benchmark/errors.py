@@ -20,7 +20,7 @@ from gran_bench.dataset import Case
 from gran_bench.files import write_text
 from gran_bench.metrics.comparisons import COMPARISONS, Comparison
 from gran_bench.metrics.judge import judge
-from gran_bench.metrics.noise_floor import CONFIDENCE
+from gran_bench.metrics.measured import CONFIDENCE
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.scene import Scene
 from gran_bench.state import Trajectory
@@ -39,33 +39,20 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Scored:
-    """One method's error.
+    """One method's error."""
 
-    Attributes:
-        floors: the largest of its ranked errors, in noise floors; None where one of them is undefined.
-        low, high: 95 % interval: of one run, of the mean over the replicas; of several, of the mean of as many others.
-        by: key of that error.
-        reason: why there is none.
-        outside: spheres that left the container.
-        judgement: everything else that was found (`Judgement.to_dict`).
-    """
-
-    floors: float | None
+    floors: float | None  # the largest of its ranked errors, in noise floors; None where one of them is undefined
+    # 95 % interval: of one run, of the mean over the replicas; of several, of the mean of as many others
     low: float | None
     high: float | None
-    by: str
-    reason: str
-    outside: int
-    judgement: dict[str, Any]
+    by: str  # key of that error
+    reason: str  # why there is none
+    outside: int  # spheres that left the container
+    judgement: dict[str, Any]  # everything else that was found (`Judgement.to_dict`)
 
 
 class Reference:
-    """The replicas that all methods are held against.
-
-    Args:
-        scene: with its motion.
-        cases: the replicas.
-    """
+    """The replicas, as cases of the scene with its motion, that all methods are held against."""
 
     def __init__(self, scene: Scene, cases: Sequence[Case]) -> None:
         self.scene, self.digest = scene, "-".join(case.digest[:8] for case in cases)
@@ -121,8 +108,6 @@ class Reference:
     def pooled(self, runs: Sequence[Scored]) -> Scored:
         """The error of a method from several runs of it: means, and where the mean of as many others lies.
 
-        What else was found of them is pooled by `RULES`.
-
         A single run (statistics without particles) keeps its interval over the replicas.
         """
         failed = next((run for run in runs if run.floors is None), None)
@@ -146,12 +131,8 @@ def noise_bound(own: Sequence[float], runs: int) -> float | None:
     m − 1 degrees of freedom: two means of one distribution (Student 1908), taken as if the replicas' errors were
     independent, though each distance of two of them is in both.
 
-    Args:
-        own: error of each replica, judged by the others.
-        runs: n.
-
-    Returns:
-        None below three replicas: of two, each has the same distance from the other, and nothing scatters.
+    ``own`` has the error of each replica, judged by the others. None below three replicas: of two, each has the same
+    distance from the other, and nothing scatters.
     """
     return None if len(own) < LEAST_REPLICAS else _interval(own, math.sqrt(1.0 + len(own) / runs))[2]
 

@@ -34,17 +34,11 @@ BASELINES = {"rigid rotation": rigid_rotation, "ballistic": ballistic}
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one run gave.
+    """What one run gave."""
 
-    Attributes:
-        trajectory: its frames; None for statistics without particles.
-        failure: why it could not go on; empty for a run that reached its end.
-        reached: frames that a run which failed had computed before.
-    """
-
-    trajectory: Trajectory | None
-    failure: str = ""
-    reached: int = 0
+    trajectory: Trajectory | None  # its frames; None for statistics without particles
+    failure: str = ""  # why it could not go on; empty for a run that reached its end
+    reached: int = 0  # frames that a run which failed had computed before
 
 
 # Called with the number of frames to compute, and with the seed of a nudge: each round starts from its own, because one
@@ -53,11 +47,7 @@ Run = Callable[[int, int], Outcome]
 
 
 def prepare(job: dict[str, Any]) -> Run:
-    """Load whatever a method needs, so that a run of it is nothing but its own work.
-
-    Args:
-        job: ``does`` names the method; the rest is what it needs, as plain data.
-    """
+    """Load whatever the method of a job (plain data) needs, so that a run of it is nothing but its own work."""
     if job["does"] == "interpolation":
         training = training_summaries(job)
         return lambda frames, seed: _interpolated(job["rpm"], training)

@@ -65,12 +65,7 @@ def table_of(found: Found) -> pd.DataFrame:
 
 
 def part_text(place: str, found: Found) -> str:
-    """What the page says of one benchmark.
-
-    Args:
-        place: ``profile/scene``.
-        found: its results.
-    """
+    """What the page says of one benchmark; its place is ``profile/scene``."""
     reference = found["reference"]
     labels, noise = " and ".join(row["label"] for row in reference["ranked"]), f"undefined, {why_no_accuracy(found)}."
     if reference["accepted"] is not None:

@@ -48,14 +48,10 @@ def spread(values: Sequence[float]) -> dict[str, float | None] | None:
 def method_row(
     method: Method, record: Record | None, scored: Scored | None, beside: dict[int, float]
 ) -> dict[str, Any]:
-    """What is known of one method, as plain data.
+    """What is known of one method, as plain data: its turns and its error, None of what does not fit or has none.
 
-    Args:
-        method: that was compared.
-        record: of its turns; None where it does not fit the scene.
-        scored: its error; None where it has none.
-        beside: wall time of a simulated second of the DEM at its automatic step, s, by round: the unit of ``relative``,
-            in which what slows a whole machine cancels.
+    ``beside`` has the wall time of a simulated second of the DEM at its automatic step, s, by round: the unit of
+    ``relative``, in which what slows a whole machine cancels.
     """
     turns, seconds = record.turns if record else [], method.seconds
     wall = [turn["wall_seconds"] / seconds for turn in turns]
@@ -115,10 +111,6 @@ def reference_facts(reference: Reference, replicas: int, runs: int, automatic: f
 
 def judged_anew(found: dict[str, Any], reference: Reference, replicas: int) -> dict[str, Any]:
     """Kept results with the DEM's own accuracy by today's rule: nothing is measured, and no method's error changes.
-
-    Args:
-        found: as it was kept.
-        reference, replicas: as in `reference_facts`.
 
     Raises:
         ResultsError: the methods were held against other replicas.

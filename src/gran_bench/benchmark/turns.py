@@ -29,16 +29,12 @@ ROUNDS_OF_A_SEED = 1000
 
 @dataclass(frozen=True)
 class Record:
-    """All turns of one method.
+    """All turns of one method."""
 
-    Attributes:
-        turns: by round, as the method's process told them (`jobs.prepare`); none of a method that failed at once.
-        failure: why it failed; empty where it did not.
-        failed_seconds: wall time of a simulated second before it failed, s; None where it never got to a frame.
-    """
-
+    # by round, as the method's process told them (`jobs.prepare`); none of a method that failed at once
     turns: list[dict[str, Any]]
-    failure: str = ""
+    failure: str = ""  # why it failed; empty where it did not
+    # wall time of a simulated second before it failed, s; None where it never got to a frame
     failed_seconds: float | None = None
 
 

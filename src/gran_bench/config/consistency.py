@@ -196,6 +196,8 @@ def _check_judge(config: schema.TrainConfig | schema.EvaluateConfig) -> Iterator
 @raising
 def _check_benchmark(config: schema.BenchmarkConfig) -> Iterator[str]:
     speeds, profile, count = config.dataset.holdout_speeds_rpm, config.profile, config.scene.filling.count
+    if files := config.dataset.files:
+        yield f"dataset.files={files}: the benchmark times the DEM that makes the data; leave it empty"
     if len(speeds) != 1:
         yield f"dataset.holdout_speeds_rpm={speeds} is not one speed; methods are compared at one held-out speed"
     if 1.0 not in profile.step_multiples:

@@ -14,7 +14,7 @@ from gran_bench.config.registry import ADDED_TERMS, MODELS
 UNDECIDING = frozenset(
     {
         *("experiment", "judge", "tracking"),
-        *("dataset.root", "dataset.workers"),
+        *("dataset.root", "dataset.files", "dataset.workers"),
         *("dataset.holdout_speeds_rpm", "dataset.unseen_packing_seed", "dataset.replicas"),
         *("trainer.minutes", "trainer.checkpoint_every", "trainer.checkpoint_steps", "trainer.log_every"),
     }
@@ -24,8 +24,7 @@ UNDECIDING = frozenset(
 def deciding_keys(config: TrainConfig) -> dict[str, Any]:
     """The config as nested plain values, without what does not decide the trained weights.
 
-    A model with walls of its own looks at no ``boundary``, and a plugin's term without weight is as if its package were
-    not installed. A cap of minutes only says when to pause; a budget of minutes sets the pace of the schedule.
+    A plugin's term without weight is as if its package were not installed. A budget of minutes paces the schedule.
     """
     values = asdict(config)
     undeciding = UNDECIDING | ({"boundary"} if MODELS[config.model.name].own_walls else set())

@@ -152,6 +152,7 @@ class DatasetConfig(Section, place="dataset"):
     """Which cases are made, and which may be seen by training."""
 
     root: str = "data"  # folder of the HDF5 cases, relative to where the command runs
+    files: list[str] = field(default_factory=list)  # imported cases or folders of them; empty: the DEM makes the cases
     # Speeds below 0 turn the other way: the mirror image. 0 is a drum at rest.
     training_speeds_rpm: list[float] = key([20.0, 25.0, 35.0, 40.0, 50.0, 60.0], Range(unit="rpm"))
     validation_speeds_rpm: list[float] = key([], Range(unit="rpm"))  # held out of training, used to choose

@@ -9,9 +9,9 @@ from gran_bench.dataset.case_spec import (
     own_case,
     replicas,
     rotation_label,
-    split_cases,
 )
 from gran_bench.dataset.ensure import ensure_case, ensure_cases
+from gran_bench.dataset.imported import case_at, imported_replicas, split_cases
 from gran_bench.dataset.scene_document import from_document, to_document
 from gran_bench.dataset.summary import generate
 from gran_bench.dataset.windows import Window, Windows, dataset_digest

@@ -75,10 +75,12 @@ def _make_settled(job: Job, path: Path, report: Report) -> None:
 
 def _make_case(job: Job, path: Path, report: Report) -> None:
     spec, scene, key = job.spec, job.spec.scene, job.spec.key
+    # The step that names the file is of the smallest sphere that the sizes allow; the bed's own may be larger.
+    dem = replace(spec.dem, time_step=key["dem"]["time_step"]) if spec.dem.time_step is None else spec.dem
     bed, bed_facts = read_settled(spec.settled_path(job.root))
     start = nudged(bed, spec.nudge, spec.nudge_seed)
     result = simulate(
-        scene, start, scene.end_time, dem=spec.dem, progress=lambda clock: report(clock - scene.start_time)
+        scene, start, scene.end_time, dem=dem, progress=lambda clock: report(clock - scene.start_time)
     )
     if result.time_step != key["dem"]["time_step"]:
         raise DatasetError(

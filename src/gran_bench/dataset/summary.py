@@ -9,8 +9,9 @@ import numpy as np
 
 from gran_bench.config import GenerateConfig
 from gran_bench.dataset.case_file import read_attributes, read_case
-from gran_bench.dataset.case_spec import CaseSpec, DatasetError, dem_source_hash, own_case, rotation_label, split_cases
+from gran_bench.dataset.case_spec import CaseSpec, DatasetError, dem_source_hash, own_case, rotation_label
 from gran_bench.dataset.ensure import ensure_cases
+from gran_bench.dataset.imported import ENGINE, split_cases
 from gran_bench.scene import build_scene
 
 STEADY_AFTER = 2.0  # s after the start of the rotation
@@ -55,7 +56,8 @@ def _files_of_older_code(root: Path | str) -> list[Path]:
     found = []
     for path in sorted(Path(root).rglob("*.h5")):
         with suppress(DatasetError):
-            if read_attributes(path)["dem_code"] != dem_source_hash():
+            facts = read_attributes(path)
+            if facts["engine"] != ENGINE and facts["dem_code"] != dem_source_hash():
                 found.append(path)
     return found
 

@@ -13,10 +13,9 @@ where the elastic part h is the history. It is turned with the contact plane at 
 mean over the step: with the last value alone, the spin that a sticking impact gives is wrong by 2 % at t_c/200. When
 f_t slips, h and f_t are rescaled together.
 
-v_t counts the spins in with the lever arms that the torque has, so that it is the slip of the contact points. Some
-codes measure it with the full radii R (LAMMPS `granular`: GRANULAR/granular_model.cpp, 22 Jul 2025), and give a torque
-at a wall the arm R as well. ``dem.slip=full_radius`` does so too, for comparison with them: a bed that turns as one
-body at ω then slips at each contact by ω δ, and work and torque do not quite belong together.
+v_t counts the spins in with the lever arms that the torque has: it is the slip of the contact points. LAMMPS `granular`
+(granular_model.cpp, 22 Jul 2025) measures it with the full radii R, as ``dem.slip=full_radius`` does for comparison;
+a bed that turns as one body at ω then slips at each contact by ω δ.
 """
 
 from __future__ import annotations
@@ -34,10 +33,9 @@ from gran_bench.config.rules import checked
 from gran_bench.scene import Material
 from gran_bench.state import FloatArray
 
-# A step knows velocities of its middle. The damping of a contact counts in what the velocity still gains until the
-# step's end, times max(0, 1 − PREDICTION_FADE γ Δt / m*), where γ is the drag of the contact. A predicted velocity
-# halves the step up to which damping is stable: so the prediction fades out as γΔt/m* nears a third, which three and
-# more contacts of a sphere in a bed make one.
+# The damping of a contact counts in what the velocity still gains until the step's end, times
+# max(0, 1 − PREDICTION_FADE γ Δt / m*), γ the drag of the contact. A prediction halves the step up to which damping is
+# stable: so it fades out as γΔt/m* nears a third, which three and more contacts of a sphere in a bed make one.
 PREDICTION_FADE = 3.0
 # Contact time of an elastic Hertzian impact in units of δmax/v: 2.94 in every textbook, 4/5 √π Γ(2/5)/Γ(9/10) exactly.
 CONTACT_TIME_FACTOR = 0.8 * math.sqrt(math.pi) * math.gamma(0.4) / math.gamma(0.9)
@@ -45,35 +43,27 @@ CONTACT_TIME_FACTOR = 0.8 * math.sqrt(math.pi) * math.gamma(0.4) / math.gamma(0.
 
 @dataclass(frozen=True)
 class ContactLaw:
-    """The constants of contacts between two materials; sizes enter through R* and m* of each contact.
+    """The constants of contacts between two materials; sizes enter through R* and m* of each contact."""
 
-    Attributes:
-        effective_modulus: E*, Pa.
-        effective_shear_modulus: G*, Pa.
-        damping: α, −.
-        friction: μ, −.
-        rolling_friction: μ_r, −.
-    """
-
-    effective_modulus: float
-    effective_shear_modulus: float
-    damping: float
-    friction: float
-    rolling_friction: float
+    effective_modulus: float  # E*, Pa
+    effective_shear_modulus: float  # G*, Pa
+    damping: float  # α, −
+    friction: float  # μ, −
+    rolling_friction: float  # μ_r, −
 
     @classmethod
     def between(cls, first: Material, second: Material) -> ContactLaw:
-        """The law of a contact of ``first`` with ``second``, whose restitution and friction coefficients count.
-
-        1/E* = (1 − ν₁²)/E₁ + (1 − ν₂²)/E₂ and 1/G* = (2 − ν₁)/G₁ + (2 − ν₂)/G₂ (Johnson 1985, eqs. 4.20 and 7.42).
-        """
+        """The law of a contact of ``first`` with ``second``, whose restitution and friction coefficients count."""
         return cls.of(first, second, second.restitution, second.friction, second.rolling_friction)
 
     @classmethod
     def of(
         cls, first: Material, second: Material, restitution: float, friction: float, rolling_friction: float
     ) -> ContactLaw:
-        """The law of a contact between two materials that has these coefficients."""
+        """The law of a contact between two materials that has these coefficients.
+
+        1/E* = (1 − ν₁²)/E₁ + (1 − ν₂²)/E₂ and 1/G* = (2 − ν₁)/G₁ + (2 − ν₂)/G₂ (Johnson 1985, eqs. 4.20 and 7.42).
+        """
         normal = sum((1.0 - m.poisson_ratio**2) / m.youngs_modulus for m in (first, second))
         shear = sum((2.0 - m.poisson_ratio) / m.shear_modulus for m in (first, second))
         return cls(1.0 / normal, 1.0 / shear, damping_coefficient(restitution), friction, rolling_friction)
@@ -93,41 +83,24 @@ class ContactLaw:
 
 @dataclass(frozen=True)
 class ContactForce:
-    """What M contacts do.
+    """What M contacts do."""
 
-    Attributes:
-        force: ``(M, 3)`` on the first, N.
-        twist: ``(M, 3)`` n × f_t, N; times each lever arm it is the torque on either particle.
-        history: ``(M, 3)`` new elastic tangential force on the first, N.
-    """
-
-    force: FloatArray
-    twist: FloatArray
-    history: FloatArray
+    force: FloatArray  # ``(M, 3)`` on the first, N
+    twist: FloatArray  # ``(M, 3)`` n × f_t, N; times each lever arm it is the torque on either particle
+    history: FloatArray  # ``(M, 3)`` new elastic tangential force on the first, N
 
 
 def contact_force(
-    law: ContactLaw,
-    *,
-    normal: FloatArray,
-    overlap: FloatArray,
-    effective_radius: FloatArray,
-    effective_mass: FloatArray,
-    velocity: FloatArray,
-    velocity_gain: FloatArray,
-    surface_spin: FloatArray,
-    history: FloatArray,
-    overlap_before: FloatArray,
-    time_step: float,
-) -> ContactForce:
+    law: ContactLaw, *, normal: FloatArray, overlap: FloatArray, effective_radius: FloatArray,
+    effective_mass: FloatArray, velocity: FloatArray, velocity_gain: FloatArray, surface_spin: FloatArray,
+    history: FloatArray, overlap_before: FloatArray, time_step: float,
+) -> ContactForce:  # fmt: skip
     """Forces of M touching contacts by the law at the head of this file, vectorised.
 
     Args:
         law: constants.
         normal: ``(M, 3)`` unit vectors from the first to the second.
-        overlap: ``(M,)`` δ > 0, m.
-        effective_radius: ``(M,)`` R*, m.
-        effective_mass: ``(M,)`` m*, kg.
+        overlap, effective_radius, effective_mass: ``(M,)`` δ > 0 and R*, m, and m*, kg.
         velocity: ``(M, 3)`` of the first centre relative to the second centre (or to the wall's point), m/s.
         velocity_gain: ``(M, 3)`` what that velocity still gains until the end of the step, m/s; the damping of the
             normal force counts it in.
@@ -161,13 +134,10 @@ def contact_force(
 
 
 def restitution_of(damping: float) -> float:
-    """Coefficient of restitution that a damping α gives.
+    """Coefficient of restitution that a damping α ≥ 0 gives.
 
     Integrates the dimensionless head-on impact x″ + α x^{1/4} x′ + x^{3/2} = 0 from x = 0, x′ = 1 until the force
     vanishes. The attractive tail that would follow is cut off, so the spheres part there with speed e = −x′.
-
-    Args:
-        damping: α ≥ 0, −.
 
     Source: Antypov & Elliott (2011), EPL 94, 50004, eq. 8, whose closed form of α(e) holds with the tail.
     """
@@ -192,10 +162,7 @@ def restitution_of(damping: float) -> float:
 
 @lru_cache(maxsize=256)
 def damping_coefficient(restitution: float) -> float:
-    """The damping α that makes the restitution that was set the one that comes out, at any impact speed.
-
-    Args:
-        restitution: e in (0, 1], −.
+    """The damping α that makes the restitution e that was set the one that comes out, at any impact speed.
 
     Raises:
         ConfigError: a restitution outside (0, 1].
@@ -214,16 +181,9 @@ def hertz_impact(
 ) -> tuple[float, float, float]:
     """Largest overlap, largest force and duration of an elastic head-on impact.
 
-    δmax = (5 m* v² / 4 K)^{2/5},  Fmax = K δmax^{3/2},  t_c = 2.943275 δmax / v,  K = 4/3 E* √R*.
+    δmax = (5 m* v² / 4 K)^{2/5},  Fmax = K δmax^{3/2},  t_c = 2.943275 δmax / v,  K = 4/3 E* √R*
 
-    Args:
-        effective_modulus: E*, Pa.
-        effective_radius: R*, m.
-        effective_mass: m*, kg.
-        speed: relative speed v > 0, m/s.
-
-    Returns:
-        δmax in m, Fmax in N, t_c in s.
+    in m, N and s, of E* in Pa, R* in m, m* in kg, and a relative speed v > 0 in m/s.
 
     Source: Johnson (1985), Contact Mechanics, §11.4.
     """

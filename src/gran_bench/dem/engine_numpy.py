@@ -97,11 +97,7 @@ class Stretch:
         self._spin += half * self._torque / self._inertia[:, None]
 
     def _evaluate(self, duration: float) -> None:
-        """Force and torque on each particle, ``(N, 3)`` each; the history becomes that of this instant.
-
-        Args:
-            duration: s over which slip loads the history.
-        """
+        """Forces and torques, and the history, of this instant; slip loads the history for so many s."""
         self._force, self._torque = np.zeros_like(self._position), np.zeros_like(self._position)
         walls = self._walls[self._step - self._first_pose]
         parts = [self._pair_loads(duration)]
@@ -171,24 +167,12 @@ class Stretch:
         return history
 
     def _contacts(
-        self,
-        first: np.ndarray,
-        second: np.ndarray,
-        laws: FloatArray,
-        peak: str,
-        diameter: FloatArray,
-        spin: FloatArray,
-        inertia: FloatArray,
-        **given: FloatArray | float,
-    ) -> tuple[ContactForce, FloatArray, ContactHistory]:
+        self, first: np.ndarray, second: np.ndarray, laws: FloatArray, peak: str, diameter: FloatArray,
+        spin: FloatArray, inertia: FloatArray, **given: FloatArray | float,
+    ) -> tuple[ContactForce, FloatArray, ContactHistory]:  # fmt: skip
         """What contacts of one kind do, their rolling moments and what they remember; the most of them is kept.
 
-        Args:
-            first, second: particles, or particle and −1 − wall.
-            laws: ``(M, 5)`` constants.
-            peak, diameter: where the largest overlap is kept, and what its share is of, m.
-            spin, inertia: of rolling, rad/s and kg m².
-            given: of :func:`contact_force`.
+        Spin and inertia are those of rolling; what is ``given`` goes to :func:`contact_force`.
         """
         law, old = ContactLaw.from_constants(laws), _recall(self._history, first, second)
         contact = contact_force(law, history=old.force, overlap_before=old.overlap, **given)

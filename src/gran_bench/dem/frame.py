@@ -1,9 +1,8 @@
 """A run between its frames: stretches of an engine, the walls' poses, who has left, and what may have gone wrong.
 
-What changes a run happens on a grid of steps that is counted from the run's start: every 10 ms spheres beyond the
-outlet leave and whoever came through a wall stops the run, every 50 ms particles are sorted anew. Frames are copies,
-wherever they are, so they change no bit; and the last one comes with what another run needs to go on
-(``ParticleState.continuation``): the forces that move it next, the order in which they are summed, the run's clock.
+What changes a run happens on a grid of steps counted from its start: every 10 ms spheres beyond the outlet leave and
+whoever came through a wall stops the run, every 50 ms particles are sorted anew. Frames are copies, so they change no
+bit; the last one comes with what another run needs to go on (``ParticleState.continuation``).
 """
 
 from __future__ import annotations
@@ -40,15 +39,10 @@ def steps_between_looks(time_step: float) -> int:
 
 
 class Run:
-    """A state on its way.
+    """A state, in float64, on its way; it goes on from its continuation where that holds for this scene and step.
 
-    Args:
-        engine: module with a ``Stretch``.
-        state: start, in float64; it goes on from its continuation where that holds for this scene and step.
-        scene: walls, motion, outlet.
-        time_step: s.
-        tuner: gives the physics of each stretch.
-        failed: makes frames of a time and positions, velocities and spins that a run ended with.
+    ``engine`` is a module with a ``Stretch``, whose physics ``tuner`` gives; ``failed`` makes frames of a time, s, and
+    positions, velocities and spins that a run ended with.
     """
 
     def __init__(

@@ -18,10 +18,7 @@ STIFFEN = "its own weight crushes the bed: raise scene.material.youngs_modulus"
 def check_initial_state(scene: Scene, state: ParticleState, remedy: str | None = None) -> None:
     """Refuses a state that cannot be simulated. Spheres that have left through an outlet are not looked at.
 
-    Args:
-        scene: where it starts.
-        state: to start.
-        remedy: against overlaps; where None, to move the particles.
+    The remedy against overlaps is to move the particles, where it is None.
 
     Raises:
         StateError: duplicates, pairs or walls overlapping by 20 % of the mean diameter (of the diameter for a wall)

@@ -6,7 +6,7 @@ with a_{n+1} from x_{n+1}, v_{n+1/2} and the walls' speed at the middle of the s
 normal force takes v_{n+1/2} + ½ a_n Δt, the prediction of v_{n+1}: with v_{n+1/2} alone, which lags by half a step,
 an impact of e = 0.3 loses up to 1.2e-3 of its restitution at a step of t_c/200, more than it may. The two halves of a
 kick are two, rounded at v_n, so that it makes no difference whether anybody looks at v_n. A run starts with the forces
-of its state alone: histories as they are, nothing added to them.
+of its state alone: nothing is added to histories.
 """
 
 from __future__ import annotations
@@ -33,12 +33,9 @@ LEAST_SKIN_DIAMETERS = 0.05
 
 
 class Divergence(ArithmeticError):
-    """A particle that crosses a quarter of the smallest radius in one step, or whose speed is not finite.
+    """A particle, by index, that crosses a quarter of the smallest radius in one step, or whose speed is not finite.
 
-    Args:
-        particle: its index.
-        steps: completed steps of the stretch.
-        position, velocity, angular_velocity: ``(N, 3)`` as they were found; may hold non-finite values.
+    Positions, velocities and spins are as they were found after so many steps of the stretch, finite or not.
     """
 
     def __init__(
@@ -68,11 +65,8 @@ def check_finite(steps: int, *moving: FloatArray) -> None:
 class Peaks(NamedTuple):
     """The most of every contact in every step of some span.
 
-    Attributes:
-        overlap: largest of a pair, m.
-        wall_overlap: largest with a wall, m.
-        share: largest as a share of the pair's mean diameter, or of the diameter at a wall, −.
-        approach: fastest of two surfaces that touch, along their normal, m/s.
+    Largest overlap of a pair and with a wall, m; largest as a share of the pair's mean diameter, or of the diameter at
+    a wall; fastest approach of two surfaces that touch, along their normal, m/s.
     """
 
     overlap: float = 0.0
@@ -90,33 +84,19 @@ class Physics:
     """A scene as the engines read it.
 
     A law is (4/3 E*, 8 G*, α, μ, μ_r) in SI.
-
-    Attributes:
-        pair_laws: ``(S, S, 5)`` between particles of S materials.
-        wall_laws: ``(S, W, 5)`` between particles and walls.
-        density: ``(S,)`` of the materials, kg/m³.
-        gravity: ``(3,)`` m/s².
-        period: length of the periodic y axis, m; 0 for none.
-        skin: m by which the neighbour list reaches beyond contact for the two fastest particles; for slower ones it is
-            less (contact_list.py).
-        tangential: whether friction, and with it spin, is computed.
-        rolling: whether the rolling model is computed.
-        threads: how many work together, where there are particles enough; changes no bit of the result.
-        single_precision: whether the contact laws are computed in float32. Positions and velocities never are.
-        full_radius: whether slip is measured with full radii instead of at the contact point (contact.py).
     """
 
-    pair_laws: FloatArray
-    wall_laws: FloatArray
-    density: FloatArray
-    gravity: FloatArray
-    period: float
-    skin: float
-    tangential: bool
+    pair_laws: FloatArray  # ``(S, S, 5)`` between particles of S materials
+    wall_laws: FloatArray  # ``(S, W, 5)`` between particles and walls
+    density: FloatArray  # ``(S,)`` of the materials, kg/m³
+    gravity: FloatArray  # ``(3,)`` m/s²
+    period: float  # length of the periodic y axis, m; 0 for none
+    skin: float  # m by which the neighbour list reaches beyond contact for the two fastest particles (contact_list.py).
+    tangential: bool  # and rolling: whether friction, and with it spin, and the rolling model are computed
     rolling: bool
-    threads: int = 1
-    single_precision: bool = False
-    full_radius: bool = False
+    threads: int = 1  # how many work together, where there are particles enough; changes no bit of the result
+    single_precision: bool = False  # whether the contact laws, never positions and velocities, are computed in float32
+    full_radius: bool = False  # whether slip is measured with full radii instead of at the contact point (contact.py).
 
     @classmethod
     def of(cls, scene: Scene, largest_radius: float, skin: float | None = None) -> Physics:

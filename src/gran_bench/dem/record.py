@@ -28,14 +28,10 @@ class SimulationError(RuntimeError):
 
 
 def contact_diagnostics(scene: Scene, state: ParticleState) -> dict[str, float]:
-    """Energies and overlaps of a state whose history lists its touching contacts.
+    """Energies and overlaps of a state whose history lists its touching contacts, as an engine leaves it.
 
     ½ Σ m v² and ½ Σ I ω² in J; mean and largest overlap of touching pairs and walls in m, 0 where none touch. In a
     scene with an outlet, the number of spheres that have left, which count in no other figure.
-
-    Args:
-        scene: materials and outlet.
-        state: as an engine leaves it.
     """
     mass = sphere_mass(np.array([material.density for material in scene.materials])[state.material], state.radius)
     inside = taking_part(scene, state.position)
@@ -62,11 +58,7 @@ def impact_warnings(
 ) -> tuple[str, ...]:
     """What a reader must know of the impacts: too deep for Hertz's law, or too short for the step.
 
-    Args:
-        scene: materials and walls.
-        radius, time_step: of the smallest sphere, m; s.
-        judged: speed that the step has been held against, m/s.
-        times, peaks: of each span, s at which it ends and the most of its contacts.
+    ``judged`` is the speed that the step has been held against, m/s; each span ends at one of ``times``, s.
     """
     warnings = []
     worst, fastest = (int(np.argmax([getattr(p, name) for p in peaks])) for name in ("share", "approach"))

@@ -8,10 +8,9 @@ container: a sphere that rolls in a trough as wide as the container is high,
 
 with H the height that a sphere can fall. A free sphere falls by 3.5 H in that time, far more than any overlap.
 
-Slow means that the root mean square of the speeds lies below v = ``filling.settled_speed`` (of equal spheres: a kinetic
-energy of translation below ½ M v²), and that no sphere is faster than a few tens of v, which many spheres at rest would
-hide. Spin does not count: nothing brakes a sphere that spins about its contact's normal. Nor do spheres beyond the
-outlet.
+Slow means that the root mean square of the speeds lies below v = ``filling.settled_speed``, and that none is faster
+than a few tens of v, which many at rest would hide. Spin does not count: nothing brakes a sphere that spins about its
+contact's normal. Nor do spheres beyond the outlet.
 """
 
 from __future__ import annotations
@@ -38,19 +37,9 @@ class Rest:
     def __init__(self, scene: Scene) -> None:
         self._scene, self._slow_since = scene, math.inf
         self.speed, self._fastest, self._fastest_speed = math.inf, 0, math.inf
-
-    @property
-    def window(self) -> float:
-        """How long a bed must be slow, s."""
-        gravity = self._scene.gravity_strength
-        if gravity == 0.0:
-            return WEIGHTLESS
-        return math.pi * math.sqrt(0.7 * (self._scene.fall_height or NOMINAL_FALL) / gravity)
-
-    @property
-    def look_interval(self) -> float:
-        """Longest time between two looks, s."""
-        return self.window / LOOKS
+        fall, gravity = scene.fall_height or NOMINAL_FALL, scene.gravity_strength
+        self.window = math.pi * math.sqrt(0.7 * fall / gravity) if gravity else WEIGHTLESS  # of slowness, s
+        self.look_interval = self.window / LOOKS  # longest time between two looks, s
 
     def look(self, state: ParticleState) -> bool:
         """Whether the bed has been slow for long enough, as often as it was looked at."""

@@ -12,14 +12,11 @@ the limit, M and M_k are cut together, as the friction force is (contact.py).
     k_r = 2.25 k_n (μ_r R*)²,    k_n = 2 E* √(R* δ)
     C_r = 2 √(I_r k_r),    1/I_r = 1/(I₁ + m₁ r₁²) + 1/(I₂ + m₂ r₂²),    I = 2/5 m r²
 
-C_r damps critically a sphere that rolls about its contact point with a wall: a sphere that rolling friction has stopped
-comes to rest in the shortest time, and does not rock. What is left of its speed decays with √(I_r/k_r): 0.023 s for a
-50 mm sphere of E = 1e7 Pa on a floor at μ_r = 0.1, in proportion to 1/μ_r. Nothing is left to choose: what a sphere
-loses while it rolls is the limit's, whatever the dashpot.
+C_r damps critically a sphere that rolls about its contact point with a wall: one that rolling friction has stopped does
+not rock. What is left of its speed decays with √(I_r/k_r); what it loses while it rolls is the limit's alone.
 
-Source: Ai, Chen, Rotter & Ooi (2011), Powder Technology 206, 269–282, model C, at the damping ratio η_r = 1. There the
-dashpot adds to the limit or is off beyond it; one limit for the sum is continuous (Luding 2008, Granular Matter 10,
-235). The limit's load is the elastic one, so that a collision's damping does not resist rolling.
+Source: Ai, Chen, Rotter & Ooi (2011), Powder Technology 206, 269–282, model C, at the damping ratio η_r = 1, with one
+limit for the sum (Luding 2008, Granular Matter 10, 235) by the elastic load, so that damping does not resist rolling.
 """
 
 from __future__ import annotations
@@ -42,29 +39,19 @@ def rolling_drag(effective_inertia: FloatArray | float, stiffness: FloatArray | 
 
 
 def rolling_moment(
-    history: FloatArray,
-    spin: FloatArray,
-    normal: FloatArray,
-    overlap: FloatArray,
-    overlap_before: FloatArray,
-    effective_radius: FloatArray,
-    effective_inertia: FloatArray,
-    effective_modulus: FloatArray | float,
-    coefficient: FloatArray | float,
-    time_step: float,
-) -> tuple[FloatArray, FloatArray]:
+    history: FloatArray, spin: FloatArray, normal: FloatArray, overlap: FloatArray, overlap_before: FloatArray,
+    effective_radius: FloatArray, effective_inertia: FloatArray, effective_modulus: FloatArray | float,
+    coefficient: FloatArray | float, time_step: float,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Moment on the first particle of each contact after a step, and its new history, both ``(M, 3)`` N m.
 
     Args:
         history: ``(M, 3)`` elastic moment, N m; zero for a new contact.
         spin: ``(M, 3)`` angular velocity of the first relative to the second, rad/s.
         normal: ``(M, 3)`` unit vectors.
-        overlap: ``(M,)`` δ, m.
-        overlap_before: ``(M,)`` overlap when the history was stored, m; 0 for a new contact.
-        effective_radius: ``(M,)`` R*, m.
-        effective_inertia: ``(M,)`` I_r, kg m².
-        effective_modulus: E*, Pa.
-        coefficient: μ_r, −.
+        overlap, overlap_before: ``(M,)`` δ, m, and when the history was stored; 0 for a new contact.
+        effective_radius, effective_inertia: ``(M,)`` R*, m, and I_r, kg m².
+        effective_modulus, coefficient: E*, Pa, and μ_r, −.
         time_step: s.
     """
     stiffness = rolling_stiffness(effective_modulus, coefficient, effective_radius, overlap)

@@ -48,21 +48,15 @@ def wall_touching(
 
 
 def one_contact_each(
-    shapes: FloatArray,
-    surfaces: Sequence[float],
-    position: FloatArray,
-    radius: FloatArray,
-    reached: Sequence[tuple[FloatArray, FloatArray]],
-    touches: Sequence[np.ndarray],
-) -> tuple[list[np.ndarray], list[tuple[int, int, np.ndarray]]]:
+    shapes: FloatArray, surfaces: Sequence[float], position: FloatArray, radius: FloatArray,
+    reached: Sequence[tuple[FloatArray, FloatArray]], touches: Sequence[np.ndarray],
+) -> tuple[list[np.ndarray], list[tuple[int, int, np.ndarray]]]:  # fmt: skip
     """Which spheres each of W walls answers, where a surface answers a sphere once, and what goes over.
 
     Args:
-        shapes: ``(W, ≥ 11)`` first columns of their poses.
-        surfaces: ``(W,)`` number of the surface that each is a piece of, 0 for none.
+        shapes, surfaces: ``(W, ≥ 11)`` first columns of their poses, ``(W,)`` number of the surface of each, or 0.
         position, radius: ``(N, 3)`` and ``(N,)`` m.
-        reached: distances and normals of each wall, as of :func:`wall_contact`.
-        touches: ``(N,)`` bool of each wall: spheres that it would answer alone.
+        reached, touches: of each wall, as of :func:`wall_contact`, and ``(N,)`` bool whether it would answer alone.
 
     Returns:
         ``(N,)`` bool of each wall, and triples (w, v, i): wall v answers the spheres i in the place of wall w.

@@ -36,48 +36,33 @@ ENGINES: dict[str, ModuleType] = {"numba": engine_numba, "numpy": engine_numpy}
 
 @dataclass(frozen=True)
 class SimulationResult:
-    """A finished run.
+    """A finished run."""
 
-    Attributes:
-        trajectory: ``(F, N, 3)`` float64 frames with the engine's diagnostics.
-        final: the last state with its contact history and its continuation, for an exact restart.
-        time_step: s.
-        steps: number of steps.
-        wall_seconds: s of wall time, compilation excluded.
-        warnings: what a reader of the results must know.
-        skin, threads: m and number that were fastest at the end; they change no bit of the result.
-    """
-
-    trajectory: Trajectory
-    final: ParticleState
-    time_step: float
-    steps: int
-    wall_seconds: float
-    warnings: tuple[str, ...]
-    skin: float
+    trajectory: Trajectory  # ``(F, N, 3)`` float64 frames with the engine's diagnostics
+    final: ParticleState  # the last state with its contact history and its continuation, for an exact restart
+    time_step: float  # s
+    steps: int  # number of steps
+    wall_seconds: float  # s of wall time, compilation excluded
+    warnings: tuple[str, ...]  # what a reader of the results must know
+    skin: float  # and threads: m and number that were fastest at the end; they change no bit of the result
     threads: int
 
 
 def simulate(
-    scene: Scene,
-    state: ParticleState,
-    end_time: float,
-    *,
-    dem: DemConfig | None = None,
-    progress: bool | Callable[[float], None] = False,
-) -> SimulationResult:
+    scene: Scene, state: ParticleState, end_time: float, *,
+    dem: DemConfig | None = None, progress: bool | Callable[[float], None] = False,
+) -> SimulationResult:  # fmt: skip
     """Runs ``state`` in ``scene`` until ``end_time``, with a frame every ``scene.frame_interval``.
 
-    The first frame is the state itself. Frames change no bit: runs with the same step and other intervals agree at
-    common times. A run that starts from another's final state goes on bit for bit as the first would have.
+    The first frame is the state itself. Frames change no bit, and a run that starts from another's final state goes on
+    bit for bit as the first would have.
 
     Args:
-        scene: walls, motion, materials, gravity.
-        state: start, with its contact history.
+        scene, state: walls, motion, materials, gravity; start, with its contact history.
         end_time: s in the scene's clock; a whole number of frames after the start.
         dem: engine, time step, precision, and what is else chosen by the clock: skin and threads.
-        progress: whether to show a bar (simulated time, steps a second, time left); silent without a terminal. A
-            function is called with the simulated time in s at each frame instead.
+        progress: whether to show a bar, silent without a terminal; or a function that is called with the simulated
+            time, s, at each frame.
 
     Raises:
         ConfigError: an argument of a wrong type, or settings that contradict each other.
@@ -104,7 +89,7 @@ def simulate(
     names, substeps = ("position", "velocity", "angular_velocity", "radius"), round(scene.frame_interval / time_step)
     state = replace(state, **{name: np.array(getattr(state, name), np.float64) for name in names})
     record = FrameRecord(scene, state.radius)
-    tuner = Tuner(_physics(scene, largest, dem), count, dem.skin is not None, dem.threads)
+    tuner = _tuner(scene, largest, count, dem)
     run = Run(ENGINES[dem.engine], state, scene, time_step, tuner, lambda *frame: record.trajectory(tuple(frame)))
     state = replace(state, history=run.state().history)  # of the contacts that touch
     record.add(state, state.time, run.take_peaks())
@@ -130,25 +115,17 @@ def simulate(
 
 
 def settle(
-    scene: Scene,
-    seed: int,
-    *,
-    dem: DemConfig | None = None,
-    progress: bool | Callable[[float], None] = False,
+    scene: Scene, seed: int, *, dem: DemConfig | None = None, progress: bool | Callable[[float], None] = False,
     warn: Callable[[str], None] = warnings.warn,
-) -> ParticleState:
+) -> ParticleState:  # fmt: skip
     """Fills the container, lets the spheres fall and come to rest between walls that stand still.
 
-    Where ``filling.settles`` is false, the filling is what the scene starts with. At rest means that it stays: slower
-    than ``filling.settled_speed`` for as long as the slowest swing could hide (rest.py). The bed settles at least
-    until ``start_time``, if that is positive, and is then labelled ``start_time``, however long it took. The contact
-    history is kept.
+    Where ``filling.settles`` is false, the filling is what the scene starts with. At rest means staying so (rest.py).
+    The bed settles at least until ``start_time`` and is then labelled ``start_time``, however long it took.
 
     Args:
-        scene: to fill.
-        seed: of the filling.
-        dem: engine, time step and skin.
-        progress: whether to show a bar, or a function that is called with the simulated time in s.
+        scene, seed: what is filled, and how.
+        dem, progress: as of :func:`simulate`.
         warn: is called with what a reader of the bed must know: an impact on the way that was too deep for Hertz's
             law, or too short for the step.
 
@@ -169,7 +146,7 @@ def settle(
     time_step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
     rest = Rest(still)
     substeps = min(steps_between_looks(time_step), max(1, round(rest.look_interval / time_step)))
-    tuner = Tuner(_physics(still, filling.largest_radius, dem), state.count, dem.skin is not None, dem.threads)
+    tuner = _tuner(still, filling.largest_radius, state.count, dem)
 
     def one_frame(time: float, *frame: FloatArray) -> Trajectory:
         return Trajectory(np.array([time]), *(array[None] for array in frame), state.radius)
@@ -195,13 +172,11 @@ def settle(
     return replace(state, time=scene.start_time, history=_sorted_history(state.history))
 
 
-def _physics(scene: Scene, largest_radius: float, dem: DemConfig) -> Physics:
-    return replace(
-        Physics.of(scene, largest_radius, dem.skin),
-        threads=dem.threads or 1,
-        single_precision=dem.precision == "float32",
-        full_radius=dem.slip == "full_radius",
-    )
+def _tuner(scene: Scene, largest_radius: float, count: int, dem: DemConfig) -> Tuner:
+    single, full = dem.precision == "float32", dem.slip == "full_radius"
+    physics = Physics.of(scene, largest_radius, dem.skin)
+    physics = replace(physics, threads=dem.threads or 1, single_precision=single, full_radius=full)
+    return Tuner(physics, count, dem.skin is not None, dem.threads)
 
 
 def _frame_times(scene: Scene, start: float, end: float) -> list[float]:

@@ -66,10 +66,7 @@ def contact_times(scene: Scene, radius: float | None = None, speed: float | None
     I* = 2/5 m* r², what two spheres turn against each other with. Of all pairs of materials and walls the shortest,
     s; inf at speed 0.
 
-    Args:
-        scene: materials, walls and motion.
-        radius: of the smallest sphere, m; the filling's where None.
-        speed: of the impact, m/s; :func:`impact_speed` where None.
+    The radius of the smallest sphere, m, is the filling's where None; the speed, m/s, that of :func:`impact_speed`.
     """
     speed = impact_speed(scene) if speed is None else speed
     r = scene.filling.smallest_radius if radius is None else radius
@@ -98,16 +95,13 @@ def contact_times(scene: Scene, radius: float | None = None, speed: float | None
 def choose_time_step(
     scene: Scene, requested: float | None = None, allow_unsafe: bool = False, radius: float | None = None
 ) -> tuple[float, tuple[str, ...]]:
-    """The largest step that is safe and of which the frame interval is a whole multiple, and its warnings.
+    """The largest step, s, that is safe and of which the frame interval is a whole multiple, and its warnings.
 
     Args:
         scene: materials, walls, motion and frame interval.
         requested: step to use instead of the automatic one, s; shortened to divide the frame interval.
         allow_unsafe: turns the error of a step beyond 0.2 t_c into a warning.
         radius: of the smallest sphere, m; the filling's where None.
-
-    Returns:
-        The step in s, and what a reader of the results must know of it.
 
     Raises:
         ConfigError: a step that is not positive and finite.
@@ -165,11 +159,7 @@ def unresolved(scene: Scene, radius: float, time_step: float, speed: float) -> t
 def check_closing_speed(
     scene: Scene, radius: float, time_step: float, speed: float, allow_unsafe: bool
 ) -> tuple[str, ...]:
-    """What is wrong with a step for the speed at which the spheres of a first state close in; nothing, or a warning.
-
-    Args:
-        scene, radius, time_step, speed: of :func:`unresolved`.
-        allow_unsafe: turns the error into a warning.
+    """What is :func:`unresolved` at the speed at which the spheres of a first state close in; nothing, or a warning.
 
     Raises:
         TimeStepError: a step beyond 0.2 t_c that is not allowed.

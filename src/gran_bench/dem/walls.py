@@ -33,14 +33,8 @@ def wall_poses(scene: Scene, start: float, time_step: float, steps: int, first: 
 
     Row 0 is where the stretch starts. Row k has the walls' shape at the end of its step k and their velocity at that
     step's middle. Where nothing changes the rows are one row, broadcast. Times come from whole steps, not from sums, so
-    that a pose does not depend on where stretches begin.
-
-    Args:
-        scene: walls, motion.
-        start: s in the scene's clock.
-        time_step: Δt, s.
-        steps: of the stretch.
-        first: steps from ``start`` to the stretch.
+    that a pose does not depend on where stretches begin: the stretch comes ``first`` steps after ``start``, in s of the
+    scene's clock.
     """
     table = np.array([_drawn(wall) for wall in scene.walls]).reshape(1, -1, COLUMNS)
     table[..., SURFACE] = scene.surfaces
@@ -74,12 +68,7 @@ def _drawn(wall: Wall) -> FloatArray:
 
 
 def _moved(
-    wall: Wall,
-    drawn: FloatArray,
-    motion: Rotation | Motion | None,
-    end: FloatArray,
-    middle: FloatArray,
-    time_step: float,
+    wall: Wall, drawn: FloatArray, motion: Motion | None, end: FloatArray, middle: FloatArray, time_step: float
 ) -> FloatArray:
     """Rows of one wall, ``(1, 22)`` where all are equal, else ``(steps + 1, 22)``."""
     if isinstance(motion, Rotation):

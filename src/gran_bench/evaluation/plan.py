@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from gran_bench.baselines import neighbouring_speeds
 from gran_bench.config import DatasetConfig, DemConfig, JudgeConfig
-from gran_bench.dataset import CaseSpec, half_step, replicas
+from gran_bench.dataset import CaseSpec, case_at, half_step, imported_replicas, replicas
 from gran_bench.dem.simulate import choose_time_step
 from gran_bench.scene import Scene
 
@@ -19,15 +19,9 @@ class Plan:
 
     Where the data set has a validation speed, that one is judged, and the held-out speed is neither rolled out nor
     opened: whoever chooses must not see it.
-
-    Attributes:
-        scene: without a speed of its own.
-        dem: the solver's settings.
-        dataset: speeds, packings, replicas.
-        judge: speeds to roll out.
     """
 
-    scene: Scene
+    scene: Scene  # without a speed of its own
     dem: DemConfig
     dataset: DatasetConfig
     judge: JudgeConfig
@@ -51,17 +45,23 @@ class Plan:
 
     @property
     def packings(self) -> list[bool]:
-        """Which packings are judged: the shared one, and the unseen one (True) where it is asked for."""
+        """Whether the judged packings are unseen: the shared one is not, and stands first."""
         return [False, True] if self.judge.unseen_packing else [False]
 
     def case(self, rpm: float, unseen: bool = False) -> CaseSpec:
         """The DEM's case at a speed, from the shared or the unseen packing."""
         seed = self.dataset.unseen_packing_seed if unseen else self.dataset.packing_seed
-        return CaseSpec(self.scene.at_speed(rpm), self.dem, seed)
+        return case_at(self.scene.at_speed(rpm), self.dem, self.dataset, seed)
 
     def replicas(self, unseen: bool) -> list[CaseSpec]:
         """The nudged runs of the judged case that give the noise floor."""
-        return replicas(self.case(self.judged_rpm, unseen), self.dataset.replicas)
+        case = self.case(self.judged_rpm, unseen)
+        return imported_replicas(case, self.dataset) if self.imported else replicas(case, self.dataset.replicas)
+
+    @property
+    def imported(self) -> bool:
+        """Whether another code made the cases, so that none can be made with another step or packing."""
+        return bool(self.dataset.files)
 
     @property
     def finer(self) -> CaseSpec:
@@ -83,10 +83,10 @@ class Plan:
     @property
     def cases(self) -> list[CaseSpec]:
         """Every run of the DEM that judging needs."""
-        judged = [self.case(self.judged_rpm, unseen) for unseen in (False, True)]
+        judged = [self.case(self.judged_rpm, unseen) for unseen in (self.packings if self.imported else (False, True))]
         speeds = [self.case(rpm) for rpm in {*self.speeds_rpm, *(self.neighbours_rpm or ())}]
         doubles = [spec for unseen in self.packings for spec in self.replicas(unseen)]
-        return [*speeds, *judged, self.finer, self.coarser, *doubles]
+        return [*speeds, *judged, *doubles, *([] if self.imported else [self.finer, self.coarser])]
 
 
 def rollout_name(rpm: float, unseen: bool = False) -> str:

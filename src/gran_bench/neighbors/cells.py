@@ -17,17 +17,14 @@ from gran_bench.state import FloatArray
 def cell_neighbors(
     query: FloatArray, source: FloatArray, reach: float, period: float = 0.0
 ) -> tuple[IndexArray, IndexArray]:
-    """Every source point closer than ``reach`` to every query point, without a cap.
+    """Every source point closer than ``reach``, m, to every query point, without a cap.
 
     Args:
-        query: ``(Q, 3)`` m.
-        source: ``(S, 3)`` m.
-        reach: m.
+        query, source: ``(Q, 3)`` and ``(S, 3)`` m.
         period: length of the periodic y axis, m; 0 for none.
 
     Returns:
-        Query index and source index of each hit, ``(M,)`` each, sorted by query. A point that is among both is its own
-        neighbour.
+        Query and source index of each hit, ``(M,)`` each, sorted by query; a point among both is its own neighbour.
 
     Raises:
         ValueError: a period that is shorter than twice the reach.
@@ -44,12 +41,7 @@ def cell_neighbors(
 
 
 def bin_cells(sphere: FloatArray, edge: float, period: float) -> tuple[IndexArray, IndexArray, IndexArray, IndexArray]:
-    """Counting sort of N centres into cells of at least ``edge`` m, x running fastest.
-
-    Args:
-        sphere: ``(N, ≥ 3)`` x, y, z, m; N ≥ 1.
-        edge: m.
-        period: length of the periodic y axis, m; 0 for none.
+    """Counting sort of ``(N, ≥ 3)`` centres, m, into cells of at least ``edge`` m, x running fastest.
 
     Returns:
         The ``(N,)`` particle of each rank, the ``(C + 1,)`` first rank of each cell, the ``(N,)`` cell of each
@@ -84,10 +76,7 @@ def bin_cells(sphere: FloatArray, edge: float, period: float) -> tuple[IndexArra
 
 @entry
 def sort_into_cells(sphere, low, width, cells, period, cell_of, start, order):
-    """Fills ``cell_of``, ``start`` and ``order`` of :func:`bin_cells`; ``start`` comes as zeros.
-
-    One place more than ``start`` needs lets filling the cells leave it where it should be.
-    """
+    """Fills ``cell_of``, ``start``, zeros and one place too long, and ``order`` of :func:`bin_cells`."""
     for i in range(len(sphere)):
         x = min(cells[0] - 1, int((sphere[i, 0] - low[0]) / width[0]))
         along = sphere[i, 1] - low[1]
@@ -110,8 +99,7 @@ def list_pairs(
     """Half list of the pairs whose surfaces are closer than ``margin``: two ``(M,)`` arrays, first < second.
 
     Args:
-        sphere: ``(N, 4)`` x, y, z and radius, m; radius 0 makes ``margin`` the distance of centres.
-        margin: m.
+        sphere, margin: ``(N, 4)`` x, y, z and radius, m; radius 0 makes ``margin`` the distance of centres, m.
         period: length of the periodic y axis, m; 0 for none.
         begin, end: only pairs whose first is in ``begin … end − 1``; all where ``end`` is negative.
 
@@ -140,9 +128,7 @@ def _filled(dtype: type, room: int, fill: Callable[..., int]) -> tuple[np.ndarra
 def find_pairs(sphere, margin, period, begin, stop, order, start, cells, x, y, z, r, runs, first, second):
     """Fills ``first`` and ``second`` of :func:`list_pairs`; returns how many there are, or −1 where they do not fit.
 
-    Args:
-        order, start, cells: of :func:`bin_cells`.
-        x, y, z, r, runs: ``(N + LANES,)`` each and ``(2, 5)`` scratch.
+    ``x``, ``y``, ``z``, ``r`` and ``runs`` are scratch: ``(N + LANES,)`` each and ``(2, 5)``.
     """
     # In the order of the cells, so that what a cell may meet is a few runs of neighbours in memory, held against one
     # particle in SIMD. The last lanes of a run may lie beyond the last particle.
@@ -221,9 +207,7 @@ def _any_between(order, run_begin, run_end, begin, end):
 def find_neighbors(point, place, query_count, reach, period, order, start, cell_of, cells, query, source):
     """Fills in query and source index of each hit; returns how many there are, or −1 where they do not fit.
 
-    Args:
-        point, place: ``(Q + S, 3)`` as given, and by rank; the first Q ask for their neighbours.
-        order, start, cell_of, cells: of :func:`bin_cells`.
+    Of the points, as given and by rank as ``place``, the first ask for their neighbours.
     """
     nx, ny, nz = cells[0], cells[1], cells[2]
     found = 0
@@ -243,9 +227,7 @@ def find_neighbors(point, place, query_count, reach, period, order, start, cell_
             if found + end - begin > len(query):
                 return -1
             for other in range(begin, end):
-                dx = place[other, 0] - point[i, 0]
-                dy = place[other, 1] - point[i, 1]
-                dz = place[other, 2] - point[i, 2]
+                dx, dy, dz = place[other, 0] - point[i, 0], place[other, 1] - point[i, 1], place[other, 2] - point[i, 2]
                 if period > 0.0:
                     dy -= period * np.rint(dy / period)
                 query[found], source[found] = i, order[other] - query_count

@@ -19,11 +19,7 @@ def cached(*rooms: Path, **options) -> Callable[[Callable], Callable]:
     """Compile a function and keep it on disk, named by a digest of all source that it may depend on.
 
     Numba keys its cache by the file of the function alone; a kernel of another file that changed would be found under
-    the old key. The function's name is part of the name of the cache.
-
-    Args:
-        rooms: folders of that code, with all below them.
-        options: of ``numba.njit``.
+    the old key. That code is in ``rooms``, folders with all below them; the options are those of ``numba.njit``.
     """
     files = [path for room in rooms for path in sorted(room.rglob("*.py"))]
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()

@@ -55,9 +55,7 @@ class Emitter:
 def emitted(result: types.Type | Callable[..., types.Type], emitter: type[Emitter] = Emitter) -> Callable:
     """Make an intrinsic of a function that emits its code from an emitter and its arguments.
 
-    Args:
-        result: type that it returns, or a function of the arguments' types that gives it.
-        emitter: what the function gets first.
+    The result is a type, or a function of the arguments' types that gives it.
     """
 
     def decorate(emit: Callable):

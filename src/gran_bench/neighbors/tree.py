@@ -14,12 +14,7 @@ IndexArray = NDArray[np.int64]
 
 
 def tree_pairs(position: FloatArray, reach: float, period: float = 0.0) -> IndexArray:
-    """All pairs closer than ``reach``, ``(M, 2)`` with i < j, sorted by i, then j.
-
-    Args:
-        position: ``(N, 3)`` m.
-        reach: m.
-        period: length of the periodic y axis, m; 0 for none.
+    """All pairs of ``(N, 3)`` centres closer than ``reach``, m: ``(M, 2)`` with i < j, sorted by i, then j.
 
     Raises:
         ValueError: a period that is shorter than twice the reach, so that images are ambiguous.

@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from gran_bench import tracking
@@ -20,7 +21,9 @@ from gran_bench.dataset import Windows, ensure_cases
 from gran_bench.evaluation import evaluate
 from gran_bench.evaluation.plan import Plan
 from gran_bench.files import write_text
-from gran_bench.plots import draw_evaluation, drawn_for, loss_curves
+from gran_bench.plots.evaluation import draw_evaluation
+from gran_bench.plots.style import drawn_for
+from gran_bench.plots.training import loss_curves
 from gran_bench.processes import StopRequest, stop_on_signals, tell
 from gran_bench.provenance import provenance
 from gran_bench.provenance.source_digest import model_code
@@ -92,10 +95,12 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
     folder = Path(config.tracking.root) / "evaluations" / f"{path.resolve().parent.name}-{key[:8]}"
     identity = RunIdentity(folder, key, judged_by(plan), card.origin["data_digest"])
     record = RunRecord(identity, config, scene.name, Clock())
+
+    def work(run: tracking.Run) -> dict[str, Any]:
+        return judge_stage(record, model, plan, card.model, card.origin, run)
+
     with stop_on_signals():
-        return record.carry_out(
-            lambda run: judge_stage(record, model, plan, card.model, card.origin, run), lambda finished: False
-        )
+        return record.carry_out(work, lambda finished: False)
 
 
 def _compile_ahead(model: str) -> None:
@@ -149,7 +154,7 @@ def train_stage(
         "validation_speeds_rpm": list(config.dataset.validation_speeds_rpm),
         "packing_seed": config.dataset.packing_seed,
         "data_digest": windows.digest,
-        "data_seconds": sum(float(case.attributes["wall_seconds"]) for case in windows.cases),
+        "data_seconds": float(np.nansum([case.attributes["wall_seconds"] for case in windows.cases])),
         **({} if start is None else start.record(config)),
         **parent_of(folder),
         **provenance(),

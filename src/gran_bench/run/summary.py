@@ -73,7 +73,7 @@ def headline(summary: Mapping[str, Any]) -> dict[str, float]:
 
 def registered_metrics(judged: Mapping[str, Any]) -> list[str]:
     """The metrics of plugins that a judgement has."""
-    return [name for name in METRICS if name in judged["errors"]]
+    return [name for name in METRICS.added() if name in judged["errors"]]
 
 
 def missed_requirements(summary: Mapping[str, Any]) -> list[str]:
@@ -104,10 +104,7 @@ def rollout_warnings(summary: Mapping[str, Any]) -> list[str]:
 
 
 def flat_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
-    """Every defined figure of a summary for the tracking store, as ``headline/name`` or ``packing/kind/name``.
-
-    The UI draws a group for each first word, in the order of the alphabet: the headline figures come first.
-    """
+    """Every defined figure of a summary for the tracking store, as ``headline/name`` or ``packing/kind/name``."""
     metrics: dict[str, Any] = {tracking.HEADLINE + name: value for name, value in headline(summary).items()}
     for packing, judged in summary["judged"].items():
         for name, row in judged["errors"].items():

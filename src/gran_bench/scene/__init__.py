@@ -10,28 +10,7 @@ from gran_bench.scene.sizes import Sizes
 from gran_bench.scene.walls import Cone, Cylinder, Disc, Outlet, Plane, Wall, box, surface_of_revolution
 
 __all__ = [
-    "RADIANS_PER_SECOND_PER_RPM",
-    "Cone",
-    "Container",
-    "Cylinder",
-    "Disc",
-    "Filling",
-    "Material",
-    "Motion",
-    "Needs",
-    "Outlet",
-    "PairCoefficients",
-    "Plane",
-    "Room",
-    "Rotation",
-    "Scene",
-    "SceneError",
-    "Sizes",
-    "Spin",
-    "Translation",
-    "Vibration",
-    "Wall",
-    "box",
-    "build_scene",
-    "surface_of_revolution",
-]
+    "RADIANS_PER_SECOND_PER_RPM", "Cone", "Container", "Cylinder", "Disc", "Filling", "Material", "Motion", "Needs",
+    "Outlet", "PairCoefficients", "Plane", "Room", "Rotation", "Scene", "SceneError", "Sizes", "Spin", "Translation",
+    "Vibration", "Wall", "box", "build_scene", "surface_of_revolution",
+]  # fmt: skip

@@ -20,13 +20,9 @@ UP, ALONG = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
 
 @dataclass(frozen=True)
 class Container:
-    """What a container gives a scene: its walls, and where in them the spheres start.
+    """What a container gives a scene: its walls, and where in them the spheres start."""
 
-    Attributes:
-        walls, room, outlet, drum_radius, length, periodic_axis: as in `Scene`.
-    """
-
-    walls: tuple[Wall, ...] = ()
+    walls: tuple[Wall, ...] = ()  # and room, outlet, drum_radius, length, periodic_axis: as in `Scene`
     room: Room | None = None
     outlet: Outlet | None = None
     drum_radius: float | None = None

@@ -27,8 +27,7 @@ def hold(part: Any, place: str, schema: type[Section] | None = None, unit: str =
     """Hold the fields of a part of a scene against their types and rules; arrays and lists become tuples.
 
     Args:
-        part: a frozen dataclass.
-        place: of the part in the names of its fields, with a dot at its end.
+        part, place: a frozen dataclass, and where it stands in the names of its fields, with a dot at its end.
         schema: the config section that describes such a part; its keys have the rules of the fields of their names.
         unit: field that is a unit vector.
         rules: of fields that no config key describes, or whose rule is another. A number without a rule is finite.

@@ -18,16 +18,11 @@ from gran_bench.state import FloatArray
 
 @dataclass(frozen=True)
 class Room:
-    """Where a lattice may stand when there is no drum: a box, or an upright tube about the z axis.
+    """Where a lattice may stand when there is no drum: a box, or an upright tube about the z axis."""
 
-    Attributes:
-        lower, upper: corners, m.
-        radius: of the tube, m; None for the whole box.
-    """
-
-    lower: Vector
+    lower: Vector  # and upper: corners, m
     upper: Vector
-    radius: float | None = None
+    radius: float | None = None  # of the tube, m; None for the whole box
 
     def __post_init__(self) -> None:
         hold(self, "room.", lower=Range(unit="m"), upper=Range(unit="m"), radius=positive("m"))
@@ -35,38 +30,24 @@ class Room:
 
 @dataclass(frozen=True)
 class Filling:
-    """Spheres on a jittered lattice, the lowest sites first, or where they are placed one by one.
+    """Spheres on a jittered lattice, the lowest sites first, or where they are placed one by one."""
 
-    Attributes:
-        count: N.
-        diameter: d, m.
-        lattice_spacing: distance of neighbouring sites, in largest diameters.
-        jitter: largest offset from a site along each axis, in largest diameters.
-        settled_speed: root mean square of the speeds; a bed that stays below is at rest (dem/rest.py), m/s.
-        longest_settling: s; a bed that is not at rest then is an error.
-        settles: whether the spheres fall and come to rest before the scene starts.
-        sizes: distribution of the diameters about d.
-        fractions: share of each of the scene's materials, by number, in random order; empty: all of the first.
-        positions: ``(N, 3)`` centres instead of a lattice, m; empty for the lattice.
-        velocities, spins: ``(N, 3)`` of placed spheres, m/s and rad/s; empty for rest.
-        expansion: H of a start with velocity v = H x, 1/s: spheres fly apart and never meet.
-        radii: ``(N,)`` of placed spheres instead of sizes about d, m; empty for these.
-    """
-
-    count: int
-    diameter: float
-    lattice_spacing: float = 1.12
-    jitter: float = 0.05
+    count: int  # N
+    diameter: float  # d, m
+    lattice_spacing: float = 1.12  # distance of neighbouring sites, in largest diameters
+    jitter: float = 0.05  # largest offset from a site along each axis, in largest diameters
+    # root mean square of the speeds; a bed that stays below is at rest (dem/rest.py), m/s.
     settled_speed: float = 1.0e-3
-    longest_settling: float = 20.0
-    settles: bool = True
-    sizes: Sizes = field(default_factory=Sizes)
+    longest_settling: float = 20.0  # s; a bed that is not at rest then is an error
+    settles: bool = True  # whether the spheres fall and come to rest before the scene starts
+    sizes: Sizes = field(default_factory=Sizes)  # distribution of the diameters about d
+    # share of each of the scene's materials, by number, in random order; empty: all of the first
     fractions: tuple[float, ...] = ()
-    positions: tuple[Vector, ...] = ()
-    velocities: tuple[Vector, ...] = ()
+    positions: tuple[Vector, ...] = ()  # ``(N, 3)`` centres instead of a lattice, m; empty for the lattice
+    velocities: tuple[Vector, ...] = ()  # and spins: ``(N, 3)`` of placed spheres, m/s and rad/s; empty for rest
     spins: tuple[Vector, ...] = ()
-    expansion: float = 0.0
-    radii: tuple[float, ...] = ()
+    expansion: float = 0.0  # H of a start with velocity v = H x, 1/s: spheres fly apart and never meet
+    radii: tuple[float, ...] = ()  # ``(N,)`` of placed spheres instead of sizes about d, m; empty for these
 
     def __post_init__(self) -> None:
         hold(self, FillingConfig.place, FillingConfig, fractions=FRACTION)

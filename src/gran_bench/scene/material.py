@@ -11,23 +11,14 @@ from gran_bench.scene.errors import SceneError, hold
 
 @dataclass(frozen=True)
 class Material:
-    """An elastic, frictional material.
+    """An elastic, frictional material."""
 
-    Attributes:
-        youngs_modulus: E, Pa.
-        poisson_ratio: ν, −.
-        density: ρ, kg/m³.
-        restitution: e, −; of a head-on impact, at any speed.
-        friction: μ, −; Coulomb limit of the tangential force.
-        rolling_friction: μ_r, −; 0 switches the rolling model off.
-    """
-
-    youngs_modulus: float
-    poisson_ratio: float
-    density: float
-    restitution: float
-    friction: float
-    rolling_friction: float = 0.0
+    youngs_modulus: float  # E, Pa
+    poisson_ratio: float  # ν, −
+    density: float  # ρ, kg/m³
+    restitution: float  # e, −; of a head-on impact, at any speed
+    friction: float  # μ, −; Coulomb limit of the tangential force
+    rolling_friction: float = 0.0  # μ_r, −; 0 switches the rolling model off
 
     def __post_init__(self) -> None:
         hold(self, MaterialConfig.place, MaterialConfig)
@@ -45,15 +36,11 @@ class Material:
 
 @dataclass(frozen=True)
 class PairCoefficients:
-    """What contacts between two different particle materials do, where the geometric mean is not wanted.
+    """What contacts between two different particle materials do, where the geometric mean is not wanted."""
 
-    Attributes:
-        first, second: indices into ``Scene.materials``, in either order.
-        restitution, friction, rolling_friction: −; None for the geometric mean of the two materials' own.
-    """
-
-    first: int
+    first: int  # and second: indices into ``Scene.materials``, in either order.
     second: int
+    # and friction, rolling_friction: −; None for the geometric mean of the two materials' own
     restitution: float | None = None
     friction: float | None = None
     rolling_friction: float | None = None

@@ -43,16 +43,11 @@ def integral_to(times: Sequence[float], rates: Sequence[float], time: FloatArray
 class Rotation:
     """Rotation of the scene about an axis through the origin: at rest before the first knot, piecewise linear between
     knots, constant after the last.
-
-    Attributes:
-        times: knots, s, increasing (equal times make a jump).
-        speeds_rpm: speed at each knot, revolutions a minute; positive turns +z into +x.
-        axis: unit vector.
     """
 
-    times: tuple[float, ...] = (0.0,)
-    speeds_rpm: tuple[float, ...] = (0.0,)
-    axis: Vector = (0.0, 1.0, 0.0)
+    times: tuple[float, ...] = (0.0,)  # knots, s, increasing (equal times make a jump)
+    speeds_rpm: tuple[float, ...] = (0.0,)  # speed at each knot, revolutions a minute; positive turns +z into +x
+    axis: Vector = (0.0, 1.0, 0.0)  # unit vector
 
     def __post_init__(self) -> None:
         place = RotationConfig.place if type(self) is Rotation else "spin."
@@ -96,26 +91,17 @@ class Rotation:
 
 @dataclass(frozen=True)
 class Spin(Rotation):
-    """Rotation of one wall about an axis of its own; a schedule as a scene's.
+    """Rotation of one wall about an axis of its own; a schedule as a scene's."""
 
-    Attributes:
-        center: a point of the axis, m.
-    """
-
-    center: Vector = (0.0, 0.0, 0.0)
+    center: Vector = (0.0, 0.0, 0.0)  # a point of the axis, m
 
 
 @dataclass(frozen=True)
 class Translation:
-    """A wall that moves without turning; its velocity is piecewise linear in time.
+    """A wall that moves without turning; its velocity is piecewise linear in time."""
 
-    Attributes:
-        times: knots, s; at rest before the first, constant after the last (equal times make a jump).
-        velocities: ``(K, 3)`` at each knot, m/s.
-    """
-
-    times: tuple[float, ...]
-    velocities: tuple[Vector, ...]
+    times: tuple[float, ...]  # knots, s; at rest before the first, constant after the last (equal times make a jump)
+    velocities: tuple[Vector, ...]  # ``(K, 3)`` at each knot, m/s
 
     def __post_init__(self) -> None:
         hold(self, "translation.", times=SECONDS, velocities=Range(unit="m/s"))
@@ -145,20 +131,13 @@ class Translation:
 class Vibration:
     """A wall that shakes: u(t) = A [sin(2πf(t − t₀) + φ) − sin φ] along a direction from t₀ on, so that it begins
     where it is drawn, whatever its phase.
-
-    Attributes:
-        amplitude: A, m.
-        frequency: f, Hz.
-        direction: unit vector.
-        phase: φ, rad.
-        start: t₀, s.
     """
 
-    amplitude: float
-    frequency: float
-    direction: Vector
-    phase: float = 0.0
-    start: float = 0.0
+    amplitude: float  # A, m
+    frequency: float  # f, Hz
+    direction: Vector  # unit vector
+    phase: float = 0.0  # φ, rad
+    start: float = 0.0  # t₀, s
 
     def __post_init__(self) -> None:
         rules = {"amplitude": Range(unit="m"), "frequency": at_least(0, "Hz"), "phase": Range(unit="rad")}

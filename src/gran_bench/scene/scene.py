@@ -15,8 +15,8 @@ from gran_bench.scene.errors import SceneError, hold, scene_errors
 from gran_bench.scene.filling import Filling, Room, drum_sites, open_sites, room_sites
 from gran_bench.scene.material import Material, PairCoefficients
 from gran_bench.scene.motion import RADIANS_PER_SECOND_PER_RPM, Motion, Rotation
-from gran_bench.scene.seams import SAME_POINT, surfaces
-from gran_bench.scene.walls import Outlet, Plane, Wall, turns_into_itself
+from gran_bench.scene.seams import SAME_POINT, surfaces, travels
+from gran_bench.scene.walls import Outlet, Plane, Wall
 from gran_bench.state import FloatArray, ParticleState
 
 
@@ -45,45 +45,27 @@ class Needs:
 
 @dataclass(frozen=True)
 class Scene:
-    """A container, its motion, a filling, materials, gravity and a span of time.
+    """A container, its motion, a filling, materials, gravity and a span of time."""
 
-    Attributes:
-        name: of the shipped or the user's scene.
-        walls: analytic walls; ``wall -1 - second`` of a contact history indexes this tuple.
-        filling: the spheres.
-        material: of the particles, of the first kind.
-        wall_material: of the walls.
-        gravity: m/s².
-        rotation: schedule in the scene's clock.
-        start_time: label of the settled state, s.
-        end_time: s.
-        frame_interval: Δt between stored states, s.
-        drum_radius: inner radius of the drum, m; None where there is no drum.
-        length: along y, m (between the caps, or the period).
-        periodic_axis: whether y wraps around.
-        more_materials: of further kinds of particles; ``ParticleState.material`` indexes ``materials``.
-        pair_coefficients: of two different particle materials, where the geometric mean is not wanted.
-        room: where the first lattice stands in a container that is no drum; None for open space.
-        outlet: where spheres leave; None where none do.
-    """
-
-    name: str
-    walls: tuple[Wall, ...]
-    filling: Filling
-    material: Material
-    wall_material: Material
-    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    rotation: Rotation = field(default_factory=Rotation)
-    start_time: float = 1.5
-    end_time: float = 5.5
-    frame_interval: float = 0.01
-    drum_radius: float | None = None
-    length: float | None = None
-    periodic_axis: bool = False
+    name: str  # of the shipped or the user's scene
+    walls: tuple[Wall, ...]  # analytic walls; ``wall -1 - second`` of a contact history indexes this tuple
+    filling: Filling  # the spheres
+    material: Material  # of the particles, of the first kind
+    wall_material: Material  # of the walls
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)  # m/s²
+    rotation: Rotation = field(default_factory=Rotation)  # schedule in the scene's clock
+    start_time: float = 1.5  # label of the settled state, s
+    end_time: float = 5.5  # s
+    frame_interval: float = 0.01  # Δt between stored states, s
+    drum_radius: float | None = None  # inner radius of the drum, m; None where there is no drum
+    length: float | None = None  # along y, m (between the caps, or the period)
+    periodic_axis: bool = False  # whether y wraps around
+    # of further kinds of particles; ``ParticleState.material`` indexes ``materials``.
     more_materials: tuple[Material, ...] = ()
+    # of two different particle materials, where the geometric mean is not wanted
     pair_coefficients: tuple[PairCoefficients, ...] = ()
-    room: Room | None = None
-    outlet: Outlet | None = None
+    room: Room | None = None  # where the first lattice stands in a container that is no drum; None for open space
+    outlet: Outlet | None = None  # where spheres leave; None where none do
 
     def __post_init__(self) -> None:
         # A config's name becomes a folder; a scene made in Python is called as its author likes.
@@ -156,7 +138,7 @@ class Scene:
             rolling=rolling > 0 and friction > 0,
             walls=bool(self.walls),
             wall_motion=any(self.motion_of(wall) is not None for wall in self.walls),
-            wall_geometry=any(self._moves_geometry(wall) for wall in self.walls),
+            wall_geometry=any(w.opens is not None or travels(w, self.motion_of(w)) for w in self.walls),
             wall_seams=any(self.surfaces),
             end_caps=self.drum_radius is not None and any(isinstance(w, Plane) for w in self.walls),
             periodic=self.periodic_axis,
@@ -176,12 +158,6 @@ class Scene:
         """Number of the surface that each wall is a piece of, from 1; 0 for a wall that meets no other."""
         motions = tuple(map(self.motion_of, self.walls))
         return surfaces(self.walls, motions, SAME_POINT * self.filling.largest_radius)
-
-    def _moves_geometry(self, wall: Wall) -> bool:
-        motion = self.motion_of(wall)
-        if motion is None or wall.opens is not None:
-            return wall.opens is not None
-        return not isinstance(motion, Rotation) or not turns_into_itself(wall, motion.axis, motion.point)
 
     @property
     def critical_speed_rpm(self) -> float:
@@ -226,9 +202,7 @@ class Scene:
     def fresh_filling(self, seed: int) -> ParticleState:
         """N spheres in the container without overlap, at time 0: on a jittered lattice, or where they are placed.
 
-        Args:
-            seed: of the jitter, of the choice among the topmost sites, and of which sphere has which size and
-                material.
+        The seed is of the jitter, the choice among the topmost sites, and which sphere has which size and material.
 
         Raises:
             SceneError: more spheres than sites, or a seed that is no whole number ≥ 0.

@@ -23,18 +23,20 @@ def surfaces(
     are the same. Of walls that travel relative to each other nobody knows in advance: they may meet.
     """
     number = list(range(len(walls)))
-    travels = [
-        motion is not None
-        and not (isinstance(motion, Rotation) and turns_into_itself(wall, motion.axis, motion.point))
-        for wall, motion in zip(walls, motions, strict=True)
-    ]
+    moving = [travels(wall, motion) for wall, motion in zip(walls, motions, strict=True)]
     for a, one in enumerate(walls):
         for b in range(a):
-            together = motions[a] == motions[b] or not (travels[a] or travels[b])
+            together = motions[a] == motions[b] or not (moving[a] or moving[b])
             if number[a] != number[b] and _meet(one, walls[b], tolerance, together):
                 number = [number[b] if n == number[a] else n for n in number]
     shared = [n for n in dict.fromkeys(number) if number.count(n) > 1]
     return tuple(shared.index(n) + 1 if n in shared else 0 for n in number)
+
+
+def travels(wall: Wall, motion: Rotation | Motion | None) -> bool:
+    """Whether a wall's shape goes elsewhere, and not only its surface along it."""
+    turning = isinstance(motion, Rotation) and turns_into_itself(wall, motion.axis, motion.point)
+    return motion is not None and not turning
 
 
 def _meet(one: Wall, other: Wall, tolerance: float, together: bool) -> bool:

@@ -21,23 +21,16 @@ class Sizes:
 
     By mass the share of a size is its share of the bed's mass, as a sieve curve gives it: a share m of spheres of
     diameter d is a number in proportion to m/d³.
-
-    Attributes:
-        kind: ``one``; ``listed``; ``uniform`` in 1 ± spread; ``lognormal`` with median 1 and standard deviation
-            ``spread`` of ln d, cut at two standard deviations; ``histogram``, uniform within each bin.
-        factors: of ``listed``, −.
-        fractions: share of each factor or bin; they sum to 1.
-        spread: −.
-        edges: of the bins of ``histogram``, one more than there are fractions, −.
-        by: ``number`` or ``mass``: what is shared out.
     """
 
+    # ``one``; ``listed``; ``uniform`` in 1 ± spread; ``lognormal`` with median 1 and standard deviation ``spread`` of
+    # ln d, cut at two standard deviations; ``histogram``, uniform within each bin
     kind: str = "one"
-    factors: tuple[float, ...] = ()
-    fractions: tuple[float, ...] = ()
-    spread: float = 0.0
-    edges: tuple[float, ...] = ()
-    by: str = "number"
+    factors: tuple[float, ...] = ()  # of ``listed``, −
+    fractions: tuple[float, ...] = ()  # share of each factor or bin; they sum to 1
+    spread: float = 0.0  # −
+    edges: tuple[float, ...] = ()  # of the bins of ``histogram``, one more than there are fractions, −
+    by: str = "number"  # ``number`` or ``mass``: what is shared out
 
     def __post_init__(self) -> None:
         hold(self, SizesConfig.place, SizesConfig)
@@ -54,9 +47,7 @@ class Sizes:
             rises = name != "edges" or (len(value) > 1 and all(a < b for a, b in pairwise(value)))
             if not (value and rises):
                 legal = {"factors": "give values > 0", "edges": "give two or more values > 0 that rise"}
-                raise SceneError(
-                    f"{place}{name}={text} is impossible; {legal.get(name, 'choose a value in (0, 1)')}"
-                )
+                raise SceneError(f"{place}{name}={text} is impossible; {legal.get(name, 'choose a value in (0, 1)')}")
         if kind in needed["fractions"]:
             check_fractions(f"{place}fractions", self.fractions, len(self.factors) or len(self.edges) - 1)
 

@@ -23,16 +23,12 @@ Segment = tuple[tuple[float, float], tuple[float, float]]
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """What all walls have.
+    """What all walls have."""
 
-    Attributes:
-        turns: whether the surface moves with the scene's rotation.
-        motion: what it does instead: ``Spin``, ``Translation`` or ``Vibration``; None for nothing of its own.
-        opens: time from which the wall is not there, s; None: it stays. While a bed settles, it is there.
-    """
-
-    turns: bool = True
+    turns: bool = True  # whether the surface moves with the scene's rotation
+    # what it does instead: ``Spin``, ``Translation`` or ``Vibration``; None for nothing of its own
     motion: Motion | None = None
+    # time from which the wall is not there, s; None: it stays. While a bed settles, it is there.
     opens: float | None = None
 
     @property
@@ -53,15 +49,10 @@ class Surface:
 
 @dataclass(frozen=True)
 class Plane(Surface):
-    """A flat wall without an end; particles live on the side that ``normal`` points to.
+    """A flat wall without an end; particles live on the side that ``normal`` points to."""
 
-    Attributes:
-        point: a point of the plane, m.
-        normal: unit normal into the container.
-    """
-
-    point: Vector
-    normal: Vector
+    point: Vector  # a point of the plane, m
+    normal: Vector  # unit normal into the container
 
     def __post_init__(self) -> None:
         hold(self, "plane.", unit="normal", point=METRES)
@@ -74,19 +65,12 @@ class Plane(Surface):
 
 @dataclass(frozen=True)
 class Cylinder(Surface):
-    """The inside of an infinite cylinder, or with a length a thin tube that has two sides and two rims.
+    """The inside of an infinite cylinder, or with a length a thin tube that has two sides and two rims."""
 
-    Attributes:
-        point: a point on the axis, m; with a length the middle of the tube.
-        axis: unit vector along the axis.
-        radius: m.
-        length: m; None for no end.
-    """
-
-    point: Vector
-    axis: Vector
-    radius: float
-    length: float | None = None
+    point: Vector  # a point on the axis, m; with a length the middle of the tube
+    axis: Vector  # unit vector along the axis
+    radius: float  # m
+    length: float | None = None  # m; None for no end
 
     def __post_init__(self) -> None:
         hold(self, "cylinder.", unit="axis", point=METRES, radius=SIZE, length=SIZE)
@@ -100,19 +84,12 @@ class Cylinder(Surface):
 
 @dataclass(frozen=True)
 class Disc(Surface):
-    """A thin disc with two sides, or a ring where it has a hole.
+    """A thin disc with two sides, or a ring where it has a hole."""
 
-    Attributes:
-        point: the middle, m.
-        normal: unit vector.
-        radius: m.
-        hole: radius of the hole, m.
-    """
-
-    point: Vector
-    normal: Vector
-    radius: float
-    hole: float = 0.0
+    point: Vector  # the middle, m
+    normal: Vector  # unit vector
+    radius: float  # m
+    hole: float = 0.0  # radius of the hole, m
 
     def __post_init__(self) -> None:
         hold(self, "disc.", unit="normal", point=METRES, radius=SIZE, hole=ANY_SIZE)
@@ -132,21 +109,13 @@ class Disc(Surface):
 
 @dataclass(frozen=True)
 class Cone(Surface):
-    """A thin frustum of a cone with two sides.
+    """A thin frustum of a cone with two sides."""
 
-    Attributes:
-        point: where the axis meets the first rim's plane, m.
-        axis: unit vector from the first rim to the second.
-        radius: of the first rim, m; 0 for a tip.
-        end_radius: of the second rim, m.
-        length: along the axis, m.
-    """
-
-    point: Vector
-    axis: Vector
-    radius: float
-    end_radius: float
-    length: float
+    point: Vector  # where the axis meets the first rim's plane, m
+    axis: Vector  # unit vector from the first rim to the second
+    radius: float  # of the first rim, m; 0 for a tip
+    end_radius: float  # of the second rim, m
+    length: float  # along the axis, m
 
     def __post_init__(self) -> None:
         hold(self, "cone.", unit="axis", point=METRES, radius=ANY_SIZE, end_radius=ANY_SIZE, length=SIZE)
@@ -173,11 +142,9 @@ def _length_of_cross(a: Vector, b: Vector) -> float:
 
 
 def box(lower: Vector, upper: Vector, **common: object) -> tuple[Plane, ...]:
-    """The six planes of a box, at −x, +x, −y, +y, −z, +z.
+    """The six planes of a box between two corners, m, at −x, +x, −y, +y, −z, +z.
 
-    Args:
-        lower, upper: corners, m.
-        common: what all six have: ``turns``, ``motion``, ``opens``.
+    All six have in ``common``: ``turns``, ``motion``, ``opens``.
 
     Raises:
         SceneError: a box without room.
@@ -196,8 +163,7 @@ def surface_of_revolution(
     """Thin walls whose meridian is a polyline: a cone for each of its segments, a disc or ring for a level one.
 
     Args:
-        point: where the axis has s = 0, m.
-        axis: unit vector.
+        point, axis: where the axis has s = 0, m, and unit vector along it.
         profile: (ρ, s) of each corner, m: distance from the axis, and height along it.
         common: what all pieces have: ``turns``, ``motion``, ``opens``.
 
@@ -220,17 +186,11 @@ def surface_of_revolution(
 
 @dataclass(frozen=True)
 class Outlet:
-    """A plane through which spheres leave: one whose centre is beyond it at a frame takes no further part.
+    """A plane through which spheres leave: one whose centre is beyond it at a frame takes no further part."""
 
-    Attributes:
-        point: the middle of the outlet, m.
-        normal: unit vector towards the spheres that are still in.
-        radius: m; one that leaves farther than this from the middle came through a wall, which is an error.
-            None: wherever.
-    """
-
-    point: Vector
-    normal: Vector
+    point: Vector  # the middle of the outlet, m
+    normal: Vector  # unit vector towards the spheres that are still in
+    # m; one that leaves farther than this from the middle came through a wall, which is an error. None: wherever.
     radius: float | None = None
 
     def __post_init__(self) -> None:

@@ -12,7 +12,7 @@ from gran_bench.dataset import CaseSpec, read_settled
 from gran_bench.dataset.generation import Job
 from gran_bench.dem.simulate import simulate
 from gran_bench.files import locked
-from gran_bench.metrics.energy import rotational_energy, sphere_masses, translational_energy
+from gran_bench.metrics.bed import rotational_energy, sphere_masses, translational_energy
 from gran_bench.metrics.outside import FailureCount, count_failures, counted
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
@@ -58,9 +58,10 @@ def energy_scale(scene: Scene, state: ParticleState) -> float:
 
 def kinetic_energy(trajectory: Trajectory, scene: Scene) -> FloatArray:
     """Translational and, where there is spin, rotational energy of each frame, ``(F,)`` J; NaN where not finite."""
-    mass = sphere_masses(trajectory.radius, scene.material.density)
-    energy, spin = translational_energy(trajectory.time, trajectory.velocity, mass).value, trajectory.angular_velocity
-    return energy if spin is None else energy + rotational_energy(trajectory.time, spin, mass, trajectory.radius).value
+    energy = translational_energy(trajectory, scene).value
+    if trajectory.angular_velocity is not None:
+        energy = energy + rotational_energy(trajectory, scene).value
+    return energy
 
 
 def escapes(count: FailureCount) -> tuple[str, ...]:
@@ -131,12 +132,10 @@ def farthest(one: FloatArray, other: FloatArray) -> float:
 
 
 def bit_identical(bench: Bench, what: str, scene: str = "drum_small") -> Observation:
-    """Two ways to say the same, which must give the same to the last bit after ten frames.
+    """Two ways to say the same, which must give the same to the last bit after ten frames of a shipped scene.
 
-    Args:
-        what: ``threads`` (1, 2 and 4), ``rest`` (0 rpm beside no motion), ``weightless`` (a bed that settles without
-            gravity stays where it is put), ``restart`` (from a frame in the middle), ``skin`` (2 and 20 mm).
-        scene: shipped one.
+    ``what`` is ``threads`` (1, 2 and 4), ``rest`` (0 rpm beside no motion), ``weightless`` (a bed that settles without
+    gravity stays where it is put), ``restart`` (from a frame in the middle) or ``skin`` (2 and 20 mm).
     """
     still = shipped_scene(scene)
     if what == "weightless":
@@ -201,9 +200,8 @@ def image(
 def alike(bench: Bench, what: str) -> Observation:
     """Two ways that must agree to a stated rounding: positions after five frames of ``drum_small``.
 
-    Args:
-        what: ``backwards``, ``turned`` or ``renumbered`` as in `image`, ``float32`` (of the contact forces),
-            ``engines`` (numpy beside numba).
+    ``what`` is ``backwards``, ``turned`` or ``renumbered`` as in `image`, ``float32`` (of the contact forces) or
+    ``engines`` (numpy beside numba).
     """
     place, bed = bed_in_place(bench, "drum_small", 30.0)
     bed = replace(bed, history=ContactHistory.empty())  # both runs begin with contacts that remember nothing

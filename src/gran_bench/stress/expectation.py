@@ -56,19 +56,13 @@ class Expectation:
 
 @dataclass(frozen=True)
 class Observation:
-    """What a case showed.
+    """What a case showed."""
 
-    Attributes:
-        quantities: figures by name.
-        flags: what the software itself says is wrong: failed frames, warnings, counts of escaped spheres.
-        curves: arrays by name as lists, for a figure.
-        unflagged: failures that nothing in the flags tells of; a sound program has none.
-    """
-
-    quantities: Mapping[str, float] = field(default_factory=dict)
+    quantities: Mapping[str, float] = field(default_factory=dict)  # figures by name
+    # what the software itself says is wrong: failed frames, warnings, counts of escaped spheres
     flags: tuple[str, ...] = ()
-    curves: Mapping[str, list[float]] = field(default_factory=dict)
-    unflagged: int = 0
+    curves: Mapping[str, list[float]] = field(default_factory=dict)  # arrays by name as lists, for a figure
+    unflagged: int = 0  # failures that nothing in the flags tells of; a sound program has none
 
 
 @dataclass(frozen=True)

@@ -13,32 +13,20 @@ from gran_bench.surrogate.step import Surrogate
 
 @dataclass(frozen=True)
 class Bench:
-    """What an experiment may use beside its parameters.
+    """What an experiment may use beside its parameters."""
 
-    Attributes:
-        shared: folder of settled beds that the cases of a run share.
-        model: under stress, in evaluation mode; None for the DEM.
-    """
-
-    shared: Path
-    model: Surrogate | None = None
+    shared: Path  # folder of settled beds that the cases of a run share
+    model: Surrogate | None = None  # under stress, in evaluation mode; None for the DEM
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A kind of stress case.
+    """A kind of stress case."""
 
-    Attributes:
-        run: called with a bench and the parameters of the case by name.
-        measures: unit of each quantity by its name.
-        of_model: whether it is done with a model.
-        alone: whether nothing else may run beside it, because it takes times.
-    """
-
-    run: Callable[..., Observation]
-    measures: Mapping[str, str]
-    of_model: bool = False
-    alone: bool = False
+    run: Callable[..., Observation]  # called with a bench and the parameters of the case by name
+    measures: Mapping[str, str]  # unit of each quantity by its name
+    of_model: bool = False  # whether it is done with a model
+    alone: bool = False  # whether nothing else may run beside it, because it takes times
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:

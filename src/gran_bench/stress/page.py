@@ -52,13 +52,7 @@ def closing_line(results: Sequence[Errand], seconds: float) -> str:
 
 
 def write_results(results: Sequence[Errand], folder: Path, origin: Mapping[str, str]) -> None:
-    """The CSV, and what the page says of it; each whole or not there.
-
-    Args:
-        results: in order.
-        folder: made where it is missing.
-        origin: where the results come from.
-    """
+    """The CSV, and what the page says of it, each whole or not there; ``origin`` says where the results come from."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["part", *HEADS[:-1], "seconds", "flags", "quantities"])

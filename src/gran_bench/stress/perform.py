@@ -27,13 +27,9 @@ EXPERIMENTS: dict[str, Experiment] = {**IMPACTS, **BEDS, **STEPS, **ROLLOUTS}
 
 
 def perform(kind: str, parameters: Mapping[str, Any], checkpoint: str, shared: str) -> Outcome:
-    """Carry out an experiment; any error is an outcome, never the end of the list.
+    """Carry out an experiment on a model file, or on none; any error is an outcome, never the end of the list.
 
-    Args:
-        kind: of the experiment.
-        parameters: of the experiment.
-        checkpoint: model file, or empty.
-        shared: folder of what cases share; messages do not name it, for it exists only while the list runs.
+    Messages do not name the folder of what cases share, for it exists only while the list runs.
     """
     Path(shared).mkdir(parents=True, exist_ok=True)
     try:

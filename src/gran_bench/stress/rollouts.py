@@ -20,9 +20,8 @@ from gran_bench.stress.beds import BED_UNITS, bed_in_place, farthest, image, see
 from gran_bench.stress.expectation import Observation
 from gran_bench.stress.experiment import Bench, Experiment
 from gran_bench.stress.impacts import with_nan
-from gran_bench.surrogate.build import build_model
 from gran_bench.surrogate.rollout import Rollout, rollout, step_frames
-from gran_bench.surrogate.step import FrameState, Surrogate
+from gran_bench.surrogate.step import FrameState, Surrogate, build_model
 
 WILD = 2.0  # M (g D + ½ ω² R²): more kinetic energy than falling and turning can give, with room for a model's errors
 UNITS = BED_UNITS | {"time_to_failure": "s", "horizon": "s", "failed_frame": "frames"}

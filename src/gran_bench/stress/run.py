@@ -51,12 +51,7 @@ class Errand:
 
 
 def errands(cases: Sequence[StressCase], checkpoints: Sequence[Path], folder: Path) -> list[Errand]:
-    """Every case once, or once for each model that it is for.
-
-    Args:
-        cases: in order.
-        checkpoints: model files.
-        folder: of the run.
+    """Every case once, or once for each model file that it is for.
 
     Raises:
         CheckpointError, ConfigError: a file that is no model, or one of other spheres.
@@ -84,11 +79,9 @@ def package_digest() -> str:
 
 
 def carry_out(todo: Sequence[Errand], folder: Path, workers: int, patience: float) -> None:
-    """Carry all out; what an interrupted run has finished is taken from there.
+    """Give each errand its outcome; what an interrupted run in the folder has finished is taken from there.
 
     Args:
-        todo: gets outcomes.
-        folder: of the run.
         workers: cases at a time; 1 does all in this process, where nothing ends a case that hangs.
         patience: s that a case may take in a process of its own.
     """

@@ -24,13 +24,8 @@ def step_ladder(bench: Bench, steps: list[float], production: float, seconds: fl
     """Steps from small to far too large on the paper's drum: error of the centre of mass's angle, and cost.
 
     The smallest step is the reference. The floor is the same error of the reference against itself, nudged by 1e-9 m;
-    what the production step errs more than that is beyond the floor.
-    A step that ends with an error has an infinite error and stays in the curve.
-
-    Args:
-        steps: s, from the smallest up.
-        production: s, that of the data; one of the steps.
-        seconds: of rotation, at 30 rpm.
+    what the production step, one of the steps, errs more than that is beyond the floor. A step that ends with an error
+    has an infinite error and stays in the curve. Steps in s; the drum turns for ``seconds`` at 30 rpm.
     """
     if production not in steps:
         raise ValueError(f"with.production={production:g} is none of with.steps={steps}; choose one of them")

@@ -18,8 +18,7 @@ from gran_bench.config.registry import MODELS
 from gran_bench.config.rules import ConfigError, checked_value
 from gran_bench.files import write_atomically
 from gran_bench.scene import build_scene
-from gran_bench.surrogate.build import build_model
-from gran_bench.surrogate.step import Surrogate
+from gran_bench.surrogate.step import Surrogate, build_model
 
 MODEL = "model.pt"  # in the folder of a run
 CHECKPOINT = "checkpoint.pt"  # there too: the state of its training

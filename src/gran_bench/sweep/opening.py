@@ -80,7 +80,7 @@ def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
                 print(report.text, flush=True)
                 tell(f"table and figures of the sweep are in {folder}{tracking.how_to_compare(config)}")
                 log_report(parent, report)
-            parent.finish("runs.FINISHED" if len(found) == len(jobs) else "runs.FAILED")
+            parent.finish("FINISHED" if len(found) == len(jobs) else "FAILED")
 
 
 def _refuse_twins(planned: Sequence[SweepJob]) -> None:

@@ -66,9 +66,8 @@ def read_standing(folder: Path) -> Standing:
 def standing(sweep: SweepFile | None, runs: Sequence[SweepRun]) -> Standing:
     """Where a sweep stands that has some runs.
 
-    A folder may hold runs of several commands (``model=contact`` first, ``model=radial`` later), and ``sweep.json``
-    lists the jobs of the last one. A run of these jobs is known by its key; a run of another command counts if it was
-    made with the same code, data, judge and budget as one of the jobs. Without a sweep all runs count.
+    A folder may hold runs of several commands, and ``sweep.json`` lists the jobs of the last one. A run of these jobs
+    is known by its key; another counts if it was made with the same code, data, judge and budget as one of the jobs.
     """
     jobs = sweep.jobs if sweep else []
     listed, choices = {job.whole for job in jobs}, {job.choice for job in jobs}
@@ -86,7 +85,7 @@ def standing(sweep: SweepFile | None, runs: Sequence[SweepRun]) -> Standing:
 
 def columns_of(runs: Sequence[SweepRun]) -> tuple[Column, ...]:
     """The house's columns, then one for each registered metric that a run has."""
-    registered = (Column(f"{HEADLINE}{name} floors", metric.label, "floors") for name, metric in METRICS.items())
+    registered = (Column(f"{HEADLINE}{name} floors", METRICS[name].label, "floors") for name in METRICS.added())
     return COLUMNS + tuple(column for column in registered if any(column.name in run.figures for run in runs))
 
 
@@ -126,10 +125,7 @@ def whole_figures(group: pd.DataFrame, name: str) -> pd.Series | None:
 
 
 def shown_table(runs: Sequence[SweepRun]) -> str:
-    """The table of choices in Markdown, legible on a terminal too: mean ± sample standard deviation over seeds.
-
-    A figure that is undefined in one of the runs is undefined for the choice.
-    """
+    """The table of choices in Markdown, legible on a terminal too: mean ± sample standard deviation over seeds."""
     axes, columns = axes_of(runs), columns_of(runs)
     rows = [[*axes, "runs", "failed", *(column.heading for column in columns)]]
     for values, group in grouped(runs_frame(runs), axes):

@@ -20,6 +20,7 @@ from multiprocessing import connection, forkserver
 from pathlib import Path
 from typing import Any
 
+import psutil
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn, JobStatus
@@ -200,11 +201,15 @@ class ProcessLauncher(Launcher):
             while waiting or running:
                 while waiting and len(running) < self.n_jobs:
                     number, overrides = waiting.pop(0)
-                    running[number] = context.Process(target=_run, args=(self.task, overrides, number))
-                    running[number].start()
+                    process = context.Process(target=_run, args=(self.task, overrides, number))
+                    process.start()
+                    running[number] = process
                 connection.wait([process.sentinel for process in running.values()])
                 for number in [number for number, process in running.items() if not process.is_alive()]:
                     process = running.pop(number)
+                    if process.exitcode == LOST:  # it ends when it sees that, too
+                        with suppress(psutil.Error):
+                            psutil.Process(process.pid).wait(GRACE_SECONDS)
                     if process.exitcode not in (0, SAID):
                         self.task.died(number, _last_words(process.exitcode))
                     failed += process.exitcode != 0

@@ -7,8 +7,7 @@ import torch
 from gran_bench.config import TrainConfig
 from gran_bench.dataset import Split, Windows, read_case
 from gran_bench.scene import Scene
-from gran_bench.surrogate.build import build_model
-from gran_bench.surrogate.step import Surrogate
+from gran_bench.surrogate.step import Surrogate, build_model
 
 
 def training_windows(config: TrainConfig, split: Split) -> Windows:

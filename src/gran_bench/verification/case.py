@@ -18,26 +18,16 @@ class Check:
     """One quantity at P points, expected and found.
 
     The error of a point is |found − expected| / scale. A value that is not finite has an infinite error.
-
-    Attributes:
-        quantity: its name, with the unit.
-        expected: ``(P,)`` from ``source``.
-        found: ``(P,)`` from the DEM.
-        tolerance: largest error that is met, −.
-        source: where the expected values come from.
-        scale: ``(P,)`` what the error is measured in; |expected| where None.
-        unit: what an error of 1 is, in words.
-        at: ``(P,)`` which point is which; may be empty for a single one.
     """
 
-    quantity: str
-    expected: FloatArray
-    found: FloatArray
-    tolerance: float
-    source: str
-    scale: FloatArray | None = None
-    unit: str = "of expected"
-    at: Sequence[str] = ()
+    quantity: str  # its name, with the unit
+    expected: FloatArray  # ``(P,)`` from ``source``
+    found: FloatArray  # ``(P,)`` from the DEM
+    tolerance: float  # largest error that is met, −
+    source: str  # where the expected values come from
+    scale: FloatArray | None = None  # ``(P,)`` what the error is measured in; |expected| where None
+    unit: str = "of expected"  # what an error of 1 is, in words
+    at: Sequence[str] = ()  # ``(P,)`` which point is which; may be empty for a single one
 
     def __post_init__(self) -> None:
         expected, found = (np.atleast_1d(np.asarray(a, float)) for a in (self.expected, self.found))
@@ -63,38 +53,24 @@ class Check:
 
 @dataclass(frozen=True)
 class Case:
-    """An experiment with a known answer.
+    """An experiment with a known answer."""
 
-    Attributes:
-        name: as ``--case`` takes it.
-        title: what is verified, in a line.
-        run: does the experiments and yields what they give.
-        quick: whether ``--quick`` runs it too.
-    """
-
-    name: str
-    title: str
-    run: Callable[[], Iterable[Check | Curves]]
-    quick: bool = True
+    name: str  # as ``--case`` takes it
+    title: str  # what is verified, in a line
+    run: Callable[[], Iterable[Check | Curves]]  # does the experiments and yields what they give
+    quick: bool = True  # whether ``--quick`` runs it too
 
 
 @dataclass
 class Outcome:
-    """A case that was run.
+    """A case that was run."""
 
-    Attributes:
-        case: which.
-        checks: what it checked; as far as it came, where it stopped with an error.
-        curves: arrays by name, for a figure.
-        seconds: s of wall time.
-        failure: the error that stopped it, in a line; None where it ran to its end.
-    """
-
-    case: Case
+    case: Case  # which
+    # what it checked; as far as it came, where it stopped with an error
     checks: list[Check] = field(default_factory=list)
-    curves: Curves = field(default_factory=dict)
-    seconds: float = 0.0
-    failure: str | None = None
+    curves: Curves = field(default_factory=dict)  # arrays by name, for a figure
+    seconds: float = 0.0  # s of wall time
+    failure: str | None = None  # the error that stopped it, in a line; None where it ran to its end
 
     @property
     def met(self) -> bool:

@@ -24,11 +24,7 @@ ARRAYS = ("position", "velocity", "angular_velocity")
 def cluster(count: int, seed: int, gap: float, smallest: float) -> ParticleState:
     """A ball of ``count`` spheres of unequal size that fall towards their middle, with random velocities and spins.
 
-    Args:
-        count: N.
-        seed: of sizes, places, velocities and spins.
-        gap: least distance of two surfaces, m.
-        smallest: radius over that of the largest, ``RADIUS``.
+    ``gap`` is the least distance of two surfaces, m; ``smallest`` a radius over that of the largest, ``RADIUS``.
     """
     rng, side = np.random.default_rng(seed), math.ceil(1.6 * count ** (1 / 3)) + 1
     line = (np.arange(side) - 0.5 * (side - 1)) * (2.0 * lab.RADIUS + gap)

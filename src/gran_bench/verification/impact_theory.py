@@ -35,19 +35,12 @@ FIRST_OVERLAP = 1e-7  # of the largest one: where the integration starts and end
 
 @dataclass(frozen=True)
 class Rebound:
-    """Velocities when the bodies part, in the frame of their common centre of mass (of the wall, where one is).
+    """Velocities when the bodies part, in the frame of their common centre of mass (of the wall, where one is)."""
 
-    Attributes:
-        velocity: ``(2,)`` of the first relative to the second, (x, z) m/s.
-        spin: of both, about y, rad/s.
-        duration: s.
-        slid_throughout: whether the contact point never stuck.
-    """
-
-    velocity: FloatArray
-    spin: tuple[float, float]
-    duration: float
-    slid_throughout: bool
+    velocity: FloatArray  # ``(2,)`` of the first relative to the second, (x, z) m/s
+    spin: tuple[float, float]  # of both, about y, rad/s
+    duration: float  # s
+    slid_throughout: bool  # whether the contact point never stuck
 
 
 class _Loads(NamedTuple):

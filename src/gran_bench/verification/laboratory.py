@@ -109,19 +109,13 @@ class Impacts:
 
     The first body hits the second one, which lies under it (−z) or, where it is a sphere, is at rest there. Numbers
     are broadcast to as many impacts as the longest array has.
-
-    Attributes:
-        contact: the bodies.
-        normal: ``(P,)`` approach v_n > 0, m/s.
-        tangential: ``(P,)`` v_t of the first along x, m/s.
-        first_spin, second_spin: ``(P,)`` about y, rad/s.
     """
 
-    contact: Contact
-    normal: FloatArray
-    tangential: FloatArray | float = 0.0
-    first_spin: FloatArray | float = 0.0
-    second_spin: FloatArray | float = 0.0
+    contact: Contact  # the bodies
+    normal: FloatArray  # ``(P,)`` approach v_n > 0, m/s
+    tangential: FloatArray | float = 0.0  # ``(P,)`` v_t of the first along x, m/s
+    first_spin: FloatArray | float = 0.0  # ``(P,)`` about y, rad/s
+    second_spin: FloatArray | float = 0.0  # ``(P,)`` about y, rad/s
 
     def __post_init__(self) -> None:
         names = ("normal", "tangential", "first_spin", "second_spin")
@@ -132,24 +126,15 @@ class Impacts:
 
 @dataclass(frozen=True)
 class Rebounds:
-    """What P impacts left.
+    """What P impacts left."""
 
-    Attributes:
-        normal: ``(P,)`` relative speed along z when they part, m/s.
-        tangential: ``(P,)`` relative speed along x, m/s.
-        first_spin, second_spin: ``(P,)`` rad/s.
-        energy: ``(P,)`` kinetic energy over that before, in the frame in which the second body rested, −.
-        overlap: largest overlap of any impact, m.
-        result: of all bodies, the first P being the first bodies.
-    """
-
-    normal: FloatArray
-    tangential: FloatArray
-    first_spin: FloatArray
-    second_spin: FloatArray
-    energy: FloatArray
-    overlap: float
-    result: SimulationResult
+    normal: FloatArray  # ``(P,)`` relative speed along z when they part, m/s
+    tangential: FloatArray  # ``(P,)`` relative speed along x, m/s
+    first_spin: FloatArray  # ``(P,)`` rad/s
+    second_spin: FloatArray  # ``(P,)`` rad/s
+    energy: FloatArray  # ``(P,)`` kinetic energy over that before, in the frame in which the second body rested, −
+    overlap: float  # largest overlap of any impact, m
+    result: SimulationResult  # of all bodies, the first P being the first bodies
 
 
 def collide(

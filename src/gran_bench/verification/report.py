@@ -53,14 +53,7 @@ def verdict(outcomes: Sequence[Outcome]) -> str:
 
 
 def write_report(outcomes: Sequence[Outcome], folder: Path, provenance: dict[str, str], subset: str = "") -> None:
-    """The JSON, and what the page says of it; each whole or not there.
-
-    Args:
-        outcomes: in order.
-        folder: made where it is missing.
-        provenance: where the result comes from.
-        subset: what was left out, in words; empty for the whole suite.
-    """
+    """The JSON, and what the page says of it, each whole or not there; ``subset`` says in words what was left out."""
     record = {"provenance": provenance, "verdict": verdict(outcomes), "met": all(o.met for o in outcomes)}
     record |= {"subset": subset, "cases": [_record(outcome) for outcome in outcomes]}
     write_text(folder / JSON, json.dumps(record, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n")

@@ -15,18 +15,12 @@ CELL_EDGE = 1.1
 
 
 class Known(NamedTuple):
-    """Touching contacts of one kind, with pairs or with walls, and what they remember.
+    """Touching contacts of one kind, with pairs or with walls, and what they remember."""
 
-    Attributes:
-        first, second: ``(C,)`` particles or rows, first < second; or particle and wall.
-        slot: ``(C, 4)`` elastic tangential force and overlap.
-        moment: ``(C, 4)`` rolling moment and 0; ``(0, 4)`` where there is no rolling.
-    """
-
-    first: np.ndarray
+    first: np.ndarray  # and second: ``(C,)`` particles or rows, first < second; or particle and wall
     second: np.ndarray
-    slot: FloatArray
-    moment: FloatArray
+    slot: FloatArray  # ``(C, 4)`` elastic tangential force and overlap
+    moment: FloatArray  # ``(C, 4)`` rolling moment and 0; ``(0, 4)`` where there is no rolling
 
 
 def known_contacts(history: ContactHistory, name: np.ndarray, rolling: bool) -> tuple[Known, Known]:
@@ -60,34 +54,21 @@ def _renamed(pairs: Known, name: np.ndarray) -> Known:
 
 
 class Bodies(NamedTuple):
-    """Particles as rows, and two spare ones, which fill lanes that a block of contacts does not need.
+    """Particles as rows, and two spare ones, which fill lanes that a block of contacts does not need."""
 
-    Attributes:
-        order, row: ``(N,)`` particle of each row, row of each particle.
-        sphere, velocity, spin: ``(N + 2, 4)`` rows (x, y, z, r), (v, 1/m), (ω, 1/I).
-        ahead: ``(N + 2, 4)`` zeros.
-        material: ``(N + 2,)`` index.
-    """
-
-    order: np.ndarray
+    order: np.ndarray  # and row: ``(N,)`` particle of each row, row of each particle
     row: np.ndarray
-    sphere: FloatArray
+    sphere: FloatArray  # and velocity, spin: ``(N + 2, 4)`` rows (x, y, z, r), (v, 1/m), (ω, 1/I)
     velocity: FloatArray
     spin: FloatArray
-    ahead: FloatArray
-    material: np.ndarray
+    ahead: FloatArray  # ``(N + 2, 4)`` zeros
+    material: np.ndarray  # ``(N + 2,)`` index
 
 
 def bodies_in_order(
-    position: FloatArray,
-    velocity: FloatArray,
-    spin: FloatArray,
-    radius: FloatArray,
-    material: np.ndarray,
-    density: FloatArray,
-    period: float,
-    order: np.ndarray | None = None,
-) -> Bodies:
+    position: FloatArray, velocity: FloatArray, spin: FloatArray, radius: FloatArray, material: np.ndarray,
+    density: FloatArray, period: float, order: np.ndarray | None = None,
+) -> Bodies:  # fmt: skip
     """Particles cell by cell, slab after slab along the longest axis, as rows; or in an order that is given.
 
     Two spare bodies that just touch follow.

@@ -86,9 +86,8 @@ def slip_spins(buffer, size, unequal, full_radius):
     quarter, half = buffer.dtype.type(0.25), buffer.dtype.type(0.5)
     for k in range(size):
         mean = half * buffer[REACH + k] if full_radius else buffer[ARM_1 + k]
-        buffer[WX + k] *= mean
-        buffer[WY + k] *= mean
-        buffer[WZ + k] *= mean
+        wx, wy, wz = buffer[WX + k], buffer[WY + k], buffer[WZ + k]
+        buffer[WX + k], buffer[WY + k], buffer[WZ + k] = wx * mean, wy * mean, wz * mean
     if unequal:
         for k in range(size):
             arm = buffer[ARM_1 + k]
@@ -97,8 +96,7 @@ def slip_spins(buffer, size, unequal, full_radius):
             buffer[WX + k] += excess * buffer[PX + k]
             buffer[WY + k] += excess * buffer[PY + k]
             buffer[WZ + k] += excess * buffer[PZ + k]
-            buffer[ARM_1 + k] = arm + shift
-            buffer[ARM_2 + k] = arm - shift
+            buffer[ARM_1 + k], buffer[ARM_2 + k] = arm + shift, arm - shift
 
 
 @kernel
@@ -214,10 +212,8 @@ def torques(buffer, size, two_arms):
             tx, ty, tz, arm = buffer[TX + k], buffer[TY + k], buffer[TZ + k], buffer[ARM_2 + k]
             buffer[UX + k], buffer[UY + k], buffer[UZ + k] = arm * tx, arm * ty, arm * tz
     for k in range(size):
-        arm = buffer[ARM_1 + k]
-        buffer[TX + k] *= arm
-        buffer[TY + k] *= arm
-        buffer[TZ + k] *= arm
+        tx, ty, tz, arm = buffer[TX + k], buffer[TY + k], buffer[TZ + k], buffer[ARM_1 + k]
+        buffer[TX + k], buffer[TY + k], buffer[TZ + k] = arm * tx, arm * ty, arm * tz
 
 
 @kernel

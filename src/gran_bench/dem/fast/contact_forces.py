@@ -5,21 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from gran_bench.dem.fast import contact_blocks as block
+from gran_bench.dem.fast import rows
 from gran_bench.dem.fast.contact_blocks import BLOCK, contact_laws, fill_law, pair_geometry, slip_spins, torques, watch
 from gran_bench.dem.fast.contact_list import overlapping
-from gran_bench.dem.fast.rows import (
-    four_from,
-    four_of,
-    four_on,
-    four_remembered,
-    gather_difference,
-    gather_rows,
-    gather_sum,
-    scatter_both,
-    scatter_opposite,
-    scatter_rows,
-    scatter_sum,
-)
 from gran_bench.dem.fast.wall_list import shape_of, toward_wall
 from gran_bench.dem.rolling import CONTACT_INERTIA
 from gran_bench.dem.seams import another_answers, hand_over
@@ -38,21 +26,18 @@ def pair_forces(
     old histories is zero, for pairs that remember nothing.
 
     Args:
-        sphere, velocity, spin, ahead, material: ``(N + 2, 4)`` rows of `Bodies`; ``ahead`` is what v still gains until
-            the step's end, m/s.
+        sphere, …, material: of `Bodies`; ``ahead`` is what v still gains until the step's end, m/s.
         force, torque: ``(N + 2, 4)``, added to.
         near_i, near_j, memory: inner list; row of history of each of its pairs when it last touched, 0 for never.
         touched, remembered: place of the pair of each old row; end of the old rows.
         active, contacts: place of each touching pair, written from ``contacts`` ≥ 1 on, as rows of the new histories.
-        old_slot, slot, old_moment, moment: histories of the last evaluation and of this one, as in `Lists`.
-        buffer: scratch.
+        old_slot, …, buffer: histories of the last evaluation and of this one, and scratch, as in `Lists`.
         laws: ``(S, S, 5)`` (4/3 E*, 8 G*, α, μ, μ_r).
         tangential, rolling, unequal, several, full_radius: what is needed: friction, rolling model, sizes or masses
             that differ, materials that do; slip with full radii.
         dt: s over which histories are loaded.
 
-    Returns:
-        ``contacts`` and the number of touching pairs.
+    Returns ``contacts`` and the number of touching pairs.
     """
     found = overlapping(sphere, near_i, near_j, begin, end, period, active, contacts)
     for row in range(found, found + 3):
@@ -61,18 +46,19 @@ def pair_forces(
         filled = min(BLOCK, found - first)
         size = (filled + 3) // 4 * 4
         for k in range(0, size, 4):
-            q = four_from(active, first + k)
-            i, j, rows = four_of(near_i, q), four_of(near_j, q), four_remembered(memory, q, touched, remembered)
-            gather_difference(buffer, block.OFFSET, k, sphere, j, i)
-            gather_difference(buffer, block.VELOCITY, k, velocity, i, j)
-            gather_difference(buffer, block.AHEAD, k, ahead, i, j)
+            q = rows.four_from(active, first + k)
+            i, j = rows.four_of(near_i, q), rows.four_of(near_j, q)
+            old = rows.four_remembered(memory, q, touched, remembered)
+            rows.gather_difference(buffer, block.OFFSET, k, sphere, j, i)
+            rows.gather_difference(buffer, block.VELOCITY, k, velocity, i, j)
+            rows.gather_difference(buffer, block.AHEAD, k, ahead, i, j)
             if tangential:
-                gather_sum(buffer, block.SPIN_SUM, k, spin, i, j)
-                gather_rows(buffer, block.SLOT, k, old_slot, rows)
+                rows.gather_sum(buffer, block.SPIN_SUM, k, spin, i, j)
+                rows.gather_rows(buffer, block.SLOT, k, old_slot, old)
             if rolling or unequal:
-                gather_difference(buffer, block.SPIN_DIFFERENCE, k, spin, i, j)
+                rows.gather_difference(buffer, block.SPIN_DIFFERENCE, k, spin, i, j)
             if rolling:
-                gather_rows(buffer, block.MOMENT, k, old_moment, rows)
+                rows.gather_rows(buffer, block.MOMENT, k, old_moment, old)
         if unequal:
             for k in range(size):
                 a, b = near_i[active[first + k]], near_j[active[first + k]]
@@ -95,16 +81,16 @@ def pair_forces(
         watch(buffer, size, block.REACH, buffer.dtype.type(1.0))
         torques(buffer, size, unequal)
         for k in range(0, size, 4):
-            q = four_from(active, first + k)
-            i, j = four_of(near_i, q), four_of(near_j, q)
-            scatter_opposite(force, i, j, buffer, block.FORCE, k)
+            q = rows.four_from(active, first + k)
+            i, j = rows.four_of(near_i, q), rows.four_of(near_j, q)
+            rows.scatter_opposite(force, i, j, buffer, block.FORCE, k)
             if tangential:
                 second = block.TORQUE_2 if unequal else block.TORQUE
-                scatter_both(torque, i, j, buffer, block.TORQUE, second, k)
+                rows.scatter_both(torque, i, j, buffer, block.TORQUE, second, k)
             if rolling:
-                scatter_opposite(torque, i, j, buffer, block.RESISTANCE, k)
-                scatter_rows(moment, four_on(first + k), buffer, block.MOMENT, k)
-            scatter_rows(slot, four_on(first + k), buffer, block.SLOT, k)
+                rows.scatter_opposite(torque, i, j, buffer, block.RESISTANCE, k)
+                rows.scatter_rows(moment, rows.four_on(first + k), buffer, block.MOMENT, k)
+            rows.scatter_rows(slot, rows.four_on(first + k), buffer, block.SLOT, k)
         for row in range(first, first + filled):
             memory[active[row]] = row
     return found
@@ -117,16 +103,8 @@ def wall_forces(
 ):  # fmt: skip
     """Adds the forces and torques of the touching walls of a chunk, each by the law of its material and wall.
 
-    Args:
-        wall_i, wall_w: particle and wall of each contact in reach; place 0 is spare.
-        start: ``(W + 1,)`` place of the chunk's first contact with each wall, and of the end of the last.
-        geometry: ``(≥ M + 4, 4)`` scratch: direction and distance of the touching ones.
-        laws: ``(S, W, 5)`` of each material with each wall.
-        walls: ``(W, 22)`` poses of this evaluation.
-        The others: as in :func:`pair_forces`.
-
-    Returns:
-        ``contacts`` and the number of touching walls.
+    ``start`` has the place of the chunk's first contact with each wall, and of the end of the last; ``geometry`` gets
+    direction and distance of the touching ones. The rest is as in :func:`pair_forces`, or in `Lists`.
     """
     found = contacts
     for w in range(len(walls)):
@@ -150,16 +128,16 @@ def wall_forces(
         filled = min(BLOCK, found - first)
         size = (filled + 3) // 4 * 4
         for k in range(0, size, 4):
-            place = four_from(active, first + k)
-            body, rows = four_of(wall_i, place), four_remembered(memory, place, touched, remembered)
-            gather_rows(buffer, block.OFFSET, k, geometry, four_on(first + k))
-            gather_rows(buffer, block.VELOCITY, k, velocity, body)
-            gather_rows(buffer, block.AHEAD, k, ahead, body)
+            place = rows.four_from(active, first + k)
+            body, old = rows.four_of(wall_i, place), rows.four_remembered(memory, place, touched, remembered)
+            rows.gather_rows(buffer, block.OFFSET, k, geometry, rows.four_on(first + k))
+            rows.gather_rows(buffer, block.VELOCITY, k, velocity, body)
+            rows.gather_rows(buffer, block.AHEAD, k, ahead, body)
             if tangential:
-                gather_rows(buffer, block.SPIN_SUM, k, spin, body)
-                gather_rows(buffer, block.SLOT, k, old_slot, rows)
+                rows.gather_rows(buffer, block.SPIN_SUM, k, spin, body)
+                rows.gather_rows(buffer, block.SLOT, k, old_slot, old)
             if rolling:
-                gather_rows(buffer, block.MOMENT, k, old_moment, rows)
+                rows.gather_rows(buffer, block.MOMENT, k, old_moment, old)
         for k in range(filled):
             p = active[first + k]
             i, w = wall_i[p], wall_w[p]
@@ -186,21 +164,18 @@ def wall_forces(
                 buffer[block.PY + k] = buffer[block.WY + k] - w1
                 buffer[block.PZ + k] = buffer[block.WZ + k] - w2
             memory[p] = first + k
-        for k in range(size if tangential else 0):
-            arm = buffer[block.ARM_1 + k]
-            buffer[block.WX + k] *= arm
-            buffer[block.WY + k] *= arm
-            buffer[block.WZ + k] *= arm
+        if tangential:
+            slip_spins(buffer, size, False, False)
         contact_laws(buffer, size, tangential, rolling, dt)
         watch(buffer, filled, block.RS, buffer.dtype.type(2.0))  # the lanes beyond hold nothing
         torques(buffer, size, False)
         for k in range(0, size, 4):
-            body, rows = four_of(wall_i, four_from(active, first + k)), four_on(first + k)
-            scatter_sum(force, body, buffer, block.FORCE, k)
+            body, new = rows.four_of(wall_i, rows.four_from(active, first + k)), rows.four_on(first + k)
+            rows.scatter_sum(force, body, buffer, block.FORCE, k)
             if tangential:
-                scatter_sum(torque, body, buffer, block.TORQUE, k)
+                rows.scatter_sum(torque, body, buffer, block.TORQUE, k)
             if rolling:
-                scatter_sum(torque, body, buffer, block.RESISTANCE, k)
-                scatter_rows(moment, rows, buffer, block.MOMENT, k)
-            scatter_rows(slot, rows, buffer, block.SLOT, k)
+                rows.scatter_sum(torque, body, buffer, block.RESISTANCE, k)
+                rows.scatter_rows(moment, new, buffer, block.MOMENT, k)
+            rows.scatter_rows(slot, new, buffer, block.SLOT, k)
     return found

@@ -8,13 +8,11 @@ exceeds it, and those that hardly move need no room. The outer list holds the pa
 one those below a share σ of that. So an inner list is complete while all displacements since its pruning stay below
 σ m, and may be pruned while those since the search stay below (1 − σ) m.
 
-Both lists are in the order of (first, second), whatever the skin and whenever they were made. So forces are summed in
-one order, and neither skin nor time of a search changes a bit of the result.
+Both lists are in the order of (first, second), so neither skin nor time of a search changes a bit of the result.
 
-A contact remembers its last evaluation alone. What the touching contacts of an evaluation remember lies densely, in
-rows 1, 2, … in their order. Each place of a list has the row of its pair's last touch, and the list of those that
-touched says whether it was in the last evaluation: where row r is not place q's, q remembers nothing. So histories
-stay in the cache, and nothing is done for pairs that parted.
+What the touching contacts of an evaluation remember lies densely, in rows 1, 2, … in their order. Each place of a list
+has the row of its pair's last touch, and the list of those that touched says whether it was in the last evaluation:
+where row r is not place q's, q remembers nothing. So histories stay in the cache, and parting costs nothing.
 """
 
 from __future__ import annotations
@@ -36,10 +34,6 @@ LEAST_MARGIN = 0.2
 def with_margins(sphere: FloatArray, velocity: FloatArray, skin: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Displacements that lists have room for: half the skin for the fastest particle, less for slower ones.
 
-    Args:
-        sphere, velocity: ``(N + 2, 4)`` x, y, z, r, m, and v, m/s.
-        skin: m.
-
     Returns:
         ``(N,)`` margins m, m; ``(N,)`` 1/m², which displacements are held against; ``(N, 4)`` x, y, z and radius with
         margin, m.
@@ -56,13 +50,8 @@ def with_margins(sphere: FloatArray, velocity: FloatArray, skin: float) -> tuple
 def sorted_pairs(first, second, begin, end, count, known_first, known_second):
     """Pairs in the order of (first, second), and which row of history is whose.
 
-    A counting sort by second, then one by first, which keeps the order among equals.
-
-    Args:
-        first, second: ``(M,)`` pairs, first < second.
-        begin, end: range of the firsts.
-        count: of all particles.
-        known_first, known_second: ``(C,)`` pairs that touch; their rows are 1 … C.
+    A counting sort by second, then one by first, which keeps the order among equals. Firsts are in ``begin … end − 1``,
+    seconds below ``count``; the known pairs touch, and their rows are 1 … C.
 
     Returns:
         ``(M,)`` first and second, ``(end − begin + 2,)`` place of each first's first pair and of the end of the last's,
@@ -99,16 +88,9 @@ def sorted_pairs(first, second, begin, end, count, known_first, known_second):
 
 @kernel
 def overlapping(sphere, first, second, begin, end, period, near, found):
-    """Fills ``near`` from place ``found`` on with those of pairs ``begin … end − 1`` that overlap, in their order.
+    """Fills ``near`` from ``found`` on with the places of pairs ``begin … end − 1`` that overlap; returns the new end.
 
-    Args:
-        sphere: ``(N, 4)`` x, y, z, r, m.
-        first, second: of each pair.
-        period: of y, m; 0 for none.
-        near: their places; one more than are looked at must fit.
-
-    Returns:
-        One more than the last place that is written.
+    One more than are looked at must fit.
     """
     # Written always, kept only if near: no branch to mispredict.
     if period > 0.0:

@@ -1,19 +1,12 @@
 """The fast engine: a stretch of steps on one or more threads, jitted from one neighbour search to the next.
 
-What makes it fast:
+Bodies are rows of four doubles, sorted in space and moved as SIMD vectors (rows.py). Pairs are flat half lists, pruned
+often, searched for rarely, with dense histories (contact_list.py). A branchless filter packs the touching ones; blocks
+of them are gathered into columns, computed in SIMD, and scattered (contact_forces.py). Threads own chunks of
+neighbouring particles for the whole stretch and meet twice a step (barrier.py).
 
-- Bodies are rows of four doubles (position and radius, velocity and 1/m, spin and 1/I, force, torque), moved as SIMD
-  vectors (rows.py). Particles are sorted in space when a stretch begins.
-- Pairs are flat half lists, pruned often, searched for rarely; the histories of those that touch lie densely in their
-  order (contact_list.py).
-- A branchless filter packs the touching pairs; blocks of them are gathered into columns, computed there in SIMD, and
-  scattered (contact_blocks.py).
-- Threads own chunks of neighbouring particles for the whole stretch and meet twice a step (barrier.py).
-
-A stretch pauses wherever its state is asked for, and goes on as if it had not. One that starts from another's state,
-forces and order goes on from there bit for bit (frame.py). Skin and number of threads change no bit either: lists are
-in one order whatever the skin (contact_list.py), and the chunks, each with loads of its own that are added in one
-order, depend on the number of particles alone.
+Neither pauses nor skin nor threads change a bit: lists are in one order, and the chunks, each with loads of its own
+that are added in one order, depend on the number of particles alone.
 """
 
 from __future__ import annotations
@@ -53,8 +46,7 @@ class Stretch:
 
     Args:
         state: where it starts; at least one particle.
-        physics: laws and gravity; skin, threads and precision.
-        time_step: Δt, s.
+        physics, time_step: laws, gravity, skin, threads and precision; Δt, s.
         walls: ``(steps + 1, W, 22)`` poses of the walls at each force evaluation (walls.py).
         held: forces and order that the state comes with; None where both are its own. Then forces load no history.
 

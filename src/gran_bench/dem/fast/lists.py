@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
@@ -19,13 +19,18 @@ from gran_bench.neighbors import list_pairs
 NEAR, NEAR_I, NEAR_J, NEAR_MEMORY = range(4)
 
 
-class Lists(NamedTuple):
+_FIELDS = (
+    "pair_i pair_j start memory slot moment wall_i wall_w wall_memory wall_start wall_slot wall_moment margin "
+    "inverse_square searched_at pruned_at inner_list touching wall_touching geometry near_start buffer wall_buffer"
+)
+
+
+class Lists(namedtuple("Lists", _FIELDS)):
     """Pairs and walls that a thread's spheres may touch, and what they remember, as `stretch.march` takes them.
 
     Attributes:
-        pair_i, pair_j: ``(M,)`` pairs, first < second, in the order of (first, second).
+        pair_i, pair_j, memory: ``(M,)`` pairs in the order of (first, second), first < second; row of history, or 0.
         start: ``(n + 2,)`` place of the first pair of each of n firsts, and of the end of the last.
-        memory: ``(M,)`` row of history of each pair; 0 for none.
         slot, moment: ``(2, ≥ M + 5, 4)`` histories of even and odd evaluations: elastic tangential force and overlap,
             rolling moment (one row where there is no rolling).
         wall_i, wall_w, wall_memory: ``(≥ M + 1,)`` particle and wall, ``(M + 1,)`` row of history of each wall contact;
@@ -35,36 +40,10 @@ class Lists(NamedTuple):
         margin, inverse_square: ``(N,)`` how far each particle may move until new lists are needed, m, and 1/m².
         searched_at, pruned_at: ``(N, 4)`` rows of the positions that the lists were made for, and room for others.
         inner_list: ``(4, ≥ M + 2)`` room, but for place 0, which is the spare pair.
-        touching: ``(2, ≥ M + 5)`` room for the places of touching pairs in even and odd evaluations.
-        wall_touching: alike for wall contacts; the places of those that remember something are there.
-        geometry: ``(≥ M + 5, 4)`` room.
-        near_start: ``(chunks + 1,)`` ones.
-        buffer, wall_buffer: of :func:`contact_blocks.block_buffer`.
+        touching, wall_touching: ``(2, ≥ M + 5)`` room for the places of touching pairs and walls in even and odd
+            evaluations; those of walls that remember something are there.
+        geometry, near_start, buffer, wall_buffer: ``(≥ M + 5, 4)`` room, ``(chunks + 1,)`` ones, `block_buffer`.
     """
-
-    pair_i: np.ndarray
-    pair_j: np.ndarray
-    start: np.ndarray
-    memory: np.ndarray
-    slot: np.ndarray
-    moment: np.ndarray
-    wall_i: np.ndarray
-    wall_w: np.ndarray
-    wall_memory: np.ndarray
-    wall_start: np.ndarray
-    wall_slot: np.ndarray
-    wall_moment: np.ndarray
-    margin: np.ndarray
-    inverse_square: np.ndarray
-    searched_at: np.ndarray
-    pruned_at: np.ndarray
-    inner_list: np.ndarray
-    touching: np.ndarray
-    wall_touching: np.ndarray
-    geometry: np.ndarray
-    near_start: np.ndarray
-    buffer: np.ndarray
-    wall_buffer: np.ndarray
 
     def known(self, half: int, pairs: int, walls: int) -> tuple[Known, Known]:
         """What the even or the odd evaluation found touching, so many pairs and walls less one, and its memory."""
@@ -80,23 +59,12 @@ class Lists(NamedTuple):
 
 
 def search(
-    bodies: Bodies,
-    bounds: np.ndarray,
-    chunk: int,
-    stop: int,
-    walls: np.ndarray,
-    row: int,
-    last: int,
-    physics: Physics,
-    known: tuple[Known, Known],
-) -> Lists:
+    bodies: Bodies, bounds: np.ndarray, chunk: int, stop: int, walls: np.ndarray, row: int, last: int,
+    physics: Physics, known: tuple[Known, Known],
+) -> Lists:  # fmt: skip
     """Lists of the pairs and walls that spheres of ``chunk … stop − 1`` may touch, with what they remember.
 
-    Args:
-        bodies: of all chunks, whose first particles ``bounds`` has.
-        walls: ``(steps + 1, W, 22)`` poses, of which ``row`` belongs to these positions.
-        last: step of the last evaluation, these positions' own or the one before.
-        known: pairs and walls by row that touched in it.
+    ``row`` of the poses belongs to these positions; ``known`` touched in evaluation ``last``.
     """
     sphere, velocity, rolling = bodies.sphere, bodies.velocity, physics.rolling
     count, begin, end = len(sphere) - 2, int(bounds[chunk]), int(bounds[stop])

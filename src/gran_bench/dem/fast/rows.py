@@ -123,15 +123,13 @@ def gather_rows(e, buffer, first, place, body, i):
 @emitted(types.void, _Rows)
 def gather_difference(e, buffer, first, place, body, i, j):
     """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i] − body[j]."""
-    pairs = zip(e.rows(body, i), e.rows(body, j), strict=True)
-    e.to_columns([e.builder.fsub(one, other) for one, other in pairs], buffer, first, place)
+    e.to_columns(list(map(e.builder.fsub, e.rows(body, i), e.rows(body, j))), buffer, first, place)
 
 
 @emitted(types.void, _Rows)
 def gather_sum(e, buffer, first, place, body, i, j):
     """Columns ``first`` … ``first + 3`` at lanes ``place`` … ``place + 3`` become body[i] + body[j]."""
-    pairs = zip(e.rows(body, i), e.rows(body, j), strict=True)
-    e.to_columns([e.builder.fadd(one, other) for one, other in pairs], buffer, first, place)
+    e.to_columns(list(map(e.builder.fadd, e.rows(body, i), e.rows(body, j))), buffer, first, place)
 
 
 @emitted(types.void, _Rows)

@@ -22,12 +22,12 @@ from gran_bench.dem.fast.lists import NEAR, NEAR_I, NEAR_J, NEAR_MEMORY
 from gran_bench.dem.fast.rows import kick_row, move_row, twist_row
 from gran_bench.neighbors.kernel import entry, kernel
 
-# What threads tell each other: places of a thread's row. The last is its own: how far the fastest went, in margins,
-# since its inner list was made; infinite where its lists are new.
+# What threads tell each other. The last is a thread's own: how far the fastest went, in margins, since its inner list
+# was made; infinite where its lists are new.
 PACE, CULPRIT, SINCE_PRUNING, SINCE_SEARCH, TRAVELLED = range(5)
-# Places of a thread's progress: the step that the positions are at, that at which to pause, that of the first pose,
-# whether the forces are still to come, whether the velocities are those of a whole step, and one more than the number
-# of pairs and of walls that the last evaluation found touching.
+# A thread's progress: the step that the positions are at, that at which to pause, that of the first pose, whether the
+# forces are still to come, whether the velocities are of a whole step, and one more than the pairs and the walls that
+# the last evaluation found touching.
 STEP, PAUSE, FIRST_POSE, DUE, WHOLE, PAIRS, WALLS = range(7)
 # What the loop comes back with, beside a row that diverged.
 PAUSED, SEARCH = -1, -2
@@ -50,17 +50,14 @@ def march(
         thread, threads, gate: which of how many; gate of barrier.py.
         bounds, reach: ``(C + 1,)`` first particle of each chunk; ``(C,)`` end of what its pairs touch.
         told, progress: ``(threads, ≥ 5)`` and ``(7,)``, see above.
-        sphere, velocity, spin, ahead, material: of `Bodies`; they hold the state at the end.
+        sphere, …, material: of `Bodies`; they hold the state at the end.
         force, torque: ``(C, N + 2, 4)`` zeros where forces are due; else a chunk's rows hold those of its particles.
         pair_i, …, wall_buffer: of `Lists`.
-        pair_laws, wall_laws: ``(S, S, 5)``, ``(S, W, 5)``.
         walls: ``(≥ steps + 1, W, 22)`` poses of the first step and of those to the pause.
-        gravity, period, dt: SI.
         fastest_allowed: m²/s², beyond which a particle diverges.
         tangential, rolling, unequal, full_radius: what is needed, as in :func:`contact_forces.pair_forces`.
 
-    Returns:
-        The row that diverged, ``PAUSED`` or ``SEARCH``.
+    Returns the row that diverged, ``PAUSED`` or ``SEARCH``.
     """
     several = len(pair_laws) > 1
     chunk, stop = thread * (len(bounds) - 1) // threads, (thread + 1) * (len(bounds) - 1) // threads

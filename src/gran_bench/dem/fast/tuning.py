@@ -1,8 +1,7 @@
-"""Skin and threads of the fast engine, chosen by the clock while the run goes on.
+"""Skin and threads of the fast engine, chosen by the clock while the run goes on; neither changes a bit of the result.
 
-Neither changes a bit of the result (engine.py), so they may follow what was measured: every stretch is timed, a
-better neighbour of the present choice is looked for at the start and again from time to time, because a bed that falls
-wants another skin than one that rests, and a machine that others use another number of threads.
+Every stretch is timed. A better neighbour of the present choice is looked for at the start and again from time to time:
+a bed that falls wants another skin than one that rests, and a machine that others use another number of threads.
 """
 
 from __future__ import annotations
@@ -27,19 +26,16 @@ def available_threads() -> int:
 
 
 class Tuner:
-    """Gives each stretch its skin and threads, and learns from the time that it took.
+    """Gives each stretch of N particles its skin and threads, and learns from the time that it took.
 
-    Args:
-        physics: of the run, with the usual skin.
-        count: N.
-        skin_is_given: the user chose the skin; it stays.
-        threads: the user's choice; None for the fastest number.
+    The skin of ``physics`` is the usual one, which stays where the user chose it; so do threads unless None.
     """
 
     def __init__(self, physics: Physics, count: int, skin_is_given: bool, threads: int | None) -> None:
         self._physics, self._usual_skin = physics, physics.skin
         most = min(len(chunk_bounds(count)) - 1, available_threads())
-        self._skins = (1.0,) if skin_is_given else tuple(s for s in SKIN_SHARES if self._fits(s))
+        fitting = tuple(s for s in SKIN_SHARES if s <= 1.0 or physics.period == 0.0)
+        self._skins = (1.0,) if skin_is_given else fitting
         self._threads = tuple(2**k for k in range(most.bit_length()) if 2**k <= most) if threads is None else (threads,)
         self._choice = (self._skins.index(1.0), 0)
         self._trials: list[tuple[int, int]] = [self._choice]
@@ -83,6 +79,3 @@ class Tuner:
     def _with(self, choice: tuple[int, int]) -> Physics:
         skin, threads = self._skins[choice[0]] * self._usual_skin, self._threads[choice[1]]
         return replace(self._physics, skin=skin, threads=threads)
-
-    def _fits(self, share: float) -> bool:
-        return share <= 1.0 or self._physics.period == 0.0

@@ -64,14 +64,8 @@ def _any_normal_to(ax, ay, az):
 def list_wall_contacts(sphere, bounds, chunk, stop, walls, paths, margin, known_first, known_wall):
     """Particles of ``chunk … stop − 1`` and walls that may touch in the rest of a stretch, and whose history is whose.
 
-    Args:
-        sphere: ``(N + 2, 4)`` x, y, z, r, m.
-        bounds: ``(C + 1,)`` first particle of each chunk.
-        chunk, stop: range of chunks.
-        walls: ``(W, 22)`` poses that belong to these positions.
-        paths: ``(W,)`` how far each wall goes in the rest of the stretch, m.
-        margin: ``(N,)`` m that no particle moves further than while the list lives.
-        known_first, known_wall: ``(C,)`` particle and wall that touch; their rows of history are 1 … C.
+    Walls go ``paths``, ``(W,)`` m, in the rest of the stretch, and no particle further than ``margin``, ``(N,)`` m. The
+    known particles and walls touch; their rows of history are 1 … C.
 
     Returns:
         ``(≥ M + 1,)`` particle and wall, chunk by chunk, wall by wall; ``(M + 1,)`` row of history; ``(chunks W + 1,)``

@@ -10,17 +10,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from gran_bench.surrogate.contact.constants import (
-    CHANNEL_CLAMP,
-    INPUT_CLAMP,
-    INPUT_SCALE,
-    PAIR,
-    RAMP_NODES,
-    SMALLEST_SLIP_SQUARED,
-    SPIN_RESPONSE,
-    VISCOUS_SHARE,
-    WALL,
-)
+from gran_bench.surrogate.contact import constants
+from gran_bench.surrogate.contact.constants import INPUT_CLAMP, PAIR, SPIN_RESPONSE, WALL
 from gran_bench.surrogate.contact.geometry import ContactList
 from gran_bench.surrogate.step import Surrogate, minimum_image
 from gran_bench.surrogate.walls import closest_point
@@ -69,7 +60,7 @@ def solve_contacts(
             spin = group.scatter(spin, SPIN_RESPONSE * turn, 1.0)
             extra_spin = group.scatter(extra_spin, SPIN_RESPONSE * extra_turn, 1.0)
             channels = group.scatter(channels, messages, 1.0)
-        limited = channels.clamp(-CHANNEL_CLAMP, CHANNEL_CLAMP)
+        limited = channels.clamp(-constants.CHANNEL_CLAMP, constants.CHANNEL_CLAMP)
         share = nearness * (limited @ model.mix_weight[k, width])
         displacement = displacement + share[:, None] * taken_back
         extra = extra + share[:, None] * (fall - taken_back)
@@ -177,14 +168,14 @@ def _answer(
     velocity at the end of the frame alone, and messages to the channels, ``(C, channels)``.
     """
     normal, gap, slip = seen.normal, seen.gap, seen.slip
-    slip_size = torch.sqrt((slip * slip).sum(1) + SMALLEST_SLIP_SQUARED)
+    slip_size = torch.sqrt((slip * slip).sum(1) + constants.SMALLEST_SLIP_SQUARED)
     numbers = torch.stack((seen.approach, slip_size, gap, sums[:, 0], sums[:, 1]), 1)
-    nodes = gap.new_tensor(RAMP_NODES)  # the gap as numbers that rise from 0 to 1 between neighbouring nodes
+    nodes = gap.new_tensor(constants.RAMP_NODES)  # the gap as numbers that rise from 0 to 1 between neighbouring nodes
     ramps = ((gap[:, None] - nodes[:-1]) / (nodes[1:] - nodes[:-1])).clamp(0.0, 1.0)
-    inputs = [ramps, INPUT_SCALE * numbers.clamp(-INPUT_CLAMP, INPUT_CLAMP), together]
+    inputs = [ramps, constants.INPUT_SCALE * numbers.clamp(-INPUT_CLAMP, INPUT_CLAMP), together]
     if spring is not None:
         flat = spring - (spring * normal).sum(1, keepdim=True) * normal
-        load = torch.sqrt((flat * flat).sum(1) + SMALLEST_SLIP_SQUARED)
+        load = torch.sqrt((flat * flat).sum(1) + constants.SMALLEST_SLIP_SQUARED)
         along = (flat * slip).sum(1) / slip_size
         inputs.append(torch.stack((load, along), 1).clamp(-INPUT_CLAMP, INPUT_CLAMP))
     hidden = torch.relu(torch.cat(inputs, 1) @ model.hidden_weight[k, kind].T + model.hidden_bias[k, kind])
@@ -194,7 +185,7 @@ def _answer(
     outputs = outputs * ((reach - gap) / width).clamp(0.0, 1.0)[:, None]
     a, b, c = outputs[:, 0], outputs[:, 1], outputs[:, 2]
     a = a + model.stiffness[k, kind] * (2.0 if kind == WALL else 1.0) * torch.relu(-gap)
-    tangential = slip * (b / slip_size + VISCOUS_SHARE * c)[:, None]
+    tangential = slip * (b / slip_size + constants.VISCOUS_SHARE * c)[:, None]
     column = 3 + model.config.channels
     messages = outputs[:, 3:column]
     if spring is not None:

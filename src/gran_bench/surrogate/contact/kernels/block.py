@@ -14,15 +14,8 @@ from itertools import pairwise
 import numpy as np
 from numba import njit
 
-from gran_bench.surrogate.contact.constants import (
-    CHANNELS,
-    HIDDEN,
-    INPUT_CLAMP,
-    INPUT_SCALE,
-    RAMP_NODES,
-    SMALLEST_SLIP_SQUARED,
-    VISCOUS_SHARE,
-)
+from gran_bench.surrogate.contact import constants
+from gran_bench.surrogate.contact.constants import CHANNELS, HIDDEN, RAMP_NODES
 
 LANES = 32  # contacts a block: all rows stay in the first-level cache
 RAMPS = len(RAMP_NODES) - 1
@@ -55,8 +48,8 @@ D_STIFFNESS, D_SHARE = D_NORMAL + 18, D_NORMAL + 19  # each lane's part
 ROWS = D_NORMAL + 20
 
 ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
-CLAMP, SCALE, SMALLEST = np.float32(INPUT_CLAMP), np.float32(INPUT_SCALE), np.float32(SMALLEST_SLIP_SQUARED)
-VISCOUS = np.float32(VISCOUS_SHARE)  # of c
+CLAMP, SCALE = np.float32(constants.INPUT_CLAMP), np.float32(constants.INPUT_SCALE)
+SMALLEST, VISCOUS = np.float32(constants.SMALLEST_SLIP_SQUARED), np.float32(constants.VISCOUS_SHARE)  # of c
 RAMP_START = tuple(np.float32(low) for low in RAMP_NODES[:-1])
 RAMP_SLOPE = tuple(np.float32(1.0 / (high - low)) for low, high in pairwise(RAMP_NODES))
 
