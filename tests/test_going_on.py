@@ -17,6 +17,8 @@ from finished_runs import SCENE, summary_of
 from stored_runs import only_run
 
 from gran_bench.config import (
+    BoundaryConfig,
+    CconvModelConfig,
     ContactModelConfig,
     ContainerConfig,
     DatasetConfig,
@@ -297,6 +299,10 @@ def test_what_differs_from_the_training_of_the_weights_is_told(job, capfd):
         ({"model__memory": False}, "another architecture (model.memory=False, trained with True); choose as there"),
         ({"trainer__start_from": "holdout30rpm"}, "another architecture (model."),
         ({"trainer__start_from": "shipped"}, "another architecture (model."),
+        (
+            {"model": CconvModelConfig(), "boundary": BoundaryConfig()},
+            "are of model=contact, and this training of ccnn; choose",
+        ),
         ({"trainer__start_from": "paper"}, "paper has no model.pt (yet); finish its training"),
         ({"trainer__start_from": "tiny"}, "trainer.start_from=tiny: no run has this name, id or folder"),  # a beginning
         ({"trainer__start_from": "NOT"}, "NOT has no model.pt (yet)"),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
-from gran_bench.config import BoundaryConfig, EvaluateConfig, SceneConfig, TrainConfig
+from gran_bench.config import EvaluateConfig, TrainConfig
 from gran_bench.config.reading import read_config
 from gran_bench.config.registry import MODELS
 from gran_bench.config.rules import ConfigError
@@ -40,20 +41,20 @@ class Start:
         Raises:
             ConfigError: a model of another architecture, or weights that have seen what this run will be judged on.
         """
-        sections = {"model": asdict(config.model)}
-        if not MODELS[config.model.name].own_walls:
-            sections["boundary"] = asdict(config.boundary)
-        differs = [line for name, own in sections.items() for line in _differences(name, self._read(name, config), own)]
-        other = f"{self.given}: its weights are of another architecture ({'; '.join(differs) or 'other shapes'})"
-        if self.card.model.get("name") != config.model.name:
-            raise ConfigError(f"{other}; choose model={self.card.model.get('name')}, or train from the start")
+        own, theirs = config.model.name, self.card.model.get("name")
+        if theirs != own:
+            remedy = f"choose model={theirs}, or train from the start"
+            raise ConfigError(f"{self.given}: its weights are of model={theirs}, and this training of {own}; {remedy}")
+        sections = ("model",) if MODELS[own].own_walls else ("model", "boundary")
+        differs = [line for name in sections for line in self._differences(name, config)]
         try:
             model.load_state_dict(self.weights)
         except RuntimeError as error:
-            raise ConfigError(f"{other}; choose as there, or train from the start") from error
+            found = f"{self.given}: its weights are of another architecture ({'; '.join(differs) or 'other shapes'})"
+            raise ConfigError(f"{found}; choose as there, or train from the start") from error
         if self._same_scene(config):
             refuse_unfair(config, self.card.origin, f"{self.given}: this model")
-        lines = [*differs, *_differences("scene", self._read("scene", config), asdict(config.scene))]
+        lines = [*differs, *self._differences("scene", config)]
         return [line for line in lines if not line.startswith(("scene.name=", "model.backend="))]
 
     def record(self, config: TrainConfig) -> dict[str, Any]:
@@ -63,16 +64,17 @@ class Start:
         return {"parent_run": self.name, "parent_weights": self.digest, "seen_speeds_rpm": seen}
 
     def _same_scene(self, config: TrainConfig) -> bool:
-        here, there = asdict(config.scene), self._read("scene", config)
-        return here | {"name": ""} == there | {"name": ""}
+        return all(line.startswith("scene.name=") for line in self._differences("scene", config))
 
-    def _read(self, section: str, config: TrainConfig) -> dict[str, Any]:
-        """A section of the card with every key of today's schema."""
-        values, schemas = getattr(self.card, section), {"scene": SceneConfig, "boundary": BoundaryConfig}
-        try:
-            return asdict(read_config(schemas.get(section) or MODELS[values["name"]].config, values))
-        except (ConfigError, KeyError):  # of a plugin that is not here, say
-            return values
+    def _differences(self, section: str, config: TrainConfig) -> Iterator[str]:
+        """A line for each key of a section that differs from the one of the weights."""
+        old, new, own = getattr(self.card, section), getattr(config, section), type(getattr(config, section))
+        with suppress(ConfigError):  # of a plugin that is not here, say
+            old = asdict(read_config(own, old))  # with every key of today's schema
+        old, new = dotted(old), dotted(new)
+        for key in sorted(old.keys() | new.keys()):
+            if old.get(key) != new.get(key):
+                yield f"{section}.{key}={new.get(key, 'absent')}, trained with {old.get(key, 'none')}"
 
 
 def start_of(config: TrainConfig) -> Start | None:
@@ -120,11 +122,3 @@ def refuse_unfair(config: TrainConfig | EvaluateConfig, origin: Mapping[str, Any
     if config.judge.unseen_packing and dataset.unseen_packing_seed == origin.get("packing_seed"):
         given = f"dataset.unseen_packing_seed={dataset.unseen_packing_seed}"
         raise ConfigError(f"{given}: {model} was trained on that packing; choose another seed")
-
-
-def _differences(section: str, there: Mapping[str, Any], here: Mapping[str, Any]) -> Iterator[str]:
-    """A line for each key of a section that differs from the one of the weights."""
-    old, new = dotted(there), dotted(here)
-    for key in sorted(old.keys() | new.keys()):
-        if old.get(key) != new.get(key):
-            yield f"{section}.{key}={new.get(key, 'absent')}, trained with {old.get(key, 'none')}"
