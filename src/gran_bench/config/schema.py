@@ -280,6 +280,7 @@ class TrainerConfig(Section, place="trainer"):
     log_every: int = key(20, at_least(1))  # updates between logged losses
     startup_fraction: float = key(0.0, FRACTION)  # share of windows drawn from the first second of rotation
     startup_seconds: float = key(1.0, positive("s"))
+    start_from: str | None = None  # run or model file whose weights it starts from; null: random ones
 
 
 @dataclass

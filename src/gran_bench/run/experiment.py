@@ -17,7 +17,6 @@ import pandas as pd
 from gran_bench import tracking
 from gran_bench.config import EvaluateConfig, SceneConfig, TrainConfig
 from gran_bench.config.reading import read_config, validate
-from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import Windows, ensure_cases
 from gran_bench.evaluation import evaluate
 from gran_bench.evaluation.plan import Plan
@@ -28,8 +27,10 @@ from gran_bench.plots.training import loss_curves
 from gran_bench.processes import StopRequest, stop_on_signals, tell
 from gran_bench.provenance import provenance
 from gran_bench.provenance.source_digest import model_code
+from gran_bench.run.going_on import go_on, parent_of
 from gran_bench.run.identity import RunIdentity, hash_of, identify, judged_by, judging_plan, splits, wants_more
 from gran_bench.run.record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, training_metrics
+from gran_bench.run.start_from import Start, refuse_unfair, start_of
 from gran_bench.run.summary import FIGURES, cut_short, record_judgement
 from gran_bench.scene import build_scene
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model
@@ -47,8 +48,13 @@ def run_experiment(config: TrainConfig) -> dict[str, Any]:
         KeyboardInterrupt: SIGTERM or Ctrl-C; a resumable state is on disk and the MLflow run is KILLED.
     """
     validate(config)
-    scene, clock = build_scene(config.scene), Clock()
+    scene, clock, start = build_scene(config.scene), Clock(), start_of(config)
+    model = make_model(config, scene)
     tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
+    if start is not None:
+        tell(f"starts from the weights of {start.name}")
+        for line in start.put_into(model, config):
+            tell(f"warning: {start.given}: {line}")
     with stop_on_signals() as stop:
         split = splits(config)
         tell(f"data: {len(split.all)} cases in {Path(config.dataset.root).resolve()}")
@@ -58,12 +64,12 @@ def run_experiment(config: TrainConfig) -> dict[str, Any]:
         record, plan = RunRecord(identify(config), config, scene.name, clock), judging_plan(config)
 
         def work(run: tracking.Run) -> dict[str, Any]:
-            model = make_model(config, scene)
             _compile_ahead(config.model.name)
             device = next(model.parameters()).device
             tell(f"model {config.model.name}: {model.parameter_count} parameters on {device}")
             with clock.stage("training"):
-                training = train_stage(config, model, windows, record.identity.folder, run, stop)
+                go_on(config, record.identity)
+                training = train_stage(config, model, windows, record.identity.folder, run, stop, start)
             return judge_stage(record, model, plan, asdict(config.model), training, run)
 
         return record.carry_out(work, lambda finished: wants_more(config, finished["training"]))
@@ -82,7 +88,7 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
     model, card = load_model(path, device_named(config.device))
     scene, name = build_scene(read_config(SceneConfig, card.scene)), card.model["name"]
     tell(f"model {name}: {model.parameter_count} parameters from {path}, made for scene {scene.name}")
-    _refuse_unfair(config, card.origin)
+    refuse_unfair(config, card.origin, "this model")
     _compile_ahead(name)
     plan = Plan(scene, config.dem, config.dataset, config.judge)
     key = hash_of(file_digest(path), judged_by(plan), model_code(name))
@@ -104,7 +110,13 @@ def _compile_ahead(model: str) -> None:
 
 
 def train_stage(
-    config: TrainConfig, model: Surrogate, windows: Windows, folder: Path, run: tracking.Run, stop: StopRequest
+    config: TrainConfig,
+    model: Surrogate,
+    windows: Windows,
+    folder: Path,
+    run: tracking.Run,
+    stop: StopRequest,
+    start: Start | None = None,
 ) -> dict[str, Any]:
     """Train, or load what training left, into the model; gives what ``training.json`` says."""
     if (folder / TRAINING).exists():
@@ -143,6 +155,8 @@ def train_stage(
         "packing_seed": config.dataset.packing_seed,
         "data_digest": windows.digest,
         "data_seconds": float(np.nansum([case.attributes["wall_seconds"] for case in windows.cases])),
+        **({} if start is None else start.record(config)),
+        **parent_of(folder),
         **provenance(),
     }
     card = ModelCard(asdict(config.model), asdict(config.boundary), asdict(config.scene), training)
@@ -177,18 +191,3 @@ def judge_stage(
     }
     record_judgement(run, summary, folder, figures)
     return summary
-
-
-def _refuse_unfair(config: EvaluateConfig, origin: dict[str, Any]) -> None:
-    dataset = config.dataset
-    speeds = dataset.validation_speeds_rpm or dataset.holdout_speeds_rpm
-    # The other sense of rotation is the mirror image.
-    seen = [rpm for rpm in origin["training_speeds_rpm"] if abs(rpm) in map(abs, speeds)]
-    if seen:
-        raise ConfigError(
-            f"dataset.holdout_speeds_rpm={speeds}: this model was trained on {seen[0]:g} rpm; judge another speed, "
-            "or choose the dataset= and judge= that it was trained with (dataset=small judge=quick for drum_small)"
-        )
-    if config.judge.unseen_packing and dataset.unseen_packing_seed == origin["packing_seed"]:
-        given = f"dataset.unseen_packing_seed={dataset.unseen_packing_seed}"
-        raise ConfigError(f"{given}: this model was trained on that packing; choose another seed")

@@ -21,8 +21,9 @@ from gran_bench.provenance import command, provenance
 from gran_bench.run.identity import RunIdentity
 from gran_bench.run.summary import FIGURES, finished_summary, params_of, record_judgement, summary_table, write_summary
 from gran_bench.surrogate.checkpoint import MODEL
+from gran_bench.tracking.search import CONFIG
 
-TRAINING, LOSSES, CONFIG, CLOCK = "training.json", "losses.csv", "config.json", "clock.json"
+TRAINING, LOSSES, CLOCK = "training.json", "losses.csv", "clock.json"
 TRACKED = "tracked"  # subfolder of the summary that the store gets; the run's own is written when the store is done
 
 

@@ -25,6 +25,7 @@ from gran_bench.provenance.source_digest import judging_code, taken_hashes, trai
 from gran_bench.run.identity import hash_of, identify, judging_plan, splits, wants_more
 from gran_bench.run.record import Clock, RunRecord
 from gran_bench.run.summary import SUMMARY, broken_rollouts, finished_summary, flat_metrics, judged_words
+from gran_bench.scene import build_scene
 from gran_bench.sweep import runs
 from gran_bench.sweep.runs import SweepFile, SweepJob, SweepRun, read_runs
 from gran_bench.sweep.sweep_report import log_report, report_sweep
@@ -53,6 +54,7 @@ def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
     folder = Path(config.root).resolve() / runs.SWEEPS / (config.sweep or name)
     with stop_on_signals(), locked(folder / ".lock", lambda: tell(f"another process runs {folder}; waiting for it")):
         tell(f"sweep of {len(planned)} jobs in {folder}")
+        _check_starts(planned)
         _make_data(planned)
         jobs = tuple(map(_identified, planned))
         key = hash_of("sweep", folder.name)  # all commands of a folder share its table, so they share its parent
@@ -92,6 +94,15 @@ def _refuse_twins(planned: Sequence[SweepJob]) -> None:
                 "sweep a key where it decides them, by a command with tracking.sweep=NAME "
                 "(python -m gran_bench.evaluate judges a model again)"
             )
+
+
+def _check_starts(planned: Sequence[SweepJob]) -> None:
+    """Refuse weights to start from that are not there or do not fit, before any data is made."""
+    for config in (job.config for job in planned if job.config.trainer.start_from is not None):
+        from gran_bench.run.start_from import start_of  # with PyTorch, which other sweeps load while data are made
+        from gran_bench.trainer.start import make_model
+
+        start_of(config).put_into(make_model(config, build_scene(config.scene)), config)
 
 
 def _make_data(jobs: Sequence[SweepJob]) -> None:
