@@ -115,7 +115,7 @@ def test_the_papers_training_is_the_papers():
     assert (loss.position_l2, loss.position_mse, loss.velocity, loss.spin, loss.overlap) == (1, 0, 0, 0, 0)
     assert loss.frame_weights == "uniform"
     assert (config.rollout.frames, config.rollout.final_frames) == (3, None)
-    assert (config.rollout.noise, config.rollout.mirror) == (0.0, False)
+    assert (config.rollout.noise_diameters, config.rollout.mirror) == (0.0, False)
     optim = config.optim
     assert (optim.learning_rate, optim.final_learning_rate, optim.schedule) == (1e-4, 2e-6, "steps")
     assert (optim.accumulate, optim.warmup_steps, optim.gradient_clip, optim.weight_average) == (5, 0, None, 0.0)
@@ -212,10 +212,10 @@ def test_every_number_of_the_schema_has_bounds():
         ("dataset.unseen_packing_seed=0", ["dataset.unseen_packing_seed=0", "another"]),
         ("dataset.replicas=1", ["dataset.replicas=1", "≥ 2"]),
         ("judge.speeds_rpm=[31]", ["judge.speeds_rpm=[31.0]", "30.0"]),
-        ("model.radius=0.04", ["model.radius=0.04", "0.05"]),
-        ("model.radius=0.0549", ["model.radius=0.0549", "at least 0.055 m", "1.1 particle diameters"]),
-        ("scene=drum_slice model.radius=0.11", ["model.radius=0.11", "container.length=0.2", "at most 0.1 m"]),
-        ("model=radial model.radius=0.05", ["model.radius=0.05", "more than the particle diameter, 0.05 m"]),
+        ("model.radius_m=0.04", ["model.radius_m=0.04", "0.055 m"]),
+        ("model.radius_diameters=1.09", ["model.radius_diameters=1.09", "at least 1.1 diameters"]),
+        ("scene=drum_slice model.radius_m=0.11", ["model.radius_m=0.11", "container.length=0.2", "at most 0.1 m"]),
+        ("model=radial model.radius_diameters=1", ["model.radius_diameters=1", "more than 1 diameters"]),
         ("model.hidden=8", ["model.hidden=8", "16 and 4", "model.backend=torch"]),
         ("model.channels=8", ["model.channels=8", "16 and 4", "model.backend=torch"]),
         ("model.backend=cuda", ["model.backend=cuda", "fused or torch"]),

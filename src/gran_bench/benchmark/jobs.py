@@ -18,7 +18,7 @@ import numpy as np
 from gran_bench.baselines import ballistic, interpolated_statistics, rigid_rotation
 from gran_bench.config import DemConfig
 from gran_bench.dataset import from_document, read_case, read_settled
-from gran_bench.dataset.case_spec import NUDGE
+from gran_bench.dataset.case_spec import replica_nudge
 from gran_bench.dataset.generation import nudged
 from gran_bench.dem.simulate import SimulationError, simulate
 from gran_bench.files import write_atomically
@@ -56,7 +56,8 @@ def prepare(job: dict[str, Any]) -> Run:
         return _dem(scene, bed, DemConfig(**job["dem"]), job["stages"])
     if job["does"] == "surrogate":
         return _surrogate(scene, bed, job["model"])
-    return lambda frames, seed: Outcome(BASELINES[job["does"]](_cut(scene, bed, frames), nudged(bed, NUDGE, seed)))
+    baseline, nudge = BASELINES[job["does"]], replica_nudge(scene)
+    return lambda frames, seed: Outcome(baseline(_cut(scene, bed, frames), nudged(bed, nudge, seed)))
 
 
 def training_summaries(job: dict[str, Any]) -> dict[float, TrajectorySummary]:
@@ -83,7 +84,7 @@ def _dem(scene: Scene, bed: ParticleState, dem: DemConfig, stages: list[float]) 
         bed = simulate(with_modulus(scene, modulus), bed, bed.time + STAGE, dem=DemConfig(threads=1)).final
 
     def run(frames: int, seed: int) -> Outcome:
-        start, end = nudged(bed, NUDGE, seed), bed.time + frames * scene.frame_interval
+        start, end = nudged(bed, replica_nudge(scene), seed), bed.time + frames * scene.frame_interval
         try:
             return Outcome(simulate(scene, start, end, dem=dem).trajectory)
         except SimulationError as error:
@@ -103,7 +104,7 @@ def _surrogate(scene: Scene, bed: ParticleState, path: str) -> Run:
     model, _ = load_model(path)
 
     def run(frames: int, seed: int) -> Outcome:
-        result = rollout(model, scene, nudged(bed, NUDGE, seed), frames + 1)
+        result = rollout(model, scene, nudged(bed, replica_nudge(scene), seed), frames + 1)
         if result.failed_frame is None:
             return Outcome(result.trajectory)
         reason = f"not finite from frame {result.failed_frame} on"

@@ -39,17 +39,21 @@ def check_radius(model: Section, diameter: float, period: float) -> Iterator[str
         diameter: of the spheres, m.
         period: length of the periodic axis, m; 0 for none.
     """
-    if isinstance(model, CconvModelConfig) and model.radius <= diameter:
-        remedy = f"choose more than the particle diameter, {diameter:g} m"
-        yield f"model.radius={model.radius:g} reaches no neighbour; {remedy}"
+    if not isinstance(model, CconvModelConfig | ContactModelConfig):
+        return
+    radius, unit = model.metres("radius", diameter), diameter if model.radius_m is None else 1.0
+    key, of = ("radius_diameters", "diameters") if model.radius_m is None else ("radius_m", "m")
+    given = f"model.{key}={getattr(model, key):g}"
+    if isinstance(model, CconvModelConfig) and radius <= diameter:
+        yield f"{given} reaches no neighbour; choose more than {diameter / unit:g} {of}, the size of a particle"
     if isinstance(model, ContactModelConfig):
-        diameters, given = 1.0 + PAIR_FADE, f"model.radius={model.radius:g}"
-        if model.radius < diameters * diameter * (1.0 - 1e-9):
-            remedy = f"choose at least {diameters * diameter:g} m, {diameters:g} particle diameters"
-            yield f"{given} leaves no room for a contact to fade; {remedy}"
-        if period and 2.0 * model.radius > period:
+        least = (1.0 + PAIR_FADE) * diameter
+        if radius < least * (1.0 - 1e-9):
+            yield f"{given} leaves no room for a contact to fade; choose at least {least / unit:g} {of}"
+        if period and 2.0 * radius > period:
             ends = f"both ends of the period, scene.container.length={period:g}"
-            yield f"{given} sees a neighbour through {ends}; choose at most {0.5 * period:g} m, or model=radial"
+            remedy = f"choose at most {0.5 * period / unit:g} {of}, or model=radial"
+            yield f"{given} sees a neighbour through {ends}; {remedy}"
 
 
 @raising
@@ -74,6 +78,9 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
             remedy = f"leave it at {shown(usual)}, or choose {users}"
             remedy += " with model=radial or model=ccnn" if kind == "own" else ""
             yield f"boundary.{name}={shown(value)} changes nothing for boundary.kind={kind}; {remedy}"
+    if config.trainer.startup_fraction > 0 and config.trainer.startup_seconds is None and not any(scene.gravity):
+        why = "is a number of fall times, and scene.gravity is 0; give trainer.startup_seconds"
+        yield f"trainer.startup_fall_times={config.trainer.startup_fall_times:g} {why}"
     loss, model, terms, gravity = config.loss, config.model.name, loss_terms(), config.scene.gravity
     if not weighed_terms(loss):
         yield f"loss.{terms[0]}=0 and every other term is 0 too; give one of {', '.join(terms)} a weight"

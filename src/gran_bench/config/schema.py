@@ -82,11 +82,14 @@ class FillingConfig(Section, place="scene.filling"):
     """How many spheres, how large, of which material, and how they start."""
 
     count: int = key(3000, at_least(0))
+    # d: the length of reference. √(d/g) is the fall time, a speed over √(g d) a Froude number.
     diameter: float = key(0.05, positive("m"))
     lattice_spacing: float = key(1.12, at_least(1, "diameters"))
     jitter: float = key(0.05, at_least(0, "diameters"))  # uniform in ±jitter
-    settled_speed: float = key(1.0e-3, positive("m/s"))  # root mean square; a bed that stays below is at rest
-    longest_settling: float = key(20.0, positive("s"))  # an error beyond
+    settled_froude: float = key(1.428e-3, positive())  # rms speed over √(g d); a bed that stays below is at rest
+    settled_speed: float | None = key(None, positive("m/s"))  # null: by settled_froude
+    longest_settling_fall_times: float = key(280.0, positive("√(d/g)"))  # an error beyond
+    longest_settling: float | None = key(None, positive("s"))  # null: by longest_settling_fall_times
     settles: bool = True  # false: the scene starts with the spheres where and as fast as they are put
     sizes: SizesConfig = field(default_factory=SizesConfig)
     second_fraction: float = key(0.0, FRACTION)  # share of spheres of scene.second_material, by number
@@ -178,8 +181,10 @@ class ContactModelConfig(Section, place="model"):
     iterations: int = key(8, at_least(1))
     hidden: int = key(16, at_least(1))
     channels: int = key(4, at_least(1))
-    radius: float = key(0.06, positive("m"))  # reach of a pair
-    wall_reach: float = key(0.01, positive("m"))  # gap up to which a wall contact is listed
+    radius_diameters: float = key(1.2, positive("diameters"))  # reach of a pair
+    radius_m: float | None = key(None, positive("m"))  # null: by radius_diameters
+    wall_reach_diameters: float = key(0.2, positive("diameters"))  # gap up to which a wall contact is listed
+    wall_reach_m: float | None = key(None, positive("m"))  # null: by wall_reach_diameters
     memory: bool = False  # carry a tangential spring vector of each contact from frame to frame
     velocity: str = key("mean", one_of("mean", "instantaneous"))  # what the state's velocity is
     backend: str = key("fused", BACKEND)  # fused: Numba, CPU
@@ -200,10 +205,11 @@ class CconvModelConfig(Section, place="model"):
     kernel_size: int = key(4, at_least(2))  # lattice nodes along an edge of the cube
     width: int = key(64, at_least(2))
     layers: int = key(3, at_least(1))  # hidden layers of each branch
-    radius: float = key(0.1125, positive("m"))  # support radius R
+    radius_diameters: float = key(2.25, positive("diameters"))  # support radius R
+    radius_m: float | None = key(None, positive("m"))  # null: by radius_diameters
     constant_input: bool = True  # a constant 1 among the input features
     residual: bool = True  # where widths agree
-    output_scale: float = key(1.0e-3, positive("m per frame²"))  # one unit of the network's output
+    output_scale_diameters: float = key(0.02, positive("diameters per frame²"))  # one unit of the network's output
     update: str = key("mean", one_of("mean", "trapezoid"))
     backend: str = key("fused", BACKEND)  # fused: Numba, CPU
 
@@ -231,7 +237,7 @@ class LossConfig(Section, place="loss"):
     spin: float = key(0.0, at_least(0))
     overlap: float = key(0.0, at_least(0))
     momentum: float = key(0.0, at_least(0))
-    cell_displacement: float = key(0.0, at_least(0))  # mean displacement in cells of the cross-section, 0.1 m wide
+    cell_displacement: float = key(0.0, at_least(0))  # mean displacement in cells of the cross-section, 2 d wide
     center_of_mass: float = key(0.0, at_least(0))
     energy: float = key(0.0, at_least(0))
     speed_distribution: float = key(0.0, at_least(0))
@@ -249,7 +255,8 @@ class RolloutConfig(Section, place="rollout"):
     final_from: float = key(0.6, FRACTION)  # fraction of the steps
     growth: str = key("jump", one_of("jump", "linear"))  # how F gets from `frames` to `final_frames`
     gradient_through_time: bool = True
-    noise: float = key(0.0, at_least(0, "m"))  # Gaussian, on the first frame's position
+    noise_diameters: float = key(0.0, at_least(0, "diameters"))  # Gaussian, on the first frame's position
+    noise_m: float | None = key(None, at_least(0, "m"))  # null: by noise_diameters
     independent_noise: bool = False  # own noise on velocity × Δt and spin × r × Δt; false: the velocity implied
     mirror: bool = False  # random reflection along the drum's axis
 
@@ -278,8 +285,9 @@ class TrainerConfig(Section, place="trainer"):
     checkpoint_every: float = key(30.0, positive("s"))  # between checkpoints
     checkpoint_steps: int | None = key(None, at_least(1))  # or every so many updates
     log_every: int = key(20, at_least(1))  # updates between logged losses
-    startup_fraction: float = key(0.0, FRACTION)  # share of windows drawn from the first second of rotation
-    startup_seconds: float = key(1.0, positive("s"))
+    startup_fraction: float = key(0.0, FRACTION)  # share of windows drawn from the start-up
+    startup_fall_times: float = key(14.0, positive("√(d/g)"))  # of rotation that count as start-up
+    startup_seconds: float | None = key(None, positive("s"))  # null: by startup_fall_times
 
 
 @dataclass

@@ -1,8 +1,8 @@
 """A run between its frames: stretches of an engine, the walls' poses, who has left, and what may have gone wrong.
 
-What changes a run happens on a grid of steps counted from its start: every 10 ms spheres beyond the outlet leave and
-whoever came through a wall stops the run, every 50 ms particles are sorted anew. Frames are copies, so they change no
-bit; the last one comes with what another run needs to go on (``ParticleState.continuation``).
+What changes a run happens on a grid of steps counted from its start: every 0.14 √(d/g) spheres beyond the outlet leave
+and whoever came through a wall stops the run, every fifth time particles are sorted anew. Frames are copies, so they
+change no bit; the last one comes with what another run needs to go on (``ParticleState.continuation``).
 """
 
 from __future__ import annotations
@@ -27,15 +27,16 @@ from gran_bench.dem.walls import largest_excess, wall_poses
 from gran_bench.scene import Scene
 from gran_bench.state import Continuation, FloatArray, Held, ParticleState, Trajectory, name_some
 
-# Between two looks at who leaves and who escaped, s.
-LOOK = 0.01
+# Between two looks at who leaves and who escaped, √(d/g): 10 ms for 50 mm. Where nothing falls, a frame.
+LOOK_FALL_TIMES = 0.14
 # Looks until the particles are sorted anew: neighbours in space soon lie apart in memory, and sorting takes new lists.
 LOOKS_BETWEEN_SORTS = 5
 
 
-def steps_between_looks(time_step: float) -> int:
-    """Whole steps of about 10 ms."""
-    return max(1, round(LOOK / time_step))
+def steps_between_looks(scene: Scene, time_step: float) -> int:
+    """Whole steps."""
+    interval = LOOK_FALL_TIMES * scene.fall_time if scene.needs.gravity else scene.frame_interval
+    return max(1, round(interval / time_step))
 
 
 class Run:
@@ -50,7 +51,7 @@ class Run:
         failed: Callable[..., Trajectory],
     ) -> None:  # fmt: skip
         self._engine, self._scene, self._time_step, self._tuner, self._failed = engine, scene, time_step, tuner, failed
-        self._look_steps = steps_between_looks(time_step)
+        self._look_steps = steps_between_looks(scene, time_step)
         self._sort_steps = LOOKS_BETWEEN_SORTS * self._look_steps
         self._start, self._steps, self._held, self._state = state.time, 0, None, state
         self._stretch, self._inside, self._peaks, self._now = None, None, Peaks(), None

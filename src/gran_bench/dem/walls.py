@@ -82,7 +82,7 @@ def _moved(
         rows = drawn[None]
     if wall.opens is not None:
         # A clock that was added up may be a rounding error short of the opening.
-        gone = end >= wall.opens - 1e-9 * max(1.0, abs(wall.opens))
+        gone = end >= wall.opens - 1e-9 * max(time_step, abs(wall.opens))
         if gone.any():
             rows = np.repeat(rows, len(end), axis=0) if len(rows) == 1 else rows
             rows[gone, KIND] = ABSENT

@@ -201,10 +201,10 @@ class Trainer:
         rollout, scene = self.config.rollout, window.scene
         first = window.position[0], window.velocity_at(0, model.velocity_kind), window.angular_velocity[0]
         position, velocity, spin = map(self._tensor, first)
-        if rollout.noise > 0:
+        if (size := rollout.metres("noise", scene.filling.diameter)) > 0:
 
             def noise() -> Tensor:
-                return self._tensor(rng.standard_normal(window.position[0].shape)) * rollout.noise
+                return self._tensor(rng.standard_normal(window.position[0].shape)) * size
 
             moved = noise()
             position = position + moved
