@@ -13,7 +13,7 @@ import numpy as np
 
 import gran_bench.conf
 from gran_bench.dem.simulate import settle, simulate
-from gran_bench.plots import scene_state
+from gran_bench.plots.scene_state import scene_state
 from gran_bench.shipped import shipped_scene
 
 # Seconds after the start at which a scene shows most; the others after one.

@@ -27,8 +27,7 @@ from gran_bench.config import FillingConfig, HopperConfig, MaterialConfig, Scene
 from gran_bench.dem.contact import sphere_mass
 from gran_bench.dem.simulate import settle, simulate
 from gran_bench.files import write_part
-from gran_bench.plots import draw_discharge
-from gran_bench.plots.hopper_discharge import HopperDischarge
+from gran_bench.plots.verification import HopperDischarge, draw_discharge
 from gran_bench.provenance import stamp
 from gran_bench.scene import Scene, build_scene
 from gran_bench.state import FloatArray

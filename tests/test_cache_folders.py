@@ -16,7 +16,7 @@ PACKAGE = Path(__file__).parents[1] / "src" / "gran_bench"
 WORK = """
 import sys
 if "numba first" in sys.argv: import numba
-import gran_bench.dem.simulate, gran_bench.plots
+import gran_bench.dem.simulate, gran_bench.plots.evaluation
 import gran_bench.surrogate.contact.network, gran_bench.surrogate.convolution.ccnn
 import matplotlib
 from gran_bench.dem.fast.stretch import march

@@ -40,12 +40,10 @@ from gran_bench.metrics import (
     spread_starts,
     summarise,
 )
-from gran_bench.metrics.angle_of_repose import angle_series, center_of_mass_angles, cross_section_axes, surface_lines
-from gran_bench.metrics.measured import Measured
-from gran_bench.metrics.mixing import mixing_entropy
-from gran_bench.metrics.noise_floor import noise_floor
+from gran_bench.metrics.angle_of_repose import center_of_mass_angles, cross_section_axes, surface_angle, surface_lines
+from gran_bench.metrics.bed import mixing, overlap_series
+from gran_bench.metrics.measured import Measured, noise_floor
 from gran_bench.metrics.outside import count_failures
-from gran_bench.metrics.overlap import overlap_series
 from gran_bench.metrics.position_error import mean_spread, separation
 from gran_bench.metrics.speeds import velocities, wasserstein_series
 from gran_bench.scene import (
@@ -141,11 +139,11 @@ def resampled(run: Trajectory, step: int) -> Trajectory:
     (lambda: nearest_case(RUN, {}), "no case to compare with; give runs of the DEM by their speed"),
     (lambda: nearest_case(RUN, [TWIN]), "cases=[Trajectory("),
     (lambda: summarise(state(), SCENE), "trajectory=ParticleState(…) has the wrong type; give a Trajectory"),
-    (lambda: angle_series(RUN, "drum"), "scene=drum has the wrong type; give a Scene"),
+    (lambda: surface_angle(RUN, "drum"), "scene=drum has the wrong type; give a Scene"),
     (lambda: surface_lines(RUN.position, RUN.radius, HOPPER), "scene 'hopper' has no drum, so its beds have no"),
     (lambda: cross_section_axes(NOWHERE), "scene 'nowhere' has no gravity, so nothing is up; choose scene.gravity"),
     (lambda: center_of_mass_angles(RUN.position, RUN.radius, NOWHERE), "scene 'nowhere' has no gravity"),
-    (lambda: mixing_entropy(None, SCENE), "trajectory=null has the wrong type; give a Trajectory"),
+    (lambda: mixing(None, SCENE), "trajectory=null has the wrong type; give a Trajectory"),
     (lambda: overlap_series(RUN, None), "scene=null has the wrong type; give a Scene"),
     (lambda: count_failures([RUN], SCENE), "trajectory=[Trajectory("),
     (lambda: velocities(RUN.velocity, "mean"), "has the wrong type; give a Trajectory"),

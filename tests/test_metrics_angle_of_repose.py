@@ -9,31 +9,37 @@ import pytest
 from beds import RADIUS, drum, inclined_bed, resting
 
 from gran_bench.metrics.angle_of_repose import (
-    angle_series,
     center_of_mass_angles,
+    com_angle,
     solid_fractions,
+    surface_angle,
     surface_lines,
     topmost_crossing,
 )
 
 
-def surface_angle(position, scene=None):
+def angle_series(trajectory, scene):
+    surface = surface_angle(trajectory, scene)
+    return surface, com_angle(trajectory, scene), surface.lines
+
+
+def angle_and_line(position, scene=None):
     """Angle in degrees and the line of one bed."""
     line = surface_lines(position[None], np.full(len(position), RADIUS), scene or drum())[0]
     return np.degrees(line.angle), line
 
 
-def com_angle(position, scene=None):
+def center_angle(position, scene=None):
     return np.degrees(center_of_mass_angles(position[None], np.full(len(position), RADIUS), scene or drum())[0])
 
 
 @pytest.mark.parametrize("angle", [-20.0, 0.0, 12.5, 35.0, 60.0])
 def test_an_inclined_plane_has_its_angle(angle):
-    found, line = surface_angle(inclined_bed(angle))
+    found, line = angle_and_line(inclined_bed(angle))
     assert line.valid
     assert line.filled == 1.0
     assert found == pytest.approx(angle, abs=1.0)
-    assert com_angle(inclined_bed(angle)) == pytest.approx(angle, abs=1.0)
+    assert center_angle(inclined_bed(angle)) == pytest.approx(angle, abs=1.0)
 
 
 def test_turning_the_bed_about_the_axis_turns_both_angles_by_as_much():
@@ -41,23 +47,23 @@ def test_turning_the_bed_about_the_axis_turns_both_angles_by_as_much():
     # The bed climbs towards −x, so a positive turn takes −z into −x.
     matrix = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
     turned = bed @ matrix.T
-    assert com_angle(turned) - com_angle(bed) == pytest.approx(17.0, abs=1e-6)
-    assert surface_angle(turned)[0] - surface_angle(bed)[0] == pytest.approx(17.0, abs=1e-2)
+    assert center_angle(turned) - center_angle(bed) == pytest.approx(17.0, abs=1e-6)
+    assert angle_and_line(turned)[0] - angle_and_line(bed)[0] == pytest.approx(17.0, abs=1e-2)
 
 
 def test_the_mirrored_bed_in_a_drum_that_turns_backwards_has_the_same_angles():
     bed = inclined_bed(30.0)
     mirrored = bed * [-1.0, 1.0, 1.0]
-    assert surface_angle(mirrored, drum(-30.0))[0] == pytest.approx(surface_angle(bed)[0], abs=1e-9)
-    assert com_angle(mirrored, drum(-30.0)) == pytest.approx(com_angle(bed), abs=1e-9)
-    assert surface_angle(mirrored, drum(30.0))[0] == pytest.approx(-30.0, abs=1.0)
+    assert angle_and_line(mirrored, drum(-30.0))[0] == pytest.approx(angle_and_line(bed)[0], abs=1e-9)
+    assert center_angle(mirrored, drum(-30.0)) == pytest.approx(center_angle(bed), abs=1e-9)
+    assert angle_and_line(mirrored, drum(30.0))[0] == pytest.approx(-30.0, abs=1.0)
 
 
 def test_the_order_and_the_place_along_the_axis_do_not_matter():
     bed = inclined_bed(30.0)
     shuffled = np.random.default_rng(0).permutation(bed)
     shuffled[:, 1] += 0.2
-    assert surface_angle(shuffled)[0] == pytest.approx(surface_angle(bed)[0], abs=1e-9)
+    assert angle_and_line(shuffled)[0] == pytest.approx(angle_and_line(bed)[0], abs=1e-9)
 
 
 def test_the_centre_of_mass_weighs_spheres_by_their_volume():
@@ -71,22 +77,22 @@ def test_the_iteration_finds_the_surface_from_wherever_it_starts(off):
     bed = inclined_bed(30.0)
     start = np.radians([30.0 + off])
     line = surface_lines(bed[None], np.full(len(bed), RADIUS), drum(), start)[0]
-    assert np.degrees(line.angle) == pytest.approx(surface_angle(bed)[0], abs=0.1)
+    assert np.degrees(line.angle) == pytest.approx(angle_and_line(bed)[0], abs=0.1)
 
 
 def test_gravity_along_another_direction_gives_the_same_angle():
     bed = inclined_bed(25.0)
     sideways = replace(drum(), gravity=(9.81, 0.0, 0.0))  # down is +x, so the bed climbs towards −z
     turned = np.stack((-bed[:, 2], bed[:, 1], bed[:, 0]), axis=1)
-    assert surface_angle(turned, sideways)[0] == pytest.approx(surface_angle(bed)[0], abs=1e-9)
-    assert com_angle(turned, sideways) == pytest.approx(com_angle(bed), abs=1e-9)
+    assert angle_and_line(turned, sideways)[0] == pytest.approx(angle_and_line(bed)[0], abs=1e-9)
+    assert center_angle(turned, sideways) == pytest.approx(center_angle(bed), abs=1e-9)
 
 
 def test_slabs_fill_the_bins_with_exactly_the_spheres_volume():
     rng = np.random.default_rng(1)
     radius = rng.uniform(0.01, 0.03, 500)
     s, w = rng.uniform(-0.3, 0.3, 500), rng.uniform(-0.45, 0.45, 500)
-    _, _, fraction = solid_fractions(s, w, radius, drum_radius=0.5, length=1.0, diameter=0.05)
+    _, _, fraction = solid_fractions(s, w, radius, drum())
     assert fraction.shape[0] == 12
     volume = fraction.sum() * 0.05 * 0.0125 * 1.0
     assert volume == pytest.approx(4 / 3 * np.pi * (radius**3).sum(), rel=1e-12)
@@ -94,13 +100,13 @@ def test_slabs_fill_the_bins_with_exactly_the_spheres_volume():
 
 def test_a_sphere_counts_in_the_column_of_its_centre():
     s, w = np.array([0.049]), np.array([0.0])
-    middle, _, fraction = solid_fractions(s, w, np.array([0.025]), 0.5, 1.0, 0.05)
+    middle, _, fraction = solid_fractions(s, w, np.array([0.025]), drum())
     assert middle[fraction.sum(axis=1) > 0] == pytest.approx([0.025])
 
 
 def test_one_slab_of_one_sphere():
     # The lowest quarter of a sphere that starts on an edge: π h² (3r − h)/3 with h = 12.5 mm.
-    _, height, fraction = solid_fractions(np.array([0.01]), np.array([0.025]), np.array([0.025]), 0.5, 1.0, 0.05)
+    _, height, fraction = solid_fractions(np.array([0.01]), np.array([0.025]), np.array([0.025]), drum())
     lowest = fraction[:, np.isclose(height, 0.00625)].max() * 0.05 * 0.0125
     assert lowest == pytest.approx(np.pi * 0.0125**2 * (0.075 - 0.0125) / 3, rel=1e-12)
 
@@ -122,14 +128,14 @@ def test_the_topmost_crossing_is_interpolated_and_ignores_what_lies_deeper():
 def test_a_bed_without_a_straight_surface_is_invalid():
     bed = inclined_bed(0.0)
     heap = bed[(bed[:, 2] < -0.2) | (np.abs(bed[:, 0]) < 0.1)]
-    line = surface_angle(heap)[1]
+    line = angle_and_line(heap)[1]
     assert not line.valid
     assert line.residual > 0.5 * 2 * RADIUS
 
 
 def test_a_bed_that_fills_few_columns_is_invalid():
     bed = inclined_bed(0.0)
-    line = surface_angle(bed[np.abs(bed[:, 0]) < 0.2])[1]
+    line = angle_and_line(bed[np.abs(bed[:, 0]) < 0.2])[1]
     assert not line.valid
     assert line.filled == pytest.approx(8 / 12)
 

@@ -9,10 +9,15 @@ import pytest
 from beds import RADIUS, drum, flowing, inclined_bed, resting
 
 from gran_bench.metrics import judge, summarise
-from gran_bench.metrics.energy import rotational_energy, sphere_masses, translational_energy
-from gran_bench.metrics.mixing import mixing_entropy
+from gran_bench.metrics.bed import (
+    mixing,
+    overlap_series,
+    pair_overlaps,
+    rotational_energy,
+    sphere_masses,
+    translational_energy,
+)
 from gran_bench.metrics.outside import count_failures
-from gran_bench.metrics.overlap import overlap_series, pair_overlaps
 from gran_bench.metrics.position_error import (
     divergence_horizon,
     mean_spread,
@@ -101,12 +106,13 @@ def test_a_rollout_that_ended_early_has_diverged():
 
 
 def test_energy_of_one_sphere():
-    time, mass = np.array([1.5]), sphere_masses(np.array([RADIUS]), 2500.0)
+    mass = sphere_masses(np.array([RADIUS]), 2500.0)
     assert mass == pytest.approx([2500.0 * 4 / 3 * np.pi * RADIUS**3])
-    motion = np.array([[[3.0, 0.0, 4.0]]])
-    assert translational_energy(time, motion, mass).value == pytest.approx(12.5 * mass)
-    assert rotational_energy(time, motion, mass, np.array([RADIUS])).value == pytest.approx(5.0 * mass * RADIUS**2)
-    assert "no spin" in rotational_energy(time, None, mass, np.array([RADIUS])).mean().note
+    one, scene = resting(drum(), np.zeros((1, 3)), frames=1), drum()
+    moving = replace(one, velocity=[[[3.0, 0.0, 4.0]]], angular_velocity=[[[3.0, 0.0, 4.0]]])
+    assert translational_energy(moving, scene).value == pytest.approx(12.5 * mass)
+    assert rotational_energy(moving, scene).value == pytest.approx(5.0 * mass * RADIUS**2)
+    assert "no spin" in rotational_energy(replace(one, angular_velocity=None), scene).mean().note
 
 
 def test_mixing_runs_from_two_halves_to_random():
@@ -115,7 +121,7 @@ def test_mixing_runs_from_two_halves_to_random():
     trajectory = resting(scene, bed, frames=3)
     trajectory.position[1] = np.random.default_rng(0).permutation(bed)
     trajectory.position[2, 0] = np.nan
-    entropy = mixing_entropy(trajectory, scene)
+    entropy = mixing(trajectory, scene)
     assert entropy.value[0] < 0.1
     assert 0.95 < entropy.value[1] <= 1.0
     assert np.isnan(entropy.value[2])

@@ -11,7 +11,6 @@ from gran_bench.metrics.angle_of_repose import SurfaceLine, surface_lines
 from gran_bench.metrics.speeds import (
     depth_profile,
     sorted_frames,
-    speed_histogram,
     velocities,
     wasserstein,
     wasserstein_series,
@@ -78,11 +77,6 @@ def test_means_do_not_give_instantaneous_velocities():
         velocities(mean, "instantaneous")
     with pytest.raises(ValueError, match="choose one of"):
         velocities(still, "median")
-
-
-def test_the_histogram_gives_shares_of_all_spheres():
-    share = speed_histogram(np.array([0.1, 0.2, 0.7, 5.0]), np.array([0.0, 0.5, 1.0]))
-    assert share.tolist() == [0.5, 0.25]
 
 
 def test_layers_under_the_surface_have_their_own_speed():

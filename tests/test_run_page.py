@@ -102,13 +102,13 @@ def test_a_rollout_in_words_says_how_far_it_looks(rollout: RolloutConfig, words:
 def test_an_experiment_is_dressed_once_and_a_users_words_stay(tmp_path: Path):
     store = Store(TrackingConfig(root=str(tmp_path)))
     store.dress_experiment()
-    tags = store._client.get_experiment(store.experiment_id).tags
+    tags = store.client.get_experiment(store.experiment_id).tags
     envelope = json.loads(tags[VIEW_TAG])
     assert json.loads(envelope["state"]) == view_state()
-    store._client.set_experiment_tag(store.experiment_id, "mlflow.note.content", "my own words")
-    store._client.set_experiment_tag(store.experiment_id, VIEW_TAG, "of an older version")
+    store.client.set_experiment_tag(store.experiment_id, "mlflow.note.content", "my own words")
+    store.client.set_experiment_tag(store.experiment_id, VIEW_TAG, "of an older version")
     store.dress_experiment()
-    tags = store._client.get_experiment(store.experiment_id).tags
+    tags = store.client.get_experiment(store.experiment_id).tags
     assert tags["mlflow.note.content"] == "my own words"
     assert tags[VIEW_TAG] == experiment_tags()[VIEW_TAG]
     assert all(len(value) <= 5000 or name == VIEW_TAG for name, value in tags.items())

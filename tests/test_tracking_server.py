@@ -30,6 +30,7 @@ from gran_bench.tracking import (
     schedule_children,
     ui,
 )
+from gran_bench.tracking.store import said_place
 
 # SQLAlchemy's word to MLflow, which a user never sees either.
 pytestmark = pytest.mark.filterwarnings("ignore:The ``noload`` loader strategy")
@@ -204,30 +205,21 @@ def test_a_server_that_falls_silent_costs_no_result_and_hears_of_it_later(server
     assert (lost.info.status, lost.data.metrics) == ("FINISHED", {"loss": 0.5})
 
 
-@pytest.mark.parametrize(
-    "uri", ["file:///mlruns", "sqlite:///elsewhere.db", "databricks", "postgresql://me:secret@host/db"]
-)
 def test_what_is_no_server_is_said_and_the_folders_database_is_used(
-    config: TrackingConfig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture, uri: str
-):
-    monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
-    with open_run(config, "run", "key", {}):
-        pass
-    said = capsys.readouterr().err
-    shown = uri.replace("me:secret@", "")
-    database = Path(config.root) / "mlflow.db"
-    assert f"MLFLOW_TRACKING_URI={shown} is not used, for it is no server" in said
-    assert f"runs are recorded in {database}" in said
-    assert database.is_file()
-
-
-def test_the_folders_own_database_by_its_uri_is_no_news(
     config: TrackingConfig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ):
-    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{Path(config.root) / 'mlflow.db'}")
+    database = Path(config.root) / "mlflow.db"
+    for uri in ("file:///mlruns", "sqlite:///elsewhere.db", "databricks", "postgresql://me:secret@host/db"):
+        monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
+        said = said_place(config)
+        assert f"MLFLOW_TRACKING_URI={uri.replace('me:secret@', '')} is not used, for it is no server" in said
+        assert f"runs are recorded in {database}" in said
     with open_run(config, "run", "key", {}):
         pass
-    assert capsys.readouterr().err == ""
+    assert said in capsys.readouterr().err
+    assert database.is_file()
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{database}")
+    assert said_place(config) is None, "the folder's own database by its URI is no news"
 
 
 def test_no_password_is_printed(config: TrackingConfig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture):

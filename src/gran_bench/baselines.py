@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gran_bench.config.registry import HOUSE, METRICS
 from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.measured import Series
 from gran_bench.metrics.summary import TrajectorySummary
@@ -93,6 +94,7 @@ def interpolated_statistics(speed_rpm: float, training: Mapping[float, Trajector
         )
     share = 0.0 if above == below else (speed_rpm - below) / (above - below)
     layers = min(len(low.layer_speed), len(high.layer_speed))
+    house = [name for name in low.series if METRICS.owner(name) == HOUSE]  # those of plugins need particles
 
     def between(name: str, rows: int | None = None) -> FloatArray:
         one, other = getattr(low, name)[:rows], getattr(high, name)[:rows]
@@ -104,7 +106,7 @@ def interpolated_statistics(speed_rpm: float, training: Mapping[float, Trajector
 
     return replace(
         low,
-        series={name: series(low.series[name], high.series[name]) for name in low.series},
+        series={name: series(low.series[name], high.series[name]) for name in house},
         sorted_speed=between("sorted_speed"),
         sorted_component=between("sorted_component"),
         layer_speed=between("layer_speed", layers),
@@ -112,7 +114,6 @@ def interpolated_statistics(speed_rpm: float, training: Mapping[float, Trajector
         steady_undefined_because=low.steady_undefined_because or high.steady_undefined_because,
         position=None,
         failures=None,
-        registered={},
     )
 
 

@@ -16,7 +16,7 @@ from mlflow.entities import Run
 from pages import CHROMIUM, DRIVER, WIDE, Browser, user_interface
 
 from gran_bench.tracking import HEADLINE, SWEEP_TAG
-from gran_bench.tracking.address import DATABASE
+from gran_bench.tracking.store import DATABASE
 
 pytestmark = [
     pytest.mark.browser,

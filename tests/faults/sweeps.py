@@ -22,7 +22,7 @@ from gran_bench.run.record import MODEL
 from gran_bench.run.summary import SUMMARY
 from gran_bench.surrogate.checkpoint import load_card
 from gran_bench.sweep.runs import FINISHED, SWEEPS, read_runs
-from gran_bench.tracking.address import DATABASE
+from gran_bench.tracking.store import DATABASE
 
 SWEEP = "kills"  # name of the sweep
 RADII = (0.06, 0.065)  # m

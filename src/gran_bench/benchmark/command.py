@@ -18,8 +18,7 @@ from gran_bench.config.reading import validate
 from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import ensure_cases, read_case, rotation_label
 from gran_bench.files import locked
-from gran_bench.plots.study_cost import CostLine, cost_against
-from gran_bench.plots.time_error import time_against_error
+from gran_bench.plots.time_error import CostLine, cost_against, time_against_error
 from gran_bench.processes import stop_on_signals
 from gran_bench.provenance import hardware, library_versions, provenance
 from gran_bench.provenance.source_digest import comparing_code

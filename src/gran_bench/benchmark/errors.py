@@ -20,7 +20,7 @@ from gran_bench.dataset import Case
 from gran_bench.files import write_text
 from gran_bench.metrics.comparisons import COMPARISONS, Comparison
 from gran_bench.metrics.judge import judge
-from gran_bench.metrics.noise_floor import CONFIDENCE
+from gran_bench.metrics.measured import CONFIDENCE
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.scene import Scene
 from gran_bench.state import Trajectory

@@ -74,6 +74,11 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         load_plugins()
         return self._owners[name]
 
+    def added(self) -> list[str]:
+        """The names that packages beside the house registered."""
+        load_plugins()
+        return [name for name, owner in self._owners.items() if owner != HOUSE]
+
     def plugins(self) -> list[str]:
         """The packages beside the house that registered something."""
         load_plugins()

@@ -1,5 +1,3 @@
-"""Rollouts judged against the DEM."""
+"""Judging a model: rollouts of every speed, replicas of the DEM, figures, a summary."""
 
-from gran_bench.evaluation.evaluation import Evaluation, evaluate, predict_from, weights_digest
-
-__all__ = ["Evaluation", "evaluate", "predict_from", "weights_digest"]
+from gran_bench.evaluation.evaluation import Evaluation, evaluate

@@ -1,14 +1,11 @@
-"""Judge one model on one scene: rollouts of every speed, replicas of the DEM, figures, a summary.
-
-A hybrid has no place here: between the settled state and the last frame nothing but the model moves a sphere.
-"""
+"""Judge one model on one scene: rollouts in which nothing but the model moves a sphere, replicas, a summary."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,116 +25,100 @@ from gran_bench.state import FloatArray, Trajectory
 from gran_bench.surrogate.rollout import Rollout, extrapolations, rollout
 from gran_bench.surrogate.step import Surrogate
 
-Tell = Callable[[str], None]
 # The distances that stand in the short table, for the model and for the baselines.
 COMPARED = ("surface_angle", "com_angle", "speed_w1")
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What judging a model gave.
+    """What judging a model gave; packings are ``shared`` and ``unseen``, names ``30rpm`` or ``30rpm_unseen``."""
 
-    Attributes:
-        judgements: of the held-out speed, by packing (``shared``, ``unseen``).
-        rollouts: by name, such as ``30rpm`` and ``30rpm_unseen``.
-        cases: the DEM's runs of the same names.
-        candidates: the model's rollout of the held-out speed, summarised, by packing.
-        replicas: the DEM's nudged runs of the held-out speed, summarised, by packing.
-        summary: everything as plain values for ``summary.json``.
-    """
-
-    judgements: dict[str, Judgement]
-    rollouts: dict[str, Rollout]
-    cases: dict[str, Case]
-    candidates: dict[str, TrajectorySummary]
-    replicas: dict[str, list[TrajectorySummary]]
-    summary: dict[str, Any]
+    judgements: dict[str, Judgement]  # of the judged speed, by packing
+    rollouts: dict[str, Rollout]  # by name
+    cases: dict[str, Case]  # the DEM's runs of the same names
+    candidates: dict[str, TrajectorySummary]  # the model's rollout of the judged speed, by packing
+    replicas: dict[str, list[TrajectorySummary]]  # the DEM's nudged runs of the judged speed, by packing
+    summary: dict[str, Any]  # everything as plain values for ``summary.json``
 
 
-def evaluate(model: Surrogate, plan: Plan, folder: Path, tell: Tell, progress: bool = True) -> Evaluation:
-    """Roll a model out, judge it, and sum it up.
+def evaluate(
+    model: Surrogate, plan: Plan, folder: Path, tell: Callable[[str], None], progress: bool = True
+) -> Evaluation:
+    """Roll a model out, judge it, and sum it up; a rollout that failed is in the evaluation as a failed one.
 
-    Args:
-        model: with its final weights, on its device.
-        plan: what to do.
-        folder: keeps the finished rollouts, so that a killed evaluation goes on.
-        tell: gets one line for each stage.
-        progress: show bars.
-
-    Returns:
-        The evaluation; a rollout that failed is in it as a failed one.
+    The folder keeps the finished rollouts, so that a killed evaluation goes on; ``tell`` gets a line for each stage.
     """
     tell("DEM runs to judge against: cases, replicas, another packing, half the time step")
     ensure_cases(plan.cases, plan.dataset.root, plan.dataset.workers, progress)
     jobs = {rollout_name(rpm): plan.case(rpm) for rpm in plan.speeds_rpm}
-    for unseen in plan.packings:
-        jobs[rollout_name(plan.judged_rpm, unseen)] = plan.case(plan.judged_rpm, unseen)
+    jobs |= {rollout_name(plan.judged_rpm, unseen): plan.case(plan.judged_rpm, unseen) for unseen in plan.packings}
     cases = {name: read_case(spec.path(plan.dataset.root)) for name, spec in jobs.items()}
-    rollouts = {}
-    with _one_thread():
+    judged, rollouts = cases[rollout_name(plan.judged_rpm)], {}
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # so that a surrogate's time stands beside one core of the DEM
+    try:
         for name, case in cases.items():
             tell(f"rollout of {case.trajectory.frame_count} frames, {name}")
             rollouts[name] = _kept_rollout(model, case, folder / "rollouts" / f"{name}.npz", progress)
             for warning in rollouts[name].warnings:
                 tell(f"  unlike the training: {warning}")
+    finally:
+        torch.set_num_threads(threads)
     judgements, candidates, doubles = {}, {}, {}
     for unseen in plan.packings:
-        packing = "unseen" if unseen else "shared"
-        tell(f"judging {rollout_name(plan.judged_rpm, unseen)} against {len(plan.replicas(unseen))} replicas")
-        judgements[packing], candidates[packing], doubles[packing] = _judge_packing(plan, rollouts, unseen)
+        packing, name = "unseen" if unseen else "shared", rollout_name(plan.judged_rpm, unseen)
+        tell(f"judging {name} against {len(plan.replicas(unseen))} replicas")
+        judged_scene = plan.case(plan.judged_rpm, unseen).scene
+        candidate = candidates[packing] = summarise(rollouts[name].trajectory, judged_scene)
+        doubles[packing] = [_summary(spec, plan, candidate.velocity_kind) for spec in plan.replicas(unseen)]
+        beside = {}
+        if not plan.imported or len(plan.packings) > 1:
+            beside["other_packing"] = plan.case(plan.judged_rpm, not unseen)
+        if not unseen and not plan.imported:
+            beside["half_step"] = plan.finer
+        beside = {name: _summary(spec, plan, candidate.velocity_kind) for name, spec in beside.items()}
+        judgements[packing] = judge(candidate, doubles[packing], judged_scene, beside)
     summary = {
         "judged_rpm": plan.judged_rpm,
         "judged_as": "validation" if plan.validates else "held out",
         "judged": {packing: judgement.to_dict() for packing, judgement in judgements.items()},
-        "baselines": _baselines(plan, cases[rollout_name(plan.judged_rpm)], doubles["shared"]),
+        "baselines": _baselines(plan, judged, doubles["shared"]),
         "nearest_case": _nearest(plan, rollouts, cases),
-        "position_error": _short_horizon(model, cases[rollout_name(plan.judged_rpm)], plan.judge),
+        "position_error": _short_horizon(model, judged, plan.judge),
         "rollouts": {name: _rollout_facts(result, cases[name]) for name, result in rollouts.items()},
         "data_digest": dataset_digest(list(cases.values())),
     }
     return Evaluation(judgements, rollouts, cases, candidates, doubles, summary)
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """One thread in torch's operations, so that a surrogate's time stands beside one core of the DEM."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
+def _summary(spec: CaseSpec, plan: Plan, velocity_kind: str) -> TrajectorySummary:
+    return summarise(read_case(spec.path(plan.dataset.root)).trajectory, spec.scene, velocity_kind)
 
 
 def _kept_rollout(model: Surrogate, case: Case, path: Path, progress: bool) -> Rollout:
     """The rollout of a case, computed once and kept whole in a file; another case or other weights compute it anew."""
-    made_of = f"{case.digest} {weights_digest(model)}"
-    if not path.exists() or _made_of(path) != made_of:
+    made_of, arrays = f"{case.digest} {weights_digest(model)}", ("position", "velocity", "angular_velocity")
+    kept = _read(path)
+    if kept.get("made_of") != made_of:
         result = rollout(model, case.scene, case.settled, case.trajectory.frame_count, progress)
-        arrays = {"position": result.trajectory.position, "velocity": result.trajectory.velocity}
-        if result.trajectory.angular_velocity is not None:
-            arrays["angular_velocity"] = result.trajectory.angular_velocity
         failed = -1 if result.failed_frame is None else result.failed_frame
         facts = {"seconds_per_frame": result.seconds_per_frame, "failed_frame": failed, "made_of": made_of}
+        facts |= {name: found for name in arrays if (found := getattr(result.trajectory, name)) is not None}
         with whole_file(path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, **facts, **arrays)
-    with np.load(path) as kept:
-        trajectory = Trajectory(
-            case.settled.time + case.scene.frame_interval * np.arange(len(kept["position"])),
-            kept["position"],
-            kept["velocity"],
-            kept["angular_velocity"] if model.uses_spin else None,
-            np.asarray(case.settled.radius),
-            velocity_kind=model.velocity_kind,
-        )
-        failed = int(kept["failed_frame"])
-        seconds, warnings = kept["seconds_per_frame"], extrapolations(model, case.scene, case.settled)
-        return Rollout(trajectory, None if failed < 0 else failed, seconds, warnings)
+            np.savez(file, **facts)
+        kept = _read(path)
+    time = case.settled.time + case.scene.frame_interval * np.arange(len(kept["position"]))
+    motion, radius = map(kept.get, arrays), np.asarray(case.settled.radius)
+    trajectory = Trajectory(time, *motion, radius, velocity_kind=model.velocity_kind)
+    failed, warnings = int(kept["failed_frame"]), extrapolations(model, case.scene, case.settled)
+    return Rollout(trajectory, None if failed < 0 else failed, kept["seconds_per_frame"], warnings)
 
 
-def _made_of(path: Path) -> str:
+def _read(path: Path) -> dict[str, Any]:
+    if not path.exists():
+        return {}
     with np.load(path) as kept:
-        return str(kept["made_of"])
+        return {**kept}
 
 
 def weights_digest(model: Surrogate) -> str:
@@ -149,51 +130,28 @@ def weights_digest(model: Surrogate) -> str:
     return digest.hexdigest()[:16]
 
 
-def _judge_packing(
-    plan: Plan, rollouts: dict[str, Rollout], unseen: bool
-) -> tuple[Judgement, TrajectorySummary, list[TrajectorySummary]]:
-    """The judged speed from one packing, against its replicas; another packing and half the step beside them."""
-    scene, root = plan.case(plan.judged_rpm, unseen).scene, plan.dataset.root
-    candidate = summarise(rollouts[rollout_name(plan.judged_rpm, unseen)].trajectory, scene)
-
-    def summary_of(spec: CaseSpec) -> TrajectorySummary:
-        return summarise(read_case(spec.path(root)).trajectory, scene, candidate.velocity_kind)
-
-    doubles = [summary_of(spec) for spec in plan.replicas(unseen)]
-    beside = {}
-    if not plan.imported or len(plan.packings) > 1:
-        beside["other_packing"] = summary_of(plan.case(plan.judged_rpm, not unseen))
-    if not unseen and not plan.imported:
-        beside["half_step"] = summary_of(plan.finer)
-    return judge(candidate, doubles, scene, beside), candidate, doubles
-
-
 def _baselines(plan: Plan, case: Case, doubles: list[TrajectorySummary]) -> dict[str, Any]:
     """What costs next to nothing, held against the same replicas: distances by baseline and name."""
-    scene, kind, root = case.scene, doubles[0].velocity_kind, plan.dataset.root
-
-    def summary_of(spec: CaseSpec) -> TrajectorySummary:
-        return summarise(read_case(spec.path(root)).trajectory, spec.scene, kind)
-
+    scene, kind = case.scene, doubles[0].velocity_kind
     candidates = {
         "rigid rotation": summarise(rigid_rotation(scene, case.settled), scene, kind),
         "ballistic": summarise(ballistic(scene, case.settled), scene, kind),
     }
     if plan.neighbours_rpm is not None:
         low, high = plan.neighbours_rpm
-        training = {rpm: summary_of(plan.case(rpm)) for rpm in (low, high)}
+        training = {rpm: _summary(plan.case(rpm), plan, kind) for rpm in (low, high)}
         name = f"statistics interpolated between {low:g} and {high:g} rpm"
         candidates[name] = interpolated_statistics(plan.judged_rpm, training)
         candidates |= {f"{rpm:g} rpm replayed": training[rpm] for rpm in (low, high)}
     step = "" if plan.imported else f"DEM, steps of {1e3 * plan.coarser.dem.time_step:g} ms"
     if step:
-        candidates[step] = summary_of(plan.coarser)
+        candidates[step] = _summary(plan.coarser, plan, kind)
     table = {}
     for name, candidate in candidates.items():
         errors = judge(candidate, doubles, scene).to_dict()["errors"]
         table[name] = {row: errors[row] for row in COMPARED}
     if step:
-        table[step]["ms_per_frame"] = _dem_ms_per_frame(read_case(plan.coarser.path(root)))
+        table[step]["ms_per_frame"] = _dem_ms_per_frame(read_case(plan.coarser.path(plan.dataset.root)))
     return table
 
 
@@ -215,21 +173,13 @@ def _nearest(plan: Plan, rollouts: dict[str, Rollout], cases: dict[str, Case]) -
 def _short_horizon(model: Surrogate, case: Case, config: JudgeConfig) -> dict[str, Any]:
     """Mean position error 1, 3 and 10 frames from many start frames of the DEM's own case, m and d."""
     starts = spread_starts(case.trajectory.frame_count, config.short_horizon_starts)
-    found = short_horizon_errors(
-        lambda start, frames: predict_from(model, case, start, frames),
-        case.trajectory,
-        starts,
-        period=case.scene.period,
-    )
-    diameter = case.scene.filling.diameter
-    return {
-        f"{horizon}_frames": {
-            "m": found[horizon].value,
-            "diameters": None if found[horizon].value is None else found[horizon].value / diameter,
-            "note": found[horizon].note,
-        }
-        for horizon in HORIZONS
-    }
+    found = short_horizon_errors(partial(predict_from, model, case), case.trajectory, starts, period=case.scene.period)
+    table = {}
+    for horizon in HORIZONS:
+        value = found[horizon].value
+        diameters = None if value is None else value / case.scene.filling.diameter
+        table[f"{horizon}_frames"] = {"m": value, "diameters": diameters, "note": found[horizon].note}
+    return table
 
 
 def predict_from(model: Surrogate, case: Case, start: int, frames: int) -> FloatArray:
@@ -243,15 +193,10 @@ def predict_from(model: Surrogate, case: Case, start: int, frames: int) -> Float
     # What a model remembers follows from the DEM's frames before the start, never from frames after it.
     past = slice(0, start + 1)
     memories = model.memories(scene, motion.time[past], motion.position[past], motion.angular_velocity[past])
+    memory = None if memories is None else memories[-1]
+    first = (tensor(array[start]) for array in (motion.position, motion.velocity, motion.angular_velocity))
     with torch.no_grad():
-        state = model.begin(
-            scene,
-            tensor(motion.position[start]),
-            tensor(motion.velocity[start]),
-            tensor(motion.angular_velocity[start]),
-            previous,
-            None if memories is None else memories[-1],
-        )
+        state = model.begin(scene, *first, previous, memory)
         found = []
         for k in range(frames):
             state = model(state, scene, float(motion.time[start]) + k * scene.frame_interval)
@@ -261,12 +206,12 @@ def predict_from(model: Surrogate, case: Case, start: int, frames: int) -> Float
 
 def _rollout_facts(result: Rollout, case: Case) -> dict[str, Any]:
     """How fast a rollout was, beside the DEM's own time for the same frames, and where it failed."""
-    computed = result.seconds_per_frame[np.isfinite(result.seconds_per_frame)]
+    computed = 1e3 * result.seconds_per_frame[np.isfinite(result.seconds_per_frame)]
     return {
         "failed_frame": result.failed_frame,
         "warnings": list(result.warnings),
-        "ms_per_frame_median": 1e3 * float(np.median(computed)) if len(computed) else None,
-        "ms_per_frame_90th": 1e3 * float(np.percentile(computed, 90)) if len(computed) else None,
+        "ms_per_frame_median": float(np.median(computed)) if len(computed) else None,
+        "ms_per_frame_90th": float(np.percentile(computed, 90)) if len(computed) else None,
         "dem_ms_per_frame": _dem_ms_per_frame(case),
     }
 

@@ -19,15 +19,9 @@ class Plan:
 
     Where the data set has a validation speed, that one is judged, and the held-out speed is neither rolled out nor
     opened: whoever chooses must not see it.
-
-    Attributes:
-        scene: without a speed of its own.
-        dem: the solver's settings.
-        dataset: speeds, packings, replicas.
-        judge: speeds to roll out.
     """
 
-    scene: Scene
+    scene: Scene  # without a speed of its own
     dem: DemConfig
     dataset: DatasetConfig
     judge: JudgeConfig
@@ -51,7 +45,7 @@ class Plan:
 
     @property
     def packings(self) -> list[bool]:
-        """Which packings are judged: the shared one, and the unseen one (True) where it is asked for."""
+        """Whether the judged packings are unseen: the shared one is not, and stands first."""
         return [False, True] if self.judge.unseen_packing else [False]
 
     def case(self, rpm: float, unseen: bool = False) -> CaseSpec:

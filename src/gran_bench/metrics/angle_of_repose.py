@@ -1,18 +1,17 @@
 """Angle of repose of a bed in a drum, by two published definitions, each with its validity.
 
 Both are measured in the plane across the axis, from the horizontal, positive where the bed has climbed with the
-rotation. Up is against gravity; the climbing direction e is axis × gravity, the way in which the bottom of the
-drum moves.
+rotation, along e = axis × gravity.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gran_bench.config.registry import register_metric
 from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.measured import Series
 from gran_bench.scene import Scene
@@ -29,21 +28,13 @@ MOST_ITERATIONS = 40
 
 @dataclass(frozen=True)
 class SurfaceLine:
-    """The straight line w = offset + 0·s through a bed's surface, in the frame turned by ``angle``.
+    """The straight line w = offset + 0·s through a bed's surface, in the frame turned by ``angle``."""
 
-    Attributes:
-        angle: rad, NaN where there is no line.
-        offset: height of the line over the axis, along the surface's normal, m.
-        residual: rms distance of the columns' surface points from the line, m.
-        filled: share of the columns that have a surface, −.
-        valid: residual ≤ 0.5 d and filled ≥ 80 %.
-    """
-
-    angle: float
-    offset: float
-    residual: float
-    filled: float
-    valid: bool
+    angle: float  # rad, NaN where there is no line
+    offset: float  # m, height of the line over the axis, along the surface's normal
+    residual: float  # m, rms distance of the columns' surface points from the line
+    filled: float  # share of the columns that have a surface
+    valid: bool  # residual ≤ 0.5 d and filled ≥ 80 %
 
 
 NO_LINE = SurfaceLine(math.nan, math.nan, math.nan, 0.0, False)
@@ -57,29 +48,12 @@ def why_no_angle(scene: Scene) -> str:
         return "the scene has no gravity"
     if not scene.filling.count:
         return "the scene has no spheres"
-    if not scene.has_angle_of_repose:
-        return f"at or above the critical speed of {scene.critical_speed_rpm:.3g} rpm"
-    return ""
-
-
-def hold_drum(scene: Scene) -> None:
-    """Refuse a scene in which no surface can be looked for.
-
-    Raises:
-        ValueError: a scene without a drum.
-    """
-    check_arguments(scene=(scene, Scene))
-    if scene.drum_radius is None or scene.length is None:
-        raise ValueError(f"scene {scene.name!r} has no drum, so its beds have no surface; choose a drum")
+    critical = f"at or above the critical speed of {scene.critical_speed_rpm:.3g} rpm"
+    return "" if scene.has_angle_of_repose else critical
 
 
 def cross_section_axes(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Unit vectors across the drum, ``(3,)`` each: the climbing direction (with the rotation) and up.
-
-    Raises:
-        ValueError: a scene without gravity.
-    """
-    check_arguments(scene=(scene, Scene))
+    """Unit vectors ``(3,)`` across the drum: climbing (with the rotation) and up; a `ValueError` without gravity."""
     if not scene.needs.gravity:
         raise ValueError(f"scene {scene.name!r} has no gravity, so nothing is up; choose scene.gravity")
     down = np.asarray(scene.gravity, float) / scene.gravity_strength
@@ -89,17 +63,12 @@ def cross_section_axes(scene: Scene) -> tuple[FloatArray, FloatArray]:
 
 
 def center_of_mass_angles(position: FloatArray, radius: FloatArray, scene: Scene) -> FloatArray:
-    """Angle between gravity and the offset of the bed's centre from the axis, ``(F,)`` rad.
-
-    tan θ = (c·e)/(c·g/|g|), with c the centre of mass.
+    """Angle between gravity and the offset of the bed's centre c from the axis, tan θ = (c·e)/(c·g/|g|), ``(F,)`` rad.
 
     Args:
         position: ``(F, N, 3)`` m; a frame that is not finite gives NaN.
         radius: ``(N,)`` m; the spheres have one density.
-        scene: gives the axis, gravity and the sense of rotation.
-
-    Raises:
-        ValueError: a scene without gravity.
+        scene: gives the axis, gravity (a `ValueError` without) and the sense of rotation.
     """
     position, radius = np.asarray(position), np.asarray(radius)
     climbing, up = cross_section_axes(scene)
@@ -114,91 +83,66 @@ def center_of_mass_angles(position: FloatArray, radius: FloatArray, scene: Scene
 def surface_lines(
     position: FloatArray, radius: FloatArray, scene: Scene, start_angles: FloatArray | None = None
 ) -> list[SurfaceLine]:
-    """The surface of every frame, by `surface_line` from the centre-of-mass angle.
-
-    Args:
-        position: ``(F, N, 3)`` m.
-        radius: ``(N,)`` m.
-        scene: a drum.
-        start_angles: ``(F,)`` rad; the centre-of-mass angles where None.
-
-    Raises:
-        ValueError: a scene without a drum or without gravity.
-    """
-    hold_drum(scene)
-    position, radius = np.asarray(position), np.asarray(radius)
-    climbing, up = cross_section_axes(scene)
-    if start_angles is None:
-        start_angles = center_of_mass_angles(position, radius, scene)
-    plane = np.stack((climbing, up), axis=1)
-    size = radius.astype(np.float64)
-    return [
-        surface_line(frame @ plane, size, scene.drum_radius, scene.length, scene.filling.diameter, angle)
-        if np.isfinite(frame).all()
-        else NO_LINE
-        for frame, angle in zip(position.astype(np.float64), start_angles, strict=True)
-    ]
-
-
-def surface_line(
-    across: FloatArray,
-    radius: FloatArray,
-    drum_radius: float,
-    length: float,
-    diameter: float,
-    start_angle: float,
-) -> SurfaceLine:
-    """The surface of one bed: a least-squares line through the topmost crossings of solid fraction 0.3.
+    """The surface of every frame: a least-squares line through the topmost crossings of solid fraction 0.3.
 
     In the frame turned by the current angle, columns of one diameter cover |s| ≤ 0.6 R along the surface, with
     bins of d/4 across it. A sphere counts in the column of its centre; a bin's solid fraction is the exact volume
     of the sphere slabs in it over its own volume. The line's angle is added until it changes by ≤ 1e-4 rad.
 
     Args:
-        across: ``(N, 2)`` centres along the climbing direction and up, from the axis, finite, m.
+        position: ``(F, N, 3)`` m; a frame that is not finite has no line.
         radius: ``(N,)`` m.
-        drum_radius: R, m.
-        length: of the drum along its axis, m.
-        diameter: d, m, the unit of columns and bins.
-        start_angle: rad.
+        scene: a drum with gravity; a `ValueError` else.
+        start_angles: ``(F,)`` rad; the centre-of-mass angles where None.
     """
-    angle, line, seen = float(start_angle), NO_LINE, []
+    if scene.drum_radius is None or scene.length is None:
+        raise ValueError(f"scene {scene.name!r} has no drum, so its beds have no surface; choose a drum")
+    position, size = np.asarray(position), np.asarray(radius).astype(np.float64)
+    plane = np.stack(cross_section_axes(scene), axis=1)
+    if start_angles is None:
+        start_angles = center_of_mass_angles(position, radius, scene)
+    return [
+        _surface_line(frame @ plane, size, scene, float(angle)) if np.isfinite(frame).all() else NO_LINE
+        for frame, angle in zip(position.astype(np.float64), start_angles, strict=True)
+    ]
+
+
+def _surface_line(across: FloatArray, radius: FloatArray, scene: Scene, angle: float) -> SurfaceLine:
+    """Of one bed, whose centres ``(N, 2)`` lie along the climbing direction and up."""
+    line, seen = NO_LINE, []
     for _ in range(MOST_ITERATIONS):
-        line, tilt = _fit(across, radius, drum_radius, length, diameter, angle)
+        line, tilt = _fit(across, radius, scene, angle)
         if not math.isfinite(tilt):
             return line
         angle = line.angle
         if abs(tilt) <= TOLERANCE:
             return line
-        if any(abs(angle - before) < 1e-12 for before in seen):
+        again = next((k for k, before in enumerate(seen) if abs(angle - before) < 1e-12), None)
+        if again is not None:
             # Spheres that change columns can make the iteration circle through a few angles for ever (in one state
             # of seven, over 0.5° in the mean): the middle of the circle is the answer.
-            middle = float(np.mean(seen[_index_of(seen, angle) :]))
-            line, _ = _fit(across, radius, drum_radius, length, diameter, middle)
-            return replace(line, angle=middle)
+            middle = float(np.mean(seen[again:]))
+            return replace(_fit(across, radius, scene, middle)[0], angle=middle)
         seen.append(angle)
     return replace(line, valid=False)
 
 
 def solid_fractions(
-    s: FloatArray, w: FloatArray, radius: FloatArray, drum_radius: float, length: float, diameter: float
+    s: FloatArray, w: FloatArray, radius: FloatArray, scene: Scene
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Solid fraction of the bins of d × d/4 over the drum's length, from the exact volumes of sphere slabs.
 
     Args:
-        s: ``(N,)`` centres along the surface, m.
-        w: ``(N,)`` centres along its normal, from the axis, m.
+        s, w: ``(N,)`` centres along the surface, and along its normal from the axis, m.
         radius: ``(N,)`` m.
-        drum_radius: R, m.
-        length: of the drum, m.
-        diameter: d, m.
+        scene: a drum of radius R, its length, and d.
 
     Returns:
         Middles of the C columns along the surface (m), middles of the B bins across it (m), and ``(C, B)`` −.
     """
-    columns = max(2, int(2.0 * HALF_WINDOW * drum_radius / diameter + 1e-9))
+    drum_radius, diameter = scene.drum_radius, scene.filling.diameter
+    columns, step = max(2, int(2.0 * HALF_WINDOW * drum_radius / diameter + 1e-9)), BIN * diameter
     half = 0.5 * columns * diameter
-    step = BIN * diameter
     lowest = -math.ceil((drum_radius + 0.5 * diameter + radius.max(initial=0.0)) / step)
     bins = -2 * lowest
     column = np.floor((s + half) / diameter)
@@ -207,25 +151,22 @@ def solid_fractions(
     first = np.floor(bottom / step)
     slabs = math.ceil(2.0 * size.max(initial=0.0) / step) + 1
     edges = (first + np.arange(1, slabs + 1)[:, None]) * step
-    below = _cap_volume(np.clip(edges - bottom, 0.0, 2.0 * size), size)
-    slab_volume = np.diff(below, axis=0, prepend=0.0)
+    height = np.clip(edges - bottom, 0.0, 2.0 * size)  # of each slab's upper plane over a sphere's lowest point
+    below = math.pi / 3.0 * height**2 * (3.0 * size - height)  # volume of the cap under it
     index = column * bins + (first.astype(np.int64) - lowest) + np.arange(slabs)[:, None]
-    volume = np.bincount(index.ravel(), slab_volume.ravel(), minlength=columns * bins).reshape(columns, bins)
+    slab_volume = np.diff(below, axis=0, prepend=0.0).ravel()
+    volume = np.bincount(index.ravel(), slab_volume, minlength=columns * bins).reshape(columns, bins)
     middles = (np.arange(columns) + 0.5) * diameter - half
-    return middles, (np.arange(bins) + lowest + 0.5) * step, volume / (diameter * step * length)
+    return middles, (np.arange(bins) + lowest + 0.5) * step, volume / (diameter * step * scene.length)
 
 
 def topmost_crossing(fraction: FloatArray, heights: FloatArray) -> FloatArray:
     """Height at which each column falls below solid fraction 0.3 for the last time, ``(C,)`` m, interpolated.
 
-    Args:
-        fraction: ``(C, B)`` solid fractions, −.
-        heights: ``(B,)`` middles of the bins, m.
-
-    Returns:
-        NaN for a column that never reaches the fraction, or is still above it in its last bin.
+    Of ``(C, B)`` solid fractions at ``(B,)`` heights; NaN for a column that never reaches the fraction, or is still
+    above it in its last bin.
     """
-    dense: NDArray[np.bool_] = fraction >= SURFACE_FRACTION
+    dense = fraction >= SURFACE_FRACTION
     last = fraction.shape[1] - 1
     top = last - np.argmax(dense[:, ::-1], axis=1)
     row = np.arange(len(fraction))
@@ -235,55 +176,58 @@ def topmost_crossing(fraction: FloatArray, heights: FloatArray) -> FloatArray:
     return np.where(dense.any(axis=1) & (top < last), height, np.nan)
 
 
-def angle_series(trajectory: Trajectory, scene: Scene) -> tuple[Series, Series, list[SurfaceLine]]:
-    """Surface angle and centre-of-mass angle of every state in degrees, and the surface lines behind the first.
+@dataclass(frozen=True)
+class SurfaceAngle(Series):
+    """The surface angle of every state, and the ``lines`` behind it, valid or not: a depth needs a surface."""
 
-    Where no angle exists the series are undefined; the lines are still fitted wherever there is a drum, because a
-    depth needs a surface.
+    lines: list[SurfaceLine] = field(default_factory=list)
+
+
+@register_metric("angle of repose", "deg")
+def surface_angle(trajectory: Trajectory, scene: Scene) -> Series:
+    """Angle of the bed's surface in every state, by `surface_lines`, degrees.
+
+    Lines are fitted wherever there is a drum and gravity, also where no angle of repose exists.
     """
+    if (nothing := _without_drum(trajectory, scene)) is not None:
+        return nothing
+    lines = surface_lines(trajectory.position, trajectory.radius, scene)
+    value = np.degrees([line.angle if line.valid else math.nan for line in lines])
+    return SurfaceAngle(trajectory.time, value, "deg", why_no_angle(scene), "no straight surface", lines)
+
+
+@register_metric("centre-of-mass angle", "deg")
+def com_angle(trajectory: Trajectory, scene: Scene) -> Series:
+    """Angle of the bed's centre of mass in every state, by `center_of_mass_angles`, degrees."""
+    if (nothing := _without_drum(trajectory, scene)) is not None:
+        return nothing
+    value = np.degrees(center_of_mass_angles(trajectory.position, trajectory.radius, scene))
+    return Series(trajectory.time, value, "deg", why_no_angle(scene), "not finite")
+
+
+def _without_drum(trajectory: Trajectory, scene: Scene) -> Series | None:
+    """The undefined series of a scene in which nothing can be fitted."""
     check_arguments(trajectory=(trajectory, Trajectory), scene=(scene, Scene))
-    reason = why_no_angle(scene)
-    frames = trajectory.frame_count
-    if scene.drum_radius is None or scene.length is None or not scene.needs.gravity:
-        nothing = Series(trajectory.time, np.full(frames, np.nan), "deg", reason)
-        return nothing, nothing, [NO_LINE] * frames
-    center = center_of_mass_angles(trajectory.position, trajectory.radius, scene)
-    lines = surface_lines(trajectory.position, trajectory.radius, scene, center)
-    surface = np.array([line.angle if line.valid else math.nan for line in lines])
-    return (
-        Series(trajectory.time, np.degrees(surface), "deg", reason, "no straight surface"),
-        Series(trajectory.time, np.degrees(center), "deg", reason, "not finite"),
-        lines,
-    )
+    if scene.drum_radius is not None and scene.length is not None and scene.needs.gravity:
+        return None
+    return Series(trajectory.time, np.full(trajectory.frame_count, np.nan), "deg", why_no_angle(scene))
 
 
-def _fit(
-    across: FloatArray, radius: FloatArray, drum_radius: float, length: float, diameter: float, angle: float
-) -> tuple[SurfaceLine, float]:
+def _fit(across: FloatArray, radius: FloatArray, scene: Scene, angle: float) -> tuple[SurfaceLine, float]:
     """One fit in the frame turned by ``angle``: the line, its angle included, and by how much it was turned, rad."""
     cosine, sine = math.cos(angle), math.sin(angle)
-    s = across[:, 0] * cosine + across[:, 1] * sine
-    w = across[:, 1] * cosine - across[:, 0] * sine
-    middle, heights, fraction = solid_fractions(s, w, radius, drum_radius, length, diameter)
+    s, w = across[:, 0] * cosine + across[:, 1] * sine, across[:, 1] * cosine - across[:, 0] * sine
+    middle, heights, fraction = solid_fractions(s, w, radius, scene)
     height = topmost_crossing(fraction, heights)
     found = np.isfinite(height)
+    filled = float(found.mean())
     if found.sum() < 2:
-        return SurfaceLine(math.nan, math.nan, math.nan, float(found.mean()), False), math.nan
+        return replace(NO_LINE, filled=filled), math.nan
     x, y = middle[found], height[found]
     x_mean, y_mean = x.mean(), y.mean()
     slope = float(((x - x_mean) * (y - y_mean)).sum() / ((x - x_mean) ** 2).sum())
     offset = y_mean - slope * x_mean
     residual = float(np.sqrt(np.mean((y - offset - slope * x) ** 2)))
-    filled = float(found.mean())
     tilt = math.atan(slope)
-    valid = residual <= LARGEST_RESIDUAL * diameter and filled >= LEAST_FILLED
+    valid = residual <= LARGEST_RESIDUAL * scene.filling.diameter and filled >= LEAST_FILLED
     return SurfaceLine(angle + tilt, float(offset * math.cos(tilt)), residual, filled, valid), tilt
-
-
-def _cap_volume(height: FloatArray, radius: FloatArray) -> FloatArray:
-    """Volume of a sphere below a plane at ``height`` over its lowest point, π h² (3r − h)/3, m³."""
-    return math.pi / 3.0 * height**2 * (3.0 * radius - height)
-
-
-def _index_of(angles: list[float], angle: float) -> int:
-    return next(i for i, before in enumerate(angles) if abs(angle - before) < 1e-12)

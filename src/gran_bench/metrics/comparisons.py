@@ -1,4 +1,4 @@
-"""The figures of a judgement: distances between two trajectories, and scalars of one."""
+"""The rows of a judgement: what is compared of two runs, and which figures of one are held against the replicas."""
 
 from __future__ import annotations
 
@@ -9,78 +9,80 @@ import numpy as np
 
 from gran_bench.config.registry import METRICS
 from gran_bench.metrics.measured import LEAST_VALID_SHARE, Measured, Series, frame_at, within
-from gran_bench.metrics.position_error import separation_series
+from gran_bench.metrics.position_error import separation
 from gran_bench.metrics.speeds import wasserstein, wasserstein_series
 from gran_bench.metrics.summary import PATTERN_TIME, PEAK_BEFORE, STEADY_FROM, TrajectorySummary
 
-Distance = Callable[[TrajectorySummary, TrajectorySummary], Measured]
-Scalar = Callable[[TrajectorySummary], Measured]
+Measure = Callable[[TrajectorySummary], Measured | Series]
+Between = Callable[[TrajectorySummary, TrajectorySummary], Measured]
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A distance between two trajectories: its key, its name for people, its unit and how to compute it."""
+    """A row of a judgement: for machines, for people, in SI or the exception that it names.
+
+    ``measure`` is what one run has, if it has something alone; ``between`` is the distance of two runs where it is not
+    the difference of what each has.
+    """
 
     key: str
     label: str
     unit: str
-    distance: Distance
+    measure: Measure | None = None
+    between: Between | None = None
 
+    def figure(self, run: TrajectorySummary) -> Measured:
+        """What a run has, of a series the mean over its states."""
+        found = self.measure(run)
+        return found.mean() if isinstance(found, Series) else found
 
-@dataclass(frozen=True)
-class Figure:
-    """A scalar of one trajectory, held against the replicas' interval."""
-
-    key: str
-    label: str
-    unit: str
-    measure: Scalar
+    def distance(self, a: TrajectorySummary, b: TrajectorySummary) -> Measured:
+        """How far two runs are apart; of series, the mean absolute difference over the states valid in both."""
+        if self.between is not None:
+            return self.between(a, b)
+        mine, theirs = self.measure(a), self.measure(b)
+        if isinstance(mine, Series) and isinstance(theirs, Series):
+            return mine.difference(theirs)
+        return self.figure(a).difference(self.figure(b))
 
 
 def speed_distance(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
     """Wasserstein-1 distance of the speeds a frame, mean over the frames, m/s."""
-    _same_kind(a, b)
     return wasserstein_series(a.time, a.sorted_speed, b.time, b.sorted_speed).mean()
 
 
-def speed_distance_at_pattern(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
-    """Wasserstein-1 distance of the speeds at 2.5 s, m/s."""
-    _same_kind(a, b)
-    frames = [frame_at(summary.time, PATTERN_TIME) for summary in (a, b)]
+def _speed_distance_at_pattern(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
+    frames = [frame_at(run.time, PATTERN_TIME) for run in (a, b)]
     if None in frames:
         return Measured.undefined("m/s", f"no state at {PATTERN_TIME:g} s")
     distance = wasserstein(a.sorted_speed[frames[0]], b.sorted_speed[frames[1]])
     return Measured.of(distance, "m/s", f"velocity is not finite at {PATTERN_TIME:g} s")
 
 
-def speed_distance_pooled(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
-    """Wasserstein-1 distance of all speeds of the steady part, m/s."""
-    _same_kind(a, b)
-    for summary in (a, b):
-        if summary.steady_undefined_because:
-            return Measured.undefined("m/s", summary.steady_undefined_because)
-        steady = summary.sorted_speed[within(summary.time, STEADY_FROM, np.inf)]
-        bad = int((~np.isfinite(steady).all(axis=1)).sum())
+def _speed_distance_pooled(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
+    """Of the finite states of the steady part, which must be nearly all."""
+    pooled = []
+    for run in (a, b):
+        if run.steady_undefined_because:
+            return Measured.undefined("m/s", run.steady_undefined_because)
+        steady = run.sorted_speed[within(run.time, STEADY_FROM, np.inf)]
+        good = np.isfinite(steady).all(axis=1)
+        bad = int((~good).sum())
         if bad > (1.0 - LEAST_VALID_SHARE) * len(steady):
             return Measured.undefined("m/s", f"velocity is not finite in {bad} of {len(steady)} states")
-    return Measured.of(wasserstein(a.steady_speed, b.steady_speed), "m/s", "no finite state in the steady part")
+        pooled.append(np.sort(steady[good], axis=None))
+    return Measured.of(wasserstein(*pooled), "m/s", "no finite state in the steady part")
 
 
-def component_distance(axis: int) -> Distance:
-    """Wasserstein-1 distance a frame of one component of velocity, mean over the frames, m/s."""
-
-    def distance(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
-        _same_kind(a, b)
-        return wasserstein_series(a.time, a.sorted_component[axis], b.time, b.sorted_component[axis]).mean()
-
-    return distance
+def _component_distance(axis: int) -> Between:
+    return lambda a, b: wasserstein_series(a.time, a.sorted_component[axis], b.time, b.sorted_component[axis]).mean()
 
 
-def layer_distance(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
-    """Mean over the layers that both have of the difference of their mean steady speeds, m/s."""
-    for summary in (a, b):
-        if summary.steady_undefined_because:
-            return Measured.undefined("m/s", summary.steady_undefined_because)
+def _layer_distance(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
+    """Mean over the layers that both have of the difference of their mean steady speeds."""
+    for run in (a, b):
+        if run.steady_undefined_because:
+            return Measured.undefined("m/s", run.steady_undefined_because)
     shared = min(len(a.layer_speed), len(b.layer_speed))
     gap = np.abs(a.layer_speed[:shared] - b.layer_speed[:shared])
     if not np.isfinite(gap).any():
@@ -88,162 +90,88 @@ def layer_distance(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
     return Measured(float(np.nanmean(gap)), "m/s", f"{int(np.isfinite(gap).sum())} layers")
 
 
-def series_distance(name: str) -> Distance:
-    """Mean absolute difference of a series over the states valid in both."""
-    return lambda a, b: a.series[name].difference(b.series[name])
-
-
-def scalar_distance(measure: Scalar) -> Distance:
-    """Absolute difference of a scalar."""
+def _position_distance(frame: int) -> Between:
+    """Mean distance of the spheres ``frame`` frames after the settled state."""
 
     def distance(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
-        mine, theirs = measure(a), measure(b)
-        for figure in (mine, theirs):
-            if not figure.defined:
-                return figure
-        return Measured(abs(mine.number - theirs.number), mine.unit, mine.note)
-
-    return distance
-
-
-def position_distance(frame: int) -> Distance:
-    """Mean distance of the spheres ``frame`` frames after the settled state, m."""
-
-    def distance(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
-        for summary in (a, b):
-            if summary.position is None:
+        for run in (a, b):
+            if run.position is None:
                 return Measured.undefined("m", "statistics without particles")
-            if len(summary.time) <= frame:
+            if len(run.time) <= frame:
                 return Measured.undefined("m", f"no state {frame} frames after the start")
-        span = slice(frame, frame + 1)
-        series = separation_series(a.time[span], a.position[span], b.time[span], b.position[span], a.period)
-        return series.mean()
+        apart = separation(a.position[[frame]], b.position[[frame]], a.period)[0]
+        return Measured.of(apart, "m", "position is not finite, or missing, in 1 of 1 states")
 
     return distance
 
 
-def steady(name: str) -> Scalar:
-    """Mean of a series over t ≥ 3.5 s, where the speed is constant there."""
+def _series(name: str) -> Measure:
+    return lambda run: run.series[name]
 
-    def measure(summary: TrajectorySummary) -> Measured:
-        series = summary.series[name]
-        if summary.steady_undefined_because and not series.undefined_because:
-            return Measured.undefined(series.unit, summary.steady_undefined_because)
+
+def _steady(name: str) -> Measure:
+    """Mean over t ≥ 3.5 s, where the speed is constant there."""
+
+    def measure(run: TrajectorySummary) -> Measured:
+        series = run.series[name]
+        if run.steady_undefined_because and not series.undefined_because:
+            return Measured.undefined(series.unit, run.steady_undefined_because)
         return series.mean(STEADY_FROM)
 
     return measure
 
 
-def peak(name: str) -> Scalar:
-    """Largest value of a series before 3 s."""
-    return lambda summary: summary.series[name].largest(end=PEAK_BEFORE)[0]
+def _peak(name: str, part: int, end: float = PEAK_BEFORE) -> Measure:
+    """Largest value before 3 s (part 0), or when it is (part 1)."""
+    return lambda run: run.series[name].largest(end=end)[part]
 
 
-def peak_time(name: str) -> Scalar:
-    """When a series is largest before 3 s, s."""
-    return lambda summary: summary.series[name].largest(end=PEAK_BEFORE)[1]
-
-
-def over_all(name: str) -> Scalar:
-    """Mean of a series over all states."""
-    return lambda summary: summary.series[name].mean()
-
-
-def ever(name: str) -> Scalar:
-    """Largest value of a series."""
-    return lambda summary: summary.series[name].largest()[0]
-
-
-def registered_figure(name: str, unit: str) -> Scalar:
-    """What a registered metric says of one trajectory; the mean of a series over all its states."""
-
-    def measure(summary: TrajectorySummary) -> Measured:
-        found = summary.registered.get(name, Measured.undefined(unit, "statistics without particles"))
-        return found.mean() if isinstance(found, Series) else found
-
-    return measure
-
-
-def registered_distance(name: str, unit: str) -> Distance:
-    """Difference of what a registered metric says of two trajectories; of series, the mean over the states."""
-
-    def distance(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
-        mine, theirs = a.registered.get(name), b.registered.get(name)
-        if isinstance(mine, Series) and isinstance(theirs, Series):
-            return mine.difference(theirs)
-        return scalar_distance(registered_figure(name, unit))(a, b)
-
-    return distance
-
-
-def comparisons() -> tuple[Comparison, ...]:
-    """Every distance of a judgement: the house's, then one for each registered metric."""
-    return COMPARISONS + tuple(
-        Comparison(name, metric.label, metric.unit, registered_distance(name, metric.unit))
-        for name, metric in METRICS.items()
+def _angles(name: str, label: str) -> tuple[Comparison, ...]:
+    """Over the series, steady, the first peak, and when it is."""
+    return (
+        Comparison(name, f"{label}, over the series", "deg", _series(name)),
+        Comparison(f"{name}_steady", f"{label}, steady mean", "deg", _steady(name)),
+        Comparison(f"{name}_peak", f"{label}, first peak", "deg", _peak(name, 0)),
+        Comparison(f"{name}_peak_time", f"{label}, time of the peak", "s", _peak(name, 1)),
     )
 
 
-def figures() -> tuple[Figure, ...]:
-    """Every scalar of a judgement: the house's, then one for each registered metric."""
-    return FIGURES + tuple(
-        Figure(name, metric.label, metric.unit, registered_figure(name, metric.unit))
-        for name, metric in METRICS.items()
-    )
+def added() -> tuple[Comparison, ...]:
+    """A row for each metric of a plugin, both of the distances and of the figures."""
+
+    def row(name: str, unit: str) -> Comparison:
+        nothing = Measured.undefined(unit, "statistics without particles")
+        return Comparison(name, METRICS[name].label, unit, lambda run: run.series.get(name, nothing))
+
+    return tuple(row(name, METRICS[name].unit) for name in METRICS.added())
 
 
+SURFACE, CENTER = _angles("surface_angle", "angle of repose"), _angles("com_angle", "centre-of-mass angle")
 COMPARISONS = (
-    Comparison("surface_angle", "angle of repose, over the series", "deg", series_distance("surface_angle")),
-    Comparison("surface_angle_steady", "angle of repose, steady mean", "deg", scalar_distance(steady("surface_angle"))),
-    Comparison("surface_angle_peak", "angle of repose, first peak", "deg", scalar_distance(peak("surface_angle"))),
-    Comparison(
-        "surface_angle_peak_time", "angle of repose, time of the peak", "s", scalar_distance(peak_time("surface_angle"))
-    ),
-    Comparison("com_angle", "centre-of-mass angle, over the series", "deg", series_distance("com_angle")),
-    Comparison("com_angle_steady", "centre-of-mass angle, steady mean", "deg", scalar_distance(steady("com_angle"))),
-    Comparison("com_angle_peak", "centre-of-mass angle, first peak", "deg", scalar_distance(peak("com_angle"))),
-    Comparison(
-        "com_angle_peak_time", "centre-of-mass angle, time of the peak", "s", scalar_distance(peak_time("com_angle"))
-    ),
-    Comparison("center_height", "height of the centre of mass, over the series", "m", series_distance("center_height")),
-    Comparison("speed_w1", "speeds, W1 a frame", "m/s", speed_distance),
-    Comparison("speed_w1_pattern", f"speeds at {PATTERN_TIME:g} s, W1", "m/s", speed_distance_at_pattern),
-    Comparison("speed_w1_steady", "steady speeds, W1 pooled", "m/s", speed_distance_pooled),
-    Comparison("velocity_x_w1", "velocity along x, W1 a frame", "m/s", component_distance(0)),
-    Comparison("velocity_y_w1", "velocity along the axis y, W1 a frame", "m/s", component_distance(1)),
-    Comparison("velocity_z_w1", "velocity along z, W1 a frame", "m/s", component_distance(2)),
-    Comparison("layer_speed", "speed by depth, mean difference", "m/s", layer_distance),
-    Comparison("position_1", "position 1 frame after the start", "m", position_distance(1)),
-    Comparison("position_10", "position 10 frames after the start", "m", position_distance(10)),
-    Comparison("position_30", "position 30 frames after the start", "m", position_distance(30)),
-    Comparison(
-        "translational_energy", "translational energy over the series", "J", series_distance("translational_energy")
-    ),
-    Comparison("rotational_energy", "rotational energy over the series", "J", series_distance("rotational_energy")),
-    Comparison("mixing", "mixing entropy over the series", "-", series_distance("mixing")),
+    *(*SURFACE, *CENTER),
+    Comparison("center_height", "height of the centre of mass, over the series", "m", _series("center_height")),
+    Comparison("speed_w1", "speeds, W1 a frame", "m/s", between=speed_distance),
+    Comparison("speed_w1_pattern", f"speeds at {PATTERN_TIME:g} s, W1", "m/s", between=_speed_distance_at_pattern),
+    Comparison("speed_w1_steady", "steady speeds, W1 pooled", "m/s", between=_speed_distance_pooled),
+    Comparison("velocity_x_w1", "velocity along x, W1 a frame", "m/s", between=_component_distance(0)),
+    Comparison("velocity_y_w1", "velocity along the axis y, W1 a frame", "m/s", between=_component_distance(1)),
+    Comparison("velocity_z_w1", "velocity along z, W1 a frame", "m/s", between=_component_distance(2)),
+    Comparison("layer_speed", "speed by depth, mean difference", "m/s", between=_layer_distance),
+    Comparison("position_1", "position 1 frame after the start", "m", between=_position_distance(1)),
+    Comparison("position_10", "position 10 frames after the start", "m", between=_position_distance(10)),
+    Comparison("position_30", "position 30 frames after the start", "m", between=_position_distance(30)),
+    Comparison("translational_energy", "translational energy over the series", "J", _series("translational_energy")),
+    Comparison("rotational_energy", "rotational energy over the series", "J", _series("rotational_energy")),
+    Comparison("mixing", "mixing entropy over the series", "-", _series("mixing")),
 )
-
 FIGURES = (
-    Figure("surface_angle_steady", "angle of repose, steady mean", "deg", steady("surface_angle")),
-    Figure("surface_angle_peak", "angle of repose, first peak", "deg", peak("surface_angle")),
-    Figure("surface_angle_peak_time", "angle of repose, time of the peak", "s", peak_time("surface_angle")),
-    Figure("com_angle_steady", "centre-of-mass angle, steady mean", "deg", steady("com_angle")),
-    Figure("com_angle_peak", "centre-of-mass angle, first peak", "deg", peak("com_angle")),
-    Figure("com_angle_peak_time", "centre-of-mass angle, time of the peak", "s", peak_time("com_angle")),
-    Figure("mean_speed_steady", "mean speed, steady", "m/s", steady("mean_speed")),
-    Figure("translational_energy_steady", "translational energy, steady", "J", steady("translational_energy")),
-    Figure("rotational_energy_steady", "rotational energy, steady", "J", steady("rotational_energy")),
-    Figure("overlap_mean", "overlap of pairs, mean", "m", over_all("overlap_mean")),
-    Figure("overlap_max", "overlap of pairs, largest", "m", ever("overlap_max")),
-    Figure("wall_overlap_mean", "overlap with walls, mean", "m", over_all("wall_overlap_mean")),
-    Figure("wall_overlap_max", "overlap with walls, largest", "m", ever("wall_overlap_max")),
-    Figure("mixing_end", "mixing entropy, steady", "-", steady("mixing")),
+    *(*SURFACE[1:], *CENTER[1:]),
+    Comparison("mean_speed_steady", "mean speed, steady", "m/s", _steady("mean_speed")),
+    Comparison("translational_energy_steady", "translational energy, steady", "J", _steady("translational_energy")),
+    Comparison("rotational_energy_steady", "rotational energy, steady", "J", _steady("rotational_energy")),
+    Comparison("overlap_mean", "overlap of pairs, mean", "m", _series("overlap_mean")),
+    Comparison("overlap_max", "overlap of pairs, largest", "m", _peak("overlap_max", 0, np.inf)),
+    Comparison("wall_overlap_mean", "overlap with walls, mean", "m", _series("wall_overlap_mean")),
+    Comparison("wall_overlap_max", "overlap with walls, largest", "m", _peak("wall_overlap_max", 0, np.inf)),
+    Comparison("mixing_end", "mixing entropy, steady", "-", _steady("mixing")),
 )
-
-
-def _same_kind(a: TrajectorySummary, b: TrajectorySummary) -> None:
-    if a.velocity_kind != b.velocity_kind:
-        raise ValueError(
-            f"speeds of two definitions ({a.velocity_kind}, {b.velocity_kind}) are not comparable; "
-            "summarise both with one velocity_kind"
-        )

@@ -8,21 +8,15 @@ from typing import Any
 
 import pandas as pd
 
-from gran_bench.metrics.acceptance import Requirement
-from gran_bench.metrics.measured import Measured
-from gran_bench.metrics.noise_floor import Interval
+from gran_bench.metrics.measured import Interval, Measured
 from gran_bench.metrics.outside import FailureCount
 
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """A distance from the DEM.
+    """A distance from the DEM: mean over the replicas; ``floor`` is the mean distance of two replicas.
 
-    Attributes:
-        key, label, unit: of the figure.
-        error: mean over the replicas of the distance to each.
-        floor: mean distance of two replicas.
-        others: the same distance of other runs of the DEM (another packing, half the time step), by name.
+    ``others`` has the same distance of other runs of the DEM (another packing, half the time step), by name.
     """
 
     key: str
@@ -35,9 +29,8 @@ class ErrorRow:
     @property
     def multiple(self) -> float | None:
         """The error in floors; None where either is undefined or the floor is 0."""
-        if not (self.error.defined and self.floor.defined) or self.floor.number == 0.0:
-            return None
-        return self.error.number / self.floor.number
+        defined = self.error.defined and self.floor.defined and self.floor.number != 0.0
+        return self.error.number / self.floor.number if defined else None
 
 
 @dataclass(frozen=True)
@@ -54,32 +47,35 @@ class FigureRow:
     @property
     def inside(self) -> bool | None:
         """Whether the candidate could be a replica; None where a side is undefined."""
-        if not self.candidate.defined or self.interval is None:
-            return None
-        return self.candidate.number in self.interval
+        defined = self.candidate.defined and self.interval is not None
+        return self.candidate.number in self.interval if defined else None
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """One requirement: the largest figure that passes, what was found, and how it came out.
+
+    The verdict is ``pass``, ``fail``, or ``undefined`` where the DEM itself has no such figure.
+    """
+
+    key: str
+    label: str
+    figure: Measured
+    bound: float
+    verdict: str
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """Everything that was found of one candidate.
+    """Everything that was found of one candidate."""
 
-    Attributes:
-        errors: distances from the DEM, in order.
-        figures: scalars beside the DEM's.
-        requirements: the acceptance rows.
-        failures: counts of what is not finite or outside; None for statistics without particles.
-        dem_outside: share of sphere-states that the replicas have outside, whose walls are soft; mean, per cent.
-        velocity_kind: definition of velocity on both sides.
-        replicas: how many runs of the DEM it was held against.
-    """
-
-    errors: list[ErrorRow]
-    figures: list[FigureRow]
+    errors: list[ErrorRow]  # distances from the DEM
+    figures: list[FigureRow]  # scalars beside the DEM's
     requirements: list[Requirement]
-    failures: FailureCount | None
-    dem_outside: float | None
-    velocity_kind: str
-    replicas: int
+    failures: FailureCount | None  # None for statistics without particles
+    dem_outside: float | None  # share of sphere-states that the replicas, whose walls are soft, have outside, %
+    velocity_kind: str  # on both sides
+    replicas: int  # how many runs of the DEM it was held against
 
     @property
     def accepted(self) -> bool:
@@ -87,69 +83,49 @@ class Judgement:
         return all(row.verdict != "fail" for row in self.requirements)
 
     def error(self, key: str) -> ErrorRow:
-        """The row of one distance.
-
-        Raises:
-            KeyError: no such row; names those there are.
-        """
-        for row in self.errors:
-            if row.key == key:
-                return row
-        raise KeyError(f"{key!r}; choose one of {', '.join(row.key for row in self.errors)}")
+        """The row of one distance; a `KeyError` that names those there are where there is none."""
+        rows = {row.key: row for row in self.errors}
+        if key not in rows:
+            raise KeyError(f"{key!r}; choose one of {', '.join(rows)}")
+        return rows[key]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; an undefined figure is null beside its reason, never NaN."""
+        errors, figures = {}, {}
+        for row in self.errors:
+            errors[row.key] = _plain(row.label, row.error) | {
+                "floor": row.floor.value,
+                "floor_note": row.floor.note,
+                "multiple_of_floor": row.multiple,
+                **{f"floor_{name}": other.value for name, other in row.others.items()},
+            }
+        for row in self.figures:
+            figures[row.key] = _plain(row.label, row.candidate) | {
+                "dem": row.truth.value,
+                "dem_note": row.truth.note,
+                "dem_interval": [row.interval.low, row.interval.high] if row.interval else None,
+                "inside_interval": row.inside,
+            }
         return {
             "velocity_kind": self.velocity_kind,
             "replicas": self.replicas,
             "accepted": self.accepted,
             "requirements": {
-                row.key: {"label": row.label, **_plain(row.figure), "bound": row.bound, "verdict": row.verdict}
+                row.key: _plain(row.label, row.figure) | {"bound": row.bound, "verdict": row.verdict}
                 for row in self.requirements
             },
-            "errors": {
-                row.key: {
-                    "label": row.label,
-                    **_plain(row.error),
-                    "floor": row.floor.value,
-                    "floor_note": row.floor.note,
-                    "multiple_of_floor": row.multiple,
-                    **{f"floor_{name}": other.value for name, other in row.others.items()},
-                }
-                for row in self.errors
-            },
-            "figures": {
-                row.key: {
-                    "label": row.label,
-                    **_plain(row.candidate),
-                    "dem": row.truth.value,
-                    "dem_note": row.truth.note,
-                    "dem_interval": [row.interval.low, row.interval.high] if row.interval else None,
-                    "inside_interval": row.inside,
-                }
-                for row in self.figures
-            },
+            "errors": errors,
+            "figures": figures,
             "failures": asdict(self.failures) if self.failures else None,
             "dem_outside": self.dem_outside,
         }
 
     def to_frame(self) -> pd.DataFrame:
         """The distances as a table: name, value, unit, floor, multiple of floor, valid, reason."""
-        return pd.DataFrame(
-            [
-                {
-                    "name": row.key,
-                    "value": row.error.value,
-                    "unit": row.unit,
-                    "floor": row.floor.value,
-                    **{f"floor_{name}": other.value for name, other in row.others.items()},
-                    "multiple": row.multiple,
-                    "valid": row.error.defined,
-                    "reason": row.error.note,
-                }
-                for row in self.errors
-            ]
-        )
+        found = pd.DataFrame.from_dict(self.to_dict()["errors"], orient="index").rename_axis("name").reset_index()
+        found = found.rename(columns={"multiple_of_floor": "multiple", "note": "reason"})
+        others = [f"floor_{name}" for name in self.errors[0].others]
+        return found[["name", "value", "unit", "floor", *others, "multiple", "valid", "reason"]]
 
     def __str__(self) -> str:
         return "\n".join(self._lines())
@@ -158,15 +134,13 @@ class Judgement:
         yield f"{'distance from the DEM':<38}{'value':>10} {'floor':>10} {'floors':>7}"
         for row in self.errors:
             values = f"{_shown(row.error):>10} {_shown(row.floor):>10} {shown_multiple(row.multiple):>7}"
-            line = f"{row.label:<38}{values} {_unit(row.unit)}"
-            yield _with_note(line, row.error.note or row.floor.note)
+            yield _with_note(f"{row.label:<38}{values} {_unit(row.unit)}", row.error.note or row.floor.note)
         yield ""
         yield f"{'figure':<38}{'value':>10} {'DEM':>10}   95 % of replicas"
         for row in self.figures:
             span = "-"
             if row.interval:
-                low, high = (_shown(Measured(x, row.unit)) for x in (row.interval.low, row.interval.high))
-                span = f"{low} … {high}"
+                span = " … ".join(_shown(Measured(end, row.unit)) for end in (row.interval.low, row.interval.high))
             verdict = {True: " inside", False: " outside", None: ""}[row.inside]
             values = f"{_shown(row.candidate):>10} {_shown(row.truth):>10}   {span} {_unit(row.unit)}{verdict}"
             yield _with_note(f"{row.label:<38}{values}", row.candidate.note or row.truth.note)
@@ -182,13 +156,11 @@ class Judgement:
 
 def shown_multiple(multiple: float | None) -> str:
     """A multiple of a noise floor for people; a floor that is all but zero has no telling multiple."""
-    if multiple is None:
-        return "-"
-    return f"{multiple:.2f}" if multiple < 1e3 else "> 1000"
+    return "-" if multiple is None else f"{multiple:.2f}" if multiple < 1e3 else "> 1000"
 
 
-def _plain(figure: Measured) -> dict[str, Any]:
-    return {"value": figure.value, "unit": figure.unit, "valid": figure.defined, "note": figure.note}
+def _plain(label: str, figure: Measured) -> dict[str, Any]:
+    return {"label": label, "value": figure.value, "unit": figure.unit, "valid": figure.defined, "note": figure.note}
 
 
 def _shown(figure: Measured) -> str:

@@ -1,33 +1,29 @@
-"""What a metric hands back: a number with its unit, or the reason why there is none. Never a silent number."""
+"""What a metric hands back, a number with its unit or the reason why there is none, and the noise floor of such."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student_t
 
 from gran_bench.state import FloatArray
 
 LEAST_VALID_SHARE = 0.9  # below this share of valid states a figure over a series is undefined
-
-
-class UndefinedMetricError(ValueError):
-    """A number was asked of a metric that has none; the message says why it has none."""
+CONFIDENCE = 0.95
+Run = TypeVar("Run")
 
 
 @dataclass(frozen=True)
 class Measured:
-    """One figure of a metric.
+    """One figure of a metric: a finite number in ``unit`` (SI, or the exception that it names), or None.
 
-    Attributes:
-        value: finite number in ``unit``; None where the metric is undefined.
-        unit: SI, or the exception that it names.
-        note: why it is undefined, or what to know about a defined value (how many states are invalid).
-
-    Raises:
-        ValueError: a value that is not finite, or no value and no reason.
+    ``note`` says why it is undefined, or what to know about a defined value. A value that is not finite, or no value
+    and no reason, is a `ValueError`.
     """
 
     value: float | None
@@ -46,10 +42,9 @@ class Measured:
         return cls(None, unit, reason)
 
     @classmethod
-    def of(cls, value: float, unit: str, reason: str = "the result is not finite", note: str = "") -> Measured:
+    def of(cls, value: float, unit: str, reason: str = "the result is not finite") -> Measured:
         """``value`` where it is finite; undefined because of ``reason`` where it is not."""
-        value = float(value)
-        return cls(value, unit, note) if math.isfinite(value) else cls.undefined(unit, reason)
+        return cls(float(value), unit) if math.isfinite(value) else cls.undefined(unit, reason)
 
     @property
     def defined(self) -> bool:
@@ -58,29 +53,29 @@ class Measured:
 
     @property
     def number(self) -> float:
-        """The value.
-
-        Raises:
-            UndefinedMetricError: there is none.
-        """
+        """The value; a `ValueError` where there is none."""
         if self.value is None:
-            raise UndefinedMetricError(f"undefined: {self.note}")
+            raise ValueError(f"undefined: {self.note}")
         return self.value
+
+    def difference(self, other: Measured) -> Measured:
+        """Absolute difference; undefined where one of the two is."""
+        for figure in (self, other):
+            if not figure.defined:
+                return figure
+        return Measured(abs(self.number - other.number), self.unit, self.note)
 
     def __str__(self) -> str:
         return f"{self.value:.4g} {self.unit}".rstrip() if self.value is not None else f"undefined ({self.note})"
 
 
 def mean_of(figures: list[Measured], unit: str) -> Measured:
-    """Mean of figures that are all defined; undefined where one is not, because a failure may not drop out.
-
-    Its note is the one that all have, or the first one with how many have such a one.
-    """
+    """Mean of figures that are all defined; undefined where one is not, because a failure may not drop out."""
     if not figures:
         return Measured.undefined(unit, "nothing to average")
-    missing = [figure for figure in figures if not figure.defined]
-    if missing:
-        return Measured.undefined(unit, missing[0].note)
+    for figure in figures:
+        if not figure.defined:
+            return Measured.undefined(unit, figure.note)
     noted = [figure.note for figure in figures if figure.note]
     note = noted[0] if noted else ""
     if len({figure.note for figure in figures}) > 1:
@@ -90,21 +85,13 @@ def mean_of(figures: list[Measured], unit: str) -> Measured:
 
 @dataclass(frozen=True)
 class Series:
-    """A figure of every stored state.
+    """A figure of every stored state."""
 
-    Attributes:
-        time: ``(F,)`` s.
-        value: ``(F,)`` in ``unit``; NaN where a state has no valid figure.
-        unit: of the value.
-        undefined_because: why no state has one, whatever was computed; empty where states may have one.
-        invalid_because: what an invalid single state lacks, for the notes.
-    """
-
-    time: FloatArray
-    value: FloatArray
+    time: FloatArray  # (F,) s
+    value: FloatArray  # (F,) in the unit; NaN where a state has no valid figure
     unit: str
-    undefined_because: str = ""
-    invalid_because: str = "no valid figure"
+    undefined_because: str = ""  # why no state has a figure, whatever was computed
+    invalid_because: str = "no valid figure"  # what an invalid single state lacks, for the notes
 
     def __post_init__(self) -> None:
         for name in ("time", "value"):
@@ -119,69 +106,63 @@ class Series:
 
     def mean(self, start: float = -math.inf, end: float = math.inf) -> Measured:
         """Mean over the valid states with start ≤ t < end, undefined below 90 % of them."""
-        window = within(self.time, start, end)
-        if refusal := self._refusal(window):
+        chosen, refusal, note = self._chosen(start, end)
+        if refusal:
             return Measured.undefined(self.unit, refusal)
-        chosen = window & self.valid
-        return Measured(float(self.value[chosen].mean()), self.unit, self._note(window))
+        return Measured(float(self.value[chosen].mean()), self.unit, note)
 
     def largest(self, start: float = -math.inf, end: float = math.inf) -> tuple[Measured, Measured]:
         """Largest valid value with start ≤ t < end, and when (s); undefined below 90 % valid states."""
-        window = within(self.time, start, end)
-        if refusal := self._refusal(window):
+        chosen, refusal, note = self._chosen(start, end)
+        if refusal:
             return Measured.undefined(self.unit, refusal), Measured.undefined("s", refusal)
-        where = int(np.argmax(np.where(window & self.valid, self.value, -np.inf)))
-        note = self._note(window)
+        where = int(np.argmax(np.where(chosen, self.value, -np.inf)))
         return Measured(float(self.value[where]), self.unit, note), Measured(float(self.time[where]), "s", note)
 
-    def at(self, time: float) -> Measured:
-        """The value of the state at ``time`` (s), within half a frame."""
-        frame = frame_at(self.time, time)
-        if frame is None:
-            return Measured.undefined(self.unit, f"no state at {time:g} s")
-        if not self.valid[frame]:
-            return Measured.undefined(self.unit, self.undefined_because or f"{self.invalid_because} at {time:g} s")
-        return Measured(float(self.value[frame]), self.unit)
-
-    def difference(self, other: Series, start: float = -math.inf, end: float = math.inf) -> Measured:
+    def difference(self, other: Series) -> Measured:
         """Mean absolute difference over the states valid in both, undefined below 90 % of the states.
 
-        A state that only one of the two has counts as invalid: a rollout that ended early is not a shorter one. The
-        note counts the invalid states of this series as its own figures do, and those of the other one beside them.
-
-        Raises:
-            ValueError: the two have their states at different times.
+        A state that only one of the two has counts as invalid: a rollout that ended early is not a shorter one. States
+        at different times are a `ValueError`.
         """
-        time, mine, theirs = _aligned(self, other)
         reason = self.undefined_because or other.undefined_because
         cause = self.invalid_because if self.invalid_because == other.invalid_because else "no valid figure in both"
-        gap, own = (Series(time, value, self.unit, reason, cause) for value in (np.abs(mine - theirs), mine))
-        found, window = gap.mean(start, end), within(time, start, end)
-        further = int((window & own.valid & ~gap.valid).sum())
+        shared = shared_states(self.time, other.time)
+        distance = np.abs(self.value[:shared] - other.value[:shared])
+        gap = Series.of_two(self.time, other.time, distance, self.unit, cause)
+        found, total, good = replace(gap, undefined_because=reason).mean(), len(gap.time), int(self.valid.sum())
+        further = good - int(gap.valid.sum())
         if reason or not further:
             return found
-        total, bad = int(window.sum()), int((window & ~own.valid).sum())
-        return replace(found, note=f"{bad} of {total} states invalid, and {further} more of the other run: {cause}")
+        return replace(
+            found, note=f"{total - good} of {total} states invalid, and {further} more of the other run: {cause}"
+        )
 
-    def _refusal(self, window: NDArray[np.bool_]) -> str:
+    @classmethod
+    def of_two(cls, a: FloatArray, b: FloatArray, value: FloatArray, unit: str, invalid_because: str) -> Series:
+        """What was found in the states that two clocks (s) share, on the longer one; the others are invalid."""
+        time = a if len(a) >= len(b) else b
+        padded = np.full(len(time), np.nan)
+        padded[: len(value)] = value
+        return cls(time, padded, unit, invalid_because=invalid_because)
+
+    def _chosen(self, start: float, end: float) -> tuple[NDArray[np.bool_], str, str]:
+        """Valid states of a span; why it has no figure, empty where it has one; the note of a figure."""
+        window = within(self.time, start, end)
+        chosen = window & self.valid
+        total, bad = int(window.sum()), int((window & ~chosen).sum())
         if self.undefined_because:
-            return self.undefined_because
-        total, good = int(window.sum()), int((window & self.valid).sum())
+            return chosen, self.undefined_because, ""
         if total == 0:
-            return "no state in this span of time"
-        if good < LEAST_VALID_SHARE * total:
-            return f"{self.invalid_because} in {total - good} of {total} states"
-        return ""
-
-    def _note(self, window: NDArray[np.bool_]) -> str:
-        total, bad = int(window.sum()), int((window & ~self.valid).sum())
-        return f"{bad} of {total} states invalid: {self.invalid_because}" if bad else ""
+            return chosen, "no state in this span of time", ""
+        if total - bad < LEAST_VALID_SHARE * total:
+            return chosen, f"{self.invalid_because} in {bad} of {total} states", ""
+        return chosen, "", f"{bad} of {total} states invalid: {self.invalid_because}" if bad else ""
 
 
 def within(time: FloatArray, start: float, end: float) -> NDArray[np.bool_]:
     """``(F,)`` states with start ≤ t < end, forgiving a rounding of the clock."""
-    slack = 1e-6
-    return (time >= start - slack) & (time < end - slack)
+    return (time >= start - 1e-6) & (time < end - 1e-6)
 
 
 def frame_at(time: FloatArray, instant: float) -> int | None:
@@ -194,11 +175,7 @@ def frame_at(time: FloatArray, instant: float) -> int | None:
 
 
 def shared_states(a: FloatArray, b: FloatArray) -> int:
-    """How many states two clocks (s) have in common; a trajectory that ended early is shorter.
-
-    Raises:
-        ValueError: states at different times.
-    """
+    """How many states two clocks (s) have in common; a `ValueError` where states lie at different times."""
     shared = min(len(a), len(b))
     apart = ~(np.abs(np.subtract(a[:shared], b[:shared])) <= 1e-4)
     if apart.any():
@@ -210,11 +187,35 @@ def shared_states(a: FloatArray, b: FloatArray) -> int:
     return shared
 
 
-def _aligned(a: Series, b: Series) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The longer of two clocks, and both values on it, NaN where one has ended."""
-    shared_states(a.time, b.time)
-    time = a.time if len(a.time) >= len(b.time) else b.time
-    values = np.full((2, len(time)), np.nan)
-    values[0, : len(a.value)] = a.value
-    values[1, : len(b.value)] = b.value
-    return time, values[0], values[1]
+@dataclass(frozen=True)
+class Interval:
+    """Where a further replica's figure lies with a confidence of 95 %, in the figure's unit."""
+
+    mean: float
+    low: float
+    high: float
+
+    def __contains__(self, value: float) -> bool:
+        return self.low <= value <= self.high
+
+
+def score(metric: Callable[[Run, Run], Measured], candidate: Run, replicas: Sequence[Run], unit: str) -> Measured:
+    """Mean over the replicas of metric(candidate, replica); undefined where one of them is."""
+    return mean_of([metric(candidate, replica) for replica in replicas], unit)
+
+
+def noise_floor(metric: Callable[[Run, Run], Measured], replicas: Sequence[Run], unit: str) -> Measured:
+    """Mean over all pairs of replicas of metric(a, b); undefined below two replicas."""
+    if len(replicas) < 2:
+        return Measured.undefined(unit, "a single replica has no noise floor; make two or more")
+    return mean_of([metric(replicas[i], replicas[j]) for i in range(len(replicas)) for j in range(i)], unit)
+
+
+def prediction_interval(figures: Sequence[float]) -> Interval | None:
+    """95 % prediction interval of one more figure, mean ± t s √(1 + 1/n), t of Student; None below two figures."""
+    count = len(figures)
+    if count < 2:
+        return None
+    mean, deviation = float(np.mean(figures)), float(np.std(figures, ddof=1))
+    reach = float(student_t.ppf(0.5 + 0.5 * CONFIDENCE, count - 1)) * deviation * math.sqrt(1.0 + 1.0 / count)
+    return Interval(mean, mean - reach, mean + reach)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gran_bench.config.rules import check_arguments
-from gran_bench.metrics.overlap import wall_overlap
+from gran_bench.metrics.bed import wall_overlap
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
 
@@ -16,59 +16,41 @@ TOLERATED = 0.005  # m; the DEM's own soft walls let some 3 mm through
 
 @dataclass(frozen=True)
 class FailureCount:
-    """Failures of one trajectory; a sphere-state is one sphere in one stored state.
-
-    Attributes:
-        states: F stored states.
-        expected_states: that the scene asks for.
-        spheres: N.
-        non_finite_states: states with any value that is not finite.
-        non_finite_sphere_states: sphere-states with any value that is not finite.
-        first_non_finite: s, time of the first such state; None where there is none.
-        outside: sphere-states whose centre lies beyond R − r or L/2 − r.
-        outside_tolerated: of these, by more than 5 mm.
-        outside_radius: of these, by more than the sphere's radius.
-        outside_spheres: different spheres that were outside by more than their radius.
-        farthest: m, largest distance outside; 0 where none was.
-    """
+    """Failures of one trajectory; a sphere-state is one sphere in one stored state."""
 
     states: int
-    expected_states: int
+    expected_states: int  # that the scene asks for
     spheres: int
-    non_finite_states: int
+    non_finite_states: int  # states with any value that is not finite
     non_finite_sphere_states: int
-    first_non_finite: float | None
-    outside: int
-    outside_tolerated: int
-    outside_radius: int
-    outside_spheres: int
-    farthest: float
+    first_non_finite: float | None  # s, time of the first such state
+    outside: int  # sphere-states whose centre lies beyond R − r or L/2 − r
+    outside_tolerated: int  # of these, by more than 5 mm
+    outside_radius: int  # of these, by more than the sphere's radius
+    outside_spheres: int  # different spheres that were outside by more than their radius
+    farthest: float  # m, largest distance outside; 0 where none was
+
+    @property
+    def missing_states(self) -> int:
+        """How many states the scene asks for and the trajectory lacks."""
+        return max(0, self.expected_states - self.states)
 
     @property
     def diverged(self) -> bool:
         """Whether a value is not finite, or a state is missing."""
-        return self.non_finite_states > 0 or self.states < self.expected_states
-
-    @property
-    def sphere_states(self) -> int:
-        """F N."""
-        return self.states * self.spheres
+        return self.non_finite_states > 0 or self.missing_states > 0
 
     def share(self, count: int) -> float:
-        """``count`` of all sphere-states, in per cent."""
-        return 100.0 * count / max(self.sphere_states, 1)
+        """``count`` of all F N sphere-states, in per cent."""
+        return 100.0 * count / max(self.states * self.spheres, 1)
 
     def lines(self, dem_outside: float | None = None) -> tuple[str, str]:
-        """The counts for people: what is not finite or missing, and what is outside and how far.
-
-        Args:
-            dem_outside: share of sphere-states that the DEM has outside, per cent; None where unknown.
-        """
+        """The counts for people, beside the share of sphere-states that the DEM has outside (per cent), if known."""
         since = f" (from {self.first_non_finite:g} s)" if self.first_non_finite is not None else ""
-        missing = max(0, self.expected_states - self.states)
         soft = "" if dem_outside is None else f" (of the DEM, whose walls are soft: {dem_outside:.3g} %)"
         return (
-            f"failures: {self.non_finite_states} of {self.states} states not finite{since}, {missing} missing",
+            f"failures: {self.non_finite_states} of {self.states} states not finite{since}, "
+            f"{self.missing_states} missing",
             f"  spheres that reach into a wall: {self.share(self.outside):.3g} % of sphere states{soft}, "
             f"{self.share(self.outside_tolerated):.3g} % by > {1e3 * TOLERATED:g} mm, {self.outside_radius} by > r "
             f"({counted(self.outside_spheres, 'sphere')}); deepest {1e3 * self.farthest:.3g} mm",
@@ -81,12 +63,9 @@ def counted(number: int, what: str) -> str:
 
 
 def distance_outside(position: FloatArray, radius: FloatArray, scene: Scene) -> FloatArray:
-    """How far each centre lies beyond its last place in the container, ``(..., N)`` m; ≤ 0 inside.
+    """How far each centre, ``(..., N, 3)`` m, lies beyond its last place in the container, ``(..., N)`` m; ≤ 0 inside.
 
-    Args:
-        position: ``(..., N, 3)`` m.
-        radius: ``(N,)`` m.
-        scene: its walls that contain; without them nothing is outside.
+    Without walls that contain nothing is outside.
     """
     outside = np.full(position.shape[:-1], -np.inf)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -96,15 +75,10 @@ def distance_outside(position: FloatArray, radius: FloatArray, scene: Scene) -> 
 
 
 def count_failures(trajectory: Trajectory, scene: Scene) -> FailureCount:
-    """Count what is not finite and what is outside, in every stored state of a trajectory.
-
-    A sphere whose position is not finite counts as not finite, not as outside.
-    """
+    """Count what is not finite, and what is finite and outside, in every stored state of a trajectory."""
     check_arguments(trajectory=(trajectory, Trajectory), scene=(scene, Scene))
-    parts = [trajectory.position, trajectory.velocity]
-    if trajectory.angular_velocity is not None:
-        parts.append(trajectory.angular_velocity)
-    finite = np.logical_and.reduce([np.isfinite(part).all(axis=-1) for part in parts])
+    parts = (trajectory.position, trajectory.velocity, trajectory.angular_velocity)
+    finite = np.logical_and.reduce([np.isfinite(part).all(axis=-1) for part in parts if part is not None])
     broken = np.flatnonzero(~finite.all(axis=1))
     radius = trajectory.radius.astype(np.float64)
     counts, farthest, escaped = np.zeros(3, np.int64), 0.0, np.zeros(len(radius), bool)

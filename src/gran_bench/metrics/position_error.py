@@ -1,7 +1,6 @@
 """Distance between a model's spheres and the DEM's, over a short horizon and frame by frame.
 
-Two runs of the DEM itself separate within some 30 frames; beyond that horizon a position error says nothing about
-a model, and only statistics can be compared.
+Two runs of the DEM itself separate within some 30 frames; beyond that, only statistics can be compared.
 """
 
 from __future__ import annotations
@@ -13,55 +12,28 @@ import numpy as np
 
 from gran_bench.config import JudgeConfig
 from gran_bench.config.rules import check_arguments, checked
-from gran_bench.metrics.measured import Measured, Series, shared_states
+from gran_bench.metrics.measured import Measured
 from gran_bench.state import FloatArray, Trajectory
 
 HORIZONS = (1, 3, 10)  # frames
 DIVERGED = 0.1  # of a diameter: mean distance of two replicas beyond which they are no longer one trajectory
 
-Predict = Callable[[int, int], FloatArray]
-
 
 def separation(a: FloatArray, b: FloatArray, period: float = 0.0) -> FloatArray:
-    """Mean Euclidean distance of the spheres in each frame, ``(F,)`` m; NaN where a position is not finite.
-
-    Args:
-        a, b: ``(F, N, 3)`` m.
-        period: length of the periodic axis y, m; distances are to the nearest image.
-
-    Raises:
-        ValueError: different numbers of frames or spheres.
-    """
+    """Mean Euclidean distance, to the nearest image along y, of two ``(F, N, 3)`` in each frame, ``(F,)`` m, or NaN."""
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     if a.shape != b.shape:
         raise ValueError(f"positions have shapes {a.shape} and {b.shape}; compare the same spheres in the same frames")
     offset = a - b
-    if period > 0:
-        with np.errstate(invalid="ignore"):
-            offset[..., 1] -= period * np.round(offset[..., 1] / period)
     with np.errstate(invalid="ignore", over="ignore"):
+        if period > 0:
+            offset[..., 1] -= period * np.round(offset[..., 1] / period)
         distance = np.sqrt((offset**2).sum(axis=-1)).mean(axis=-1)
     return np.where(np.isfinite(distance), distance, np.nan)
 
 
-def separation_series(
-    time_a: FloatArray, a: FloatArray, time_b: FloatArray, b: FloatArray, period: float = 0.0
-) -> Series:
-    """`separation` against time, m; a state that only one of the two has is invalid."""
-    shared = shared_states(time_a, time_b)
-    time = time_a if len(time_a) >= len(time_b) else time_b
-    value = np.full(len(time), np.nan)
-    value[:shared] = separation(a[:shared], b[:shared], period)
-    return Series(time, value, "m", invalid_because="position is not finite, or missing,")
-
-
 def mean_spread(replicas: Sequence[FloatArray], period: float = 0.0) -> FloatArray:
-    """Mean over all pairs of replicas of their distance, ``(F,)`` m: how far the DEM separates from itself.
-
-    Args:
-        replicas: two or more of ``(F, N, 3)`` m.
-        period: m.
-    """
+    """Mean over all pairs of two or more replicas of their `separation`: how far the DEM separates from itself."""
     pairs = [(i, j) for i in range(len(replicas)) for j in range(i)]
     if not pairs:
         raise ValueError(f"{len(replicas)} replica has no spread; give two or more")
@@ -75,23 +47,22 @@ def divergence_horizon(spread: FloatArray, diameter: float) -> int | None:
 
 
 def short_horizon_errors(
-    predict: Predict, truth: Trajectory, starts: Sequence[int], horizons: Sequence[int] = HORIZONS, period: float = 0.0
+    predict: Callable[[int, int], FloatArray],
+    truth: Trajectory,
+    starts: Sequence[int],
+    horizons: Sequence[int] = HORIZONS,
+    period: float = 0.0,
 ) -> dict[int, Measured]:
-    """Mean position error a few frames after a start on the DEM's own trajectory, by horizon in frames, m.
+    """Mean position error a few frames after many starts on the DEM's own trajectory, by horizon in frames, m.
+
+    It is undefined, naming the first start, where any prediction is not finite.
 
     Args:
         predict: ``predict(start, frames)`` gives the ``(frames, N, 3)`` positions (m) of the states that follow
-            frame ``start`` of ``truth``.
-        truth: the DEM's trajectory.
-        starts: frames to start from, each at least max(horizons) before the end.
-        horizons: frames ahead.
-        period: m.
-
-    Returns:
-        The mean over all starts; undefined, naming the first start, where any prediction is not finite.
-
-    Raises:
-        ValueError: no horizon of one frame or more, or a start from which the longest lies beyond the trajectory.
+            frame ``start`` of ``truth``, the DEM's trajectory.
+        starts: frames, each at least max(horizons) before the end; else a `ValueError`.
+        horizons: frames ahead, each ≥ 1; else a `ValueError`.
+        period: of y, m.
     """
     check_arguments(truth=(truth, Trajectory))
     if not horizons or min(horizons) < 1:
@@ -103,20 +74,18 @@ def short_horizon_errors(
             f"starts={late[:5]} leave no {longest} frames in a trajectory of {truth.frame_count}; "
             f"choose frames from 0 to {truth.frame_count - longest - 1}"
         )
-    error = np.empty((len(starts), len(horizons)))
-    for row, start in enumerate(starts):
-        predicted = np.asarray(predict(int(start), longest))
-        distance = separation(predicted, truth.position[start + 1 : start + 1 + longest], period)
-        error[row] = [distance[horizon - 1] for horizon in horizons]
-    results = {}
-    for column, horizon in enumerate(horizons):
-        broken = np.flatnonzero(~np.isfinite(error[:, column]))
-        if len(broken):
-            reason = f"not finite from {len(broken)} of {len(starts)} starts, first from frame {starts[broken[0]]}"
-            results[horizon] = Measured.undefined("m", reason)
-        else:
-            results[horizon] = Measured(float(error[:, column].mean()), "m", f"{len(starts)} starts")
-    return results
+    ahead = (truth.position[start + 1 : start + 1 + longest] for start in starts)
+    pairs = zip(starts, ahead, strict=True)
+    error = np.array([separation(predict(int(start), longest), true, period) for start, true in pairs])
+    return {horizon: _over_starts(error[:, horizon - 1], starts) for horizon in horizons}
+
+
+def _over_starts(error: FloatArray, starts: Sequence[int]) -> Measured:
+    broken = np.flatnonzero(~np.isfinite(error))
+    if len(broken):
+        reason = f"not finite from {len(broken)} of {len(starts)} starts, first from frame {starts[broken[0]]}"
+        return Measured.undefined("m", reason)
+    return Measured(float(error.mean()), "m", f"{len(starts)} starts")
 
 
 def spread_starts(frame_count: int, starts: int, longest: int = max(HORIZONS)) -> list[int]:

@@ -1,7 +1,4 @@
-"""Distributions of particle speed: histogram, Wasserstein-1 distance, components, profile under the surface.
-
-Both sides of a comparison use one definition of velocity: the mean over a frame where the model has no other.
-"""
+"""Distributions of particle speed: histogram, Wasserstein-1 distance, components, profile under the surface."""
 
 from __future__ import annotations
 
@@ -9,26 +6,19 @@ import math
 
 import numpy as np
 
+from gran_bench.config.registry import register_metric
 from gran_bench.config.rules import check_arguments
-from gran_bench.metrics.angle_of_repose import HALF_WINDOW, SurfaceLine, cross_section_axes, hold_drum
+from gran_bench.metrics.angle_of_repose import HALF_WINDOW, SurfaceLine, cross_section_axes
 from gran_bench.metrics.measured import Series, shared_states
 from gran_bench.scene import Scene
 from gran_bench.state import VELOCITY_KINDS, FloatArray, Trajectory
 
 
 def velocities(trajectory: Trajectory, velocity_kind: str, period: float = 0.0) -> FloatArray:
-    """Velocities by the wanted definition, ``(F, N, 3)`` m/s, in double precision.
+    """Velocities by the wanted definition, ``(F, N, 3)`` m/s, in double precision, so that squares stay finite.
 
-    What is finite where it is stored has a finite square then, so that figures and the count of failures agree on
-    which states are finite.
-
-    Args:
-        trajectory: whose stored velocities are of ``trajectory.velocity_kind``.
-        velocity_kind: ``instantaneous``, or ``mean`` over the frame that ends at a state.
-        period: length of the periodic axis y, m; 0 where nothing wraps.
-
-    Raises:
-        ValueError: instantaneous velocities of a trajectory that has only means, or an unknown kind.
+    ``velocity_kind`` is ``instantaneous``, which a trajectory of means does not have (`ValueError`), or ``mean`` over
+    the frame that ends at a state; ``period`` is the length of a periodic axis y, m.
     """
     check_arguments(trajectory=(trajectory, Trajectory))
     if velocity_kind not in VELOCITY_KINDS:
@@ -42,46 +32,42 @@ def velocities(trajectory: Trajectory, velocity_kind: str, period: float = 0.0) 
     return trajectory.mean_velocity(period)
 
 
-def speed_histogram(speed: FloatArray, edges: FloatArray) -> FloatArray:
-    """Share of particles in each class of speed, ``(K,)``; a speed beyond the last edge counts in no class.
+def speeds(velocity: FloatArray) -> FloatArray:
+    """‖v‖ of ``(F, N, 3)`` velocities, ``(F, N)`` m/s."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.sqrt(np.einsum("fnk,fnk->fn", velocity, velocity))
 
-    Args:
-        speed: ``(N,)`` m/s, finite.
-        edges: ``(K + 1,)`` m/s.
-    """
-    return np.histogram(speed, edges)[0] / max(len(speed), 1)
+
+@register_metric("mean speed", "m/s")
+def mean_speed(trajectory: Trajectory, scene: Scene) -> Series:
+    """Mean over the spheres of ‖v‖ of each state, m/s."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        speed = speeds(velocities(trajectory, trajectory.velocity_kind)).mean(axis=1, dtype=np.float64)
+    return Series(trajectory.time, np.where(np.isfinite(speed), speed, np.nan), "m/s", invalid_because="not finite")
 
 
 def wasserstein(sorted_a: FloatArray, sorted_b: FloatArray) -> float:
-    """Wasserstein-1 distance ∫|A⁻¹(q) − B⁻¹(q)| dq of two samples, in their unit; exact, also for unequal sizes.
+    """Wasserstein-1 distance ∫|A⁻¹(q) − B⁻¹(q)| dq of two increasing samples, ``(N,)`` and ``(M,)``, in their unit.
 
-    Args:
-        sorted_a: ``(N,)`` increasing.
-        sorted_b: ``(M,)`` increasing.
-
-    Returns:
-        NaN where a sample is empty or has a value that is not finite.
+    Exact, also for unequal sizes; NaN where a sample is empty or has a value that is not finite.
     """
     sorted_a, sorted_b = np.asarray(sorted_a), np.asarray(sorted_b)
     if not (len(sorted_a) and len(sorted_b)):
         return math.nan
     if len(sorted_a) == len(sorted_b):
         return float(np.abs(sorted_a - sorted_b).mean(dtype=np.float64))
-    levels_a = np.arange(1, len(sorted_a) + 1) / len(sorted_a)
-    levels_b = np.arange(1, len(sorted_b) + 1) / len(sorted_b)
-    levels = np.unique(np.concatenate((levels_a, levels_b)))
+    both = (sorted_a, sorted_b)
+    levels = np.unique(np.concatenate([np.arange(1, len(sample) + 1) / len(sample) for sample in both]))
     share = np.diff(levels, prepend=0.0)
     middle = levels - 0.5 * share
-    at_a = sorted_a[np.minimum((middle * len(sorted_a)).astype(np.int64), len(sorted_a) - 1)]
-    at_b = sorted_b[np.minimum((middle * len(sorted_b)).astype(np.int64), len(sorted_b) - 1)]
-    return float((np.abs(at_a - at_b) * share).sum(dtype=np.float64))
+    a, b = (sample[np.minimum((middle * len(sample)).astype(np.int64), len(sample) - 1)] for sample in both)
+    return float((np.abs(a - b) * share).sum(dtype=np.float64))
 
 
 def sorted_frames(values: FloatArray) -> FloatArray:
     """Each frame's values in increasing order, ``(F, N)`` float32; a frame that is not finite is NaN throughout.
 
-    Without the last rule, an infinite or missing speed would only shift the ranks and pass for a figure. Finite values
-    beyond single precision stay in double.
+    An infinite or missing speed would else only shift the ranks. Values beyond single precision stay in double.
     """
     largest = np.abs(values, where=np.isfinite(values), out=np.zeros(values.shape)).max(initial=0.0)
     ordered = np.sort(values.astype(np.float32 if largest <= np.finfo(np.float32).max else np.float64), axis=1)
@@ -90,23 +76,10 @@ def sorted_frames(values: FloatArray) -> FloatArray:
 
 
 def wasserstein_series(time_a: FloatArray, a: FloatArray, time_b: FloatArray, b: FloatArray) -> Series:
-    """Wasserstein-1 distance of each state that both have, NaN (invalid) in the states that only one has, m/s.
-
-    Args:
-        time_a, time_b: ``(F,)`` s.
-        a, b: ``(F, N)`` by `sorted_frames`, m/s.
-
-    Raises:
-        ValueError: the states lie at different times.
-    """
+    """Wasserstein-1 distance of each state of two runs, by `sorted_frames`, m/s; what only one has is invalid."""
     shared = shared_states(time_a, time_b)
-    time = time_a if len(time_a) >= len(time_b) else time_b
-    value = np.full(len(time), np.nan)
-    if a.shape[1] == b.shape[1]:
-        value[:shared] = np.abs(a[:shared] - b[:shared]).mean(axis=1, dtype=np.float64)
-    else:
-        value[:shared] = [wasserstein(x, y) for x, y in zip(a[:shared], b[:shared], strict=True)]
-    return Series(time, value, "m/s", invalid_because="velocity is not finite, or missing,")
+    value = [wasserstein(x, y) for x, y in zip(a[:shared], b[:shared], strict=True)]
+    return Series.of_two(time_a, time_b, np.array(value), "m/s", "velocity is not finite, or missing,")
 
 
 def depth_profile(
@@ -116,22 +89,13 @@ def depth_profile(
 
     Only spheres within 0.6 R of the middle of the surface count, so that a layer has one depth. The velocity along
     the surface is positive uphill, so the flowing layer is negative. Layers run to the drum's wall; one that never
-    held a sphere is NaN, as all are where a state of the span has no valid surface.
-
-    Args:
-        position: ``(F, N, 3)`` m, states of one span of time.
-        velocity: ``(F, N, 3)`` m/s.
-        lines: the surfaces of the states.
-        scene: a drum.
-
-    Raises:
-        ValueError: a scene without a drum.
+    held a sphere is NaN. A state without a valid surface is left out. Positions (m) and velocities (m/s) are
+    ``(F, N, 3)`` of a span of time in a drum, with the line of each state.
     """
-    hold_drum(scene)
     diameter = scene.filling.diameter
     layers = max(1, round(2.0 * scene.drum_radius / diameter))
     climbing, up = cross_section_axes(scene)
-    count, speed, along = np.zeros(layers), np.zeros(layers), np.zeros(layers)
+    count, speed, along = np.zeros((3, layers))
     for x, v, line in zip(position, velocity, lines, strict=True):
         if not line.valid:
             continue

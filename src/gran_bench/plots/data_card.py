@@ -6,52 +6,38 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
 from tqdm import tqdm
 
 from gran_bench.config import GenerateConfig
 from gran_bench.dataset import CaseSpec, ensure_cases, half_step, read_case, replicas, rotation_label, split_cases
-from gran_bench.metrics.comparisons import COMPARISONS, FIGURES
-from gran_bench.metrics.measured import Measured, mean_of
-from gran_bench.metrics.noise_floor import noise_floor, score
-from gran_bench.metrics.summary import TrajectorySummary, summarise
-from gran_bench.plots.case_card import case_card
-from gran_bench.scene import build_scene
+from gran_bench.metrics.angle_of_repose import com_angle, surface_angle
+from gran_bench.metrics.comparisons import COMPARISONS, FIGURES, Comparison
+from gran_bench.metrics.measured import Measured, frame_at, mean_of, noise_floor, score
+from gran_bench.metrics.summary import PATTERN_TIME, TrajectorySummary, summarise
+from gran_bench.plots.flow import draw_pattern, fastest, finish_patterns
+from gran_bench.plots.style import BASELINE, DEM, QUIET, SURROGATE, drawing, say
+from gran_bench.scene import Scene, build_scene
+from gran_bench.state import FloatArray, Trajectory
 
 CASE_COLUMNS = (
-    "surface_angle_steady",
-    "surface_angle_peak",
-    "com_angle_steady",
-    "com_angle_peak",
-    "mean_speed_steady",
-    "overlap_max",
-    "wall_overlap_max",
+    *("surface_angle_steady", "surface_angle_peak", "com_angle_steady", "com_angle_peak"),
+    *("mean_speed_steady", "overlap_max", "wall_overlap_max"),
 )
 FLOOR_ROWS = (
-    "surface_angle",
-    "surface_angle_steady",
-    "surface_angle_peak",
-    "com_angle",
-    "speed_w1",
-    "speed_w1_pattern",
-    "speed_w1_steady",
+    *("surface_angle", "surface_angle_steady", "surface_angle_peak", "com_angle"),
+    *("speed_w1", "speed_w1_pattern", "speed_w1_steady"),
 )
+SHARES = ((5, 95, "#dbe7f1", "5–95 %"), (25, 75, "#a9c8e0", "25–75 %"))  # of the spheres, per cent
 SHOWN_AS = {"m": ("mm", 1e3), "deg": ("°", 1.0)}  # unit of a figure: for people, times
 
 
 def draw_missing_cards(paths: Sequence[Path], progress: bool = True) -> list[Path]:
-    """Draw each case that has no figure yet, to ``figures/`` beside its file.
+    """Draw each case that has no figure yet, to ``figures/`` beside its file; the figure of each.
 
     A case never changes under its name, so neither does its figure.
-
-    Args:
-        paths: files of cases.
-        progress: show a bar; silent without a terminal.
-
-    Returns:
-        The figure of each case.
-
-    Raises:
-        DatasetError: a file is missing or damaged.
     """
     figures = [path.parent / "figures" / f"{path.stem}.png" for path in paths]
     missing = [(path, figure) for path, figure in zip(paths, figures, strict=True) if not figure.exists()]
@@ -62,11 +48,7 @@ def draw_missing_cards(paths: Sequence[Path], progress: bool = True) -> list[Pat
 
 
 def print_data_card(config: GenerateConfig) -> None:
-    """Make whatever the card needs and print its two tables in Markdown: the cases, and the noise floor.
-
-    Raises:
-        DatasetError: a case cannot be made, or a file is damaged.
-    """
+    """Make whatever the card needs and print its two tables in Markdown: the cases, and the noise floor."""
     root, workers = config.dataset.root, config.dataset.workers
     split = split_cases(build_scene(config.scene), config.dem, config.dataset)
     judged = split.holdout[0] if split.holdout else split.training[0]
@@ -74,53 +56,113 @@ def print_data_card(config: GenerateConfig) -> None:
     halved = half_step(judged)
     packings = [replace(judged, packing_seed=config.dataset.unseen_packing_seed + k) for k in range(2)]
     ensure_cases([*split.all, *nudged, halved, *packings], root, workers)
-    print("\n".join(case_table(split.all, root)), end="\n\n")
-    print("\n".join(floor_table(nudged, halved, packings, root)))
+
+    def summary_of(spec: CaseSpec) -> TrajectorySummary:
+        case = read_case(spec.path(root))
+        return summarise(case.trajectory, case.scene)
+
+    cases = {rotation_label(spec.scene): summary_of(spec) for spec in split.all}
+    print("\n".join(_case_table(cases)), end="\n\n")
+    truth, others = [summary_of(spec) for spec in nudged], [summary_of(spec) for spec in packings]
+    print("\n".join(_floor_table(truth, summary_of(halved), others)))
 
 
-def case_table(specs: Sequence[CaseSpec], root: Path | str) -> Iterator[str]:
-    """Lines of a Markdown table with a case a row."""
+def _case_table(cases: dict[str, TrajectorySummary]) -> Iterator[str]:
+    """A case a row."""
     figures = [figure for key in CASE_COLUMNS for figure in FIGURES if figure.key == key]
-    yield _row("case", *(f"{figure.label}, {_unit(figure.unit)}" for figure in figures))
+    yield _row("case", *map(_label, figures))
     yield _row(*["---"] * (1 + len(figures)))
-    for spec in specs:
-        summary = _summary(spec, root)
-        yield _row(rotation_label(spec.scene), *(_shown(figure.measure(summary)) for figure in figures))
+    for label, summary in cases.items():
+        yield _row(label, *(_shown(figure.figure(summary)) for figure in figures))
 
 
-def floor_table(
-    nudged: Sequence[CaseSpec], halved: CaseSpec, packings: Sequence[CaseSpec], root: Path | str
+def _floor_table(
+    truth: Sequence[TrajectorySummary], fine: TrajectorySummary, others: Sequence[TrajectorySummary]
 ) -> Iterator[str]:
-    """Lines of a Markdown table: distances between replicas, to half the time step, to other packings.
-
-    The last two are mean distances to the replicas, of packings the mean over them.
-    """
-    truth, fine = [_summary(spec, root) for spec in nudged], _summary(halved, root)
-    others = [_summary(spec, root) for spec in packings]
+    """Distances between replicas, and mean distances to them of half the time step and of other packings."""
     yield _row("", "between replicas", "half the time step", "other packings")
     yield _row(*["---"] * 4)
-    for comparison in (c for key in FLOOR_ROWS for c in COMPARISONS if c.key == key):
-        metric, unit = comparison.distance, comparison.unit
-        floor = noise_floor(metric, truth, unit)
-        away = [score(metric, other, truth, unit) for other in others]
-        cells = (floor, score(metric, fine, truth, unit), mean_of(away, unit))
-        yield _row(f"{comparison.label}, {_unit(unit)}", *map(_shown, cells))
-
-
-def _summary(spec: CaseSpec, root: Path | str) -> TrajectorySummary:
-    case = read_case(spec.path(root))
-    return summarise(case.trajectory, case.scene)
+    for row in (row for key in FLOOR_ROWS for row in COMPARISONS if row.key == key):
+        halved, *away = (score(row.distance, run, truth, row.unit) for run in (fine, *others))
+        cells = (noise_floor(row.distance, truth, row.unit), halved, mean_of(away, row.unit))
+        yield _row(_label(row), *map(_shown, cells))
 
 
 def _row(*cells: str) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def _unit(unit: str) -> str:
-    return SHOWN_AS.get(unit, (unit, 1.0))[0]
+def _label(row: Comparison) -> str:
+    return f"{row.label}, {SHOWN_AS.get(row.unit, (row.unit, 1.0))[0]}"
 
 
 def _shown(figure: Measured) -> str:
-    if figure.value is None:
-        return "undefined"
-    return f"{figure.value * SHOWN_AS.get(figure.unit, ('', 1.0))[1]:.3g}"
+    return f"{figure.value * SHOWN_AS.get(figure.unit, ('', 1.0))[1]:.3g}" if figure.defined else "undefined"
+
+
+def case_card(trajectory: Trajectory, scene: Scene, path: Path | str, title: str = "") -> Path:
+    """Draw a case of the DEM: three flow patterns above, angle and speeds against time below."""
+    speed = np.linalg.norm(trajectory.velocity, axis=2)
+    norm, instants = Normalize(0.0, fastest([speed])), _instants(scene)
+    with drawing(path, 10.0, 7.0) as figure:
+        upper, lower = figure.subfigures(2, 1, height_ratios=(1.25, 1.0))
+        figure.suptitle(title or default_title(scene), x=0.01, ha="left", fontsize=12)
+        panels = upper.subplots(1, len(instants), sharey=True, squeeze=False)[0]
+        for axes, time in zip(panels, instants, strict=True):
+            frame = frame_at(trajectory.time, time)
+            axes.set_title(f"{time:g} s")
+            if frame is None:
+                say(axes, f"no state at {time:g} s")
+                continue
+            draw_pattern(axes, trajectory.position[frame], speed[frame], trajectory.radius, scene, norm)
+        finish_patterns(upper, panels, norm, "speed, m/s", shrink=0.8)
+        left, right = lower.subplots(1, 2)
+        _draw_angles(left, trajectory, scene)
+        _draw_speeds(right, trajectory.time, speed)
+    return Path(path)
+
+
+def default_title(scene: Scene) -> str:
+    """The scene's name, its speed or speeds, how many spheres it has, and their diameter or its ends."""
+    speeds = " → ".join(f"{speed:g}" for speed in dict.fromkeys(scene.rotation.speeds_rpm))
+    ends = dict.fromkeys((scene.filling.smallest_radius, scene.filling.largest_radius))
+    sizes = "–".join(f"{2e3 * radius:.3g}" for radius in ends)
+    return f"{scene.name}, {speeds} rpm, {scene.filling.count} spheres of {sizes} mm"
+
+
+def _instants(scene: Scene) -> list[float]:
+    """An early state, that of the paper's figure, and the last; evenly spread where the scene ends before."""
+    if scene.end_time > PATTERN_TIME + 0.5:
+        return [scene.start_time + 0.35, PATTERN_TIME, scene.end_time]
+    span = scene.end_time - scene.start_time
+    steps = [round(share * span / scene.frame_interval) for share in (1 / 3, 2 / 3, 1.0)]
+    return [scene.start_time + step * scene.frame_interval for step in steps]
+
+
+def _draw_angles(axes: Axes, trajectory: Trajectory, scene: Scene) -> None:
+    axes.set(title="Angle of repose", xlabel="time, s", ylabel="angle, °")
+    axes.set_xlim(trajectory.time[0], trajectory.time[-1])
+    for measure, label, colour in ((surface_angle, "surface", SURROGATE), (com_angle, "centre of mass", BASELINE)):
+        series = measure(trajectory, scene)
+        if series.undefined_because:
+            say(axes, f"undefined:\n{series.undefined_because}")
+            return
+        axes.plot(series.time, np.where(series.valid, series.value, np.nan), color=colour, label=label)
+    axes.legend(loc="upper right")
+
+
+def _draw_speeds(axes: Axes, time: FloatArray, speed: FloatArray) -> None:
+    axes.set_title("Speeds of the spheres")
+    if not speed.shape[1]:
+        say(axes, "no spheres")
+        return
+    finite = np.where(np.isfinite(speed).all(axis=1)[:, None], speed, np.nan)
+    for low, high, colour, label in SHARES:
+        band = np.percentile(finite, (low, high), axis=1)
+        axes.fill_between(time, *band, color=colour, linewidth=0, label=f"{label} of the spheres")
+    axes.plot(time, np.median(finite, axis=1), color=BASELINE, label="median")
+    axes.plot(time, finite.mean(axis=1), color=DEM, linewidth=1.1, linestyle=(0, (5, 2)), label="mean")
+    axes.set(xlabel="time, s", ylabel="speed, m/s", xlim=(time[0], time[-1]))
+    axes.set_ylim(bottom=0.0)
+    axes.tick_params(color=QUIET)
+    axes.legend(loc="upper right", ncols=2)

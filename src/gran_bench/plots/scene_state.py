@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PatchCollection
-from matplotlib.patches import Circle
+from matplotlib.collections import EllipseCollection
 
 from gran_bench.dem.outlet import taking_part
 from gran_bench.dem.walls import ABSENT, KIND, PLANE, wall_contact, wall_poses
@@ -22,17 +22,12 @@ def scene_state(path: Path | str, scene: Scene, state: ParticleState, title: str
     """Draw the spheres that the plane y = 0 cuts as the circles that it cuts out, and the walls as lines.
 
     Spheres that have left through the outlet are grey. Where y = 0 cuts no sphere, the nearest centre's y is taken.
-
-    Args:
-        path: of the PNG.
-        scene: its walls, where they are at the state's time.
-        state: N spheres.
-        title: of the figure.
     """
-    (low, high), depth = _view(scene, state), _depth(state)
-    width, height = high - low
-    scale = 6.0 / max(width, height)
-    with drawing(path, max(4.2, scale * width + 1.3), max(2.4, scale * height + 0.9)) as figure:
+    low, high = _view(scene, state)
+    y = state.position[:, 1]
+    depth = 0.0 if not len(y) or (np.abs(y) < state.radius).any() else float(y[np.argmin(np.abs(y))])
+    width, height = 6.0 * (high - low) / (high - low).max()
+    with drawing(path, max(4.2, width + 1.3), max(2.4, height + 0.9)) as figure:
         axes = figure.add_subplot()
         axes.grid(False)
         _draw_spheres(axes, scene, state, depth)
@@ -47,10 +42,10 @@ def _view(scene: Scene, state: ParticleState) -> tuple[FloatArray, FloatArray]:
         corners = scene.drum_radius * np.array([[-1.0, -1.0], [1.0, 1.0]])
     elif scene.room is not None:
         corners = np.array([scene.room.lower, scene.room.upper])[:, ::2]
-        floor = min((wall.point[2] for wall in scene.walls), default=corners[0, 1])
+        floors = [wall.point[2] for wall in scene.walls]
         if scene.outlet is not None:
-            floor = min(floor, scene.outlet.point[2] - 2.0 * scene.filling.diameter)
-        corners[0, 1] = min(corners[0, 1], floor)
+            floors.append(scene.outlet.point[2] - 2.0 * scene.filling.diameter)
+        corners[0, 1] = min([corners[0, 1], *floors])
     else:
         across, reach = state.position[:, ::2], state.radius[:, None]
         corners = np.array([(across - reach).min(axis=0), (across + reach).max(axis=0)])
@@ -58,30 +53,22 @@ def _view(scene: Scene, state: ParticleState) -> tuple[FloatArray, FloatArray]:
     return corners[0] - margin, corners[1] + margin
 
 
-def _depth(state: ParticleState) -> float:
-    """y of the cut, m: the middle, or the centre next to it where the middle cuts no sphere."""
-    y = state.position[:, 1]
-    if not len(y) or (np.abs(y) < state.radius).any():
-        return 0.0
-    return float(y[np.argmin(np.abs(y))])
-
-
 def _draw_spheres(axes: Axes, scene: Scene, state: ParticleState, depth: float) -> None:
     beside = state.position[:, 1] - depth
-    cut = np.abs(beside) < state.radius
-    size = np.sqrt(np.maximum(0.0, state.radius**2 - beside**2))
+    size = 2.0 * np.sqrt(np.maximum(0.0, state.radius**2 - beside**2))
     inside = taking_part(scene, state.position)
     left = np.zeros(state.count, bool) if inside is None else ~inside
 
-    def circles(which: np.ndarray) -> list[Circle]:
-        return [Circle((state.position[i, 0], state.position[i, 2]), size[i]) for i in np.flatnonzero(which)]
+    def circles(which: np.ndarray, **look: Any) -> EllipseCollection:
+        cut = size[which]
+        place = {"offsets": state.position[which][:, ::2], "offset_transform": axes.transData}
+        look |= {"edgecolor": "white", "linewidth": 0.2}
+        return axes.add_collection(EllipseCollection(cut, cut, np.zeros(len(cut)), units="xy", **place, **look))
 
-    speed = np.linalg.norm(state.velocity, axis=1)[cut & ~left]
-    axes.add_collection(PatchCollection(circles(cut & left), facecolor=BAND, edgecolor="white", linewidth=0.2))
-    spheres = PatchCollection(circles(cut & ~left), cmap=SPEED_MAP, edgecolor="white", linewidth=0.2)
-    spheres.set_array(speed)
-    spheres.set_clim(0.0, max(float(speed.max(initial=0.0)), 1e-3))
-    axes.add_collection(spheres)
+    circles((size > 0) & left, facecolor=BAND)
+    moving = (size > 0) & ~left
+    speed = np.linalg.norm(state.velocity, axis=1)[moving]
+    spheres = circles(moving, cmap=SPEED_MAP, array=speed, clim=(0.0, max(float(speed.max(initial=0.0)), 1e-3)))
     axes.figure.colorbar(spheres, ax=axes, label="speed, m/s", shrink=0.8)
 
 

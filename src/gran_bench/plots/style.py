@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import cycle
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -17,8 +17,6 @@ from matplotlib.ticker import NullFormatter
 
 from gran_bench.files import whole_file
 
-Thing = TypeVar("Thing")
-
 # Okabe & Ito's colours, told apart with every kind of colour vision.
 DEM = "#000000"
 SURROGATE = "#D55E00"
@@ -27,59 +25,35 @@ FURTHER = ("#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442")
 QUIET = "#8a8a8a"
 BAND = "#c4c4c4"
 SPEED_MAP = "viridis"
+ROUND = tuple(digit * 10.0**power for power in range(-3, 6) for digit in (1, 2, 5))  # numbers for ticks
 
-_LOOK = {
-    "font.family": "DejaVu Sans",
-    "font.size": 10.0,
-    "axes.titlesize": 10.5,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.8,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.7,
-    "lines.linewidth": 1.6,
-    "legend.frameon": False,
-    "legend.fontsize": 9.0,
-    "figure.facecolor": "white",
+LOOK = {
+    **{"font.family": "DejaVu Sans", "font.size": 10.0, "lines.linewidth": 1.6},
+    **{"axes.titlesize": 10.5, "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False},
+    **{"axes.linewidth": 0.8, "axes.grid": True, "axes.axisbelow": True, "grid.color": "#e6e6e6"},
+    **{"grid.linewidth": 0.7, "legend.frameon": False, "legend.fontsize": 9.0, "figure.facecolor": "white"},
     "figure.dpi": 100.0,
 }
-
-
-_run_name: ContextVar[str | None] = ContextVar("run_name", default=None)
+run_name: ContextVar[str | None] = ContextVar("run_name", default=None)
 
 
 @contextmanager
-def drawn_for(run_name: str) -> Iterator[None]:
-    """Let every figure of the block carry the name of its run: in small print, and in the file's metadata.
-
-    Args:
-        run_name: that finds the run: the name of its folder.
-    """
-    token = _run_name.set(run_name)
+def drawn_for(name: str) -> Iterator[None]:
+    """Let every figure of the block carry the name of its run's folder: in small print, and in its metadata."""
+    token = run_name.set(name)
     try:
         yield
     finally:
-        _run_name.reset(token)
-
-
-def run_drawn_for() -> str | None:
-    """Name of the run that figures are drawn for at present."""
-    return _run_name.get()
+        run_name.reset(token)
 
 
 @contextmanager
 def drawing(path: Path | str, width: float, height: float) -> Iterator[Figure]:
-    """A figure of ``width`` × ``height`` inches that is written to ``path`` (PNG) when the block ends well.
-
-    No global state of matplotlib is touched, so that figures can be drawn in threads and in a user's notebook.
-    """
-    with matplotlib.rc_context(_LOOK):
+    """A figure of ``width`` × ``height`` inches that is written to ``path`` (PNG) when the block ends well."""
+    with matplotlib.rc_context(LOOK):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
-        name = run_drawn_for()
+        name = run_name.get()
         if name is not None:
             # A caption of its own line, so that it covers nothing; long names shrink to the figure's width.
             size = min(6.5, 115.0 * width / max(len(name), 1))
@@ -96,13 +70,13 @@ def say(axes: Axes, text: str) -> None:
     axes.grid(False)
 
 
-def coloured(things: Iterable[Thing], first: Sequence[str] = (SURROGATE,)) -> Iterator[tuple[Thing, str]]:
+def coloured(things: Iterable[Any], first: Sequence[str] = (SURROGATE,)) -> Iterator[tuple[Any, str]]:
     """Each thing with a colour: of ``first``, then further ones, then all again, so that none is left out."""
     return zip(things, cycle((*first, *FURTHER)), strict=False)
 
 
 def mark_place(axes: Axes, x: float, text: str, ha: str = "left") -> None:
-    """A dashed line across a panel at ``x``, with words at its foot, to its right or (``ha="right"``) to its left."""
+    """Draw a dashed line at ``x``, with words at its foot, to its right or (``ha="right"``) to its left."""
     axes.axvline(x, color=QUIET, linewidth=0.9, linestyle=(0, (4, 3)))
     axes.annotate(text, (x, 0.03), xycoords=("data", "axes fraction"), xytext=(-5 if ha == "right" else 5, 0),
                   textcoords="offset points", ha=ha, fontsize=8.5, color="#555555", annotation_clip=True)  # fmt: skip

@@ -10,7 +10,7 @@ from pathlib import Path
 from gran_bench.benchmark import page as benchmark
 from gran_bench.benchmark.results import ResultsError
 from gran_bench.files import write_part
-from gran_bench.report.result_page import renew_page
+from gran_bench.report.result_page import PAGE, renew_page
 from gran_bench.report.tables import RUNS, drum_table, failures_table, scenes_table
 from gran_bench.run.summary import read_summary
 from gran_bench.stress import page as stress
@@ -18,17 +18,11 @@ from gran_bench.sweep.runs import SweepFileError, sweep_folders
 from gran_bench.sweep.sweep_report import report_sweeps, write_overview
 from gran_bench.verification import report as verification
 
-PAGE = "README.md"
-
 
 def report_command(arguments: Sequence[str] | None = None) -> int:
     """Report sweeps; without a folder every sweep, and the tables of every page of the results.
 
-    Args:
-        arguments: of the command line.
-
-    Returns:
-        The exit code: 0; 1 where a record or the store could not be read; 2 where there is nothing to report.
+    The exit code is 1 where a record or the store could not be read, 2 where there is nothing to report.
     """
     parser = argparse.ArgumentParser("python -m gran_bench.report", description="Renew tables from their records.")
     parser.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", help="of a sweep; everything if none")
@@ -54,15 +48,8 @@ def report_command(arguments: Sequence[str] | None = None) -> int:
 
 
 def renew_pages(root: Path) -> list[Path]:
-    """Renew what stands between marks on every page whose record is there; the pages.
-
-    Raises:
-        ResultsError, SweepFileError, ValueError: a record that cannot be read.
-    """
-    pages = []
-    for name in RUNS:
-        if read_summary(root / name) is not None:
-            pages.append(renew_page(root / name))
+    """Renew what stands between marks on every page whose record is there; the pages."""
+    pages = [renew_page(root / name) for name in RUNS if read_summary(root / name) is not None]
     for folder, module, record in (
         ("verification", verification, verification.JSON),
         ("stress", stress, stress.TABLE),

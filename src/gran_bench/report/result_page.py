@@ -1,7 +1,4 @@
-"""A finished run as a page that is committed.
-
-``python -m gran_bench.report.result_page results/runs/NAME results/NAME``.
-"""
+"""A finished run as a committed page: ``python -m gran_bench.report.result_page results/runs/NAME results/NAME``."""
 
 from __future__ import annotations
 
@@ -37,31 +34,21 @@ def write_page(run: Path, target: Path, title: str) -> Path:
     """Copy a finished run's summary, figures and small model to a folder, and renew the table of its README.
 
     Args:
-        run: folder of a finished run.
+        run: folder of a run; a `ResultPageError` where it is not finished.
         target: folder of the page; what people wrote there stays.
-        title: of a new page.
-
-    Returns:
-        The README.
-
-    Raises:
-        ResultPageError: the run is not finished.
+        title: of a new page; the experiment's name where it is empty.
     """
     if read_summary(run) is None:
         raise ResultPageError(f"{run} has no {SUMMARY}: the run is not finished; run its command again")
     small = [run / MODEL] if (run / MODEL).exists() and (run / MODEL).stat().st_size <= LARGEST_MODEL else []
     for source in [run / SUMMARY, *small, *sorted((run / "figures").glob("*.[pg][ni][gf]"))]:
-        _copy(source, target / source.relative_to(run))
+        with whole_file(target / source.relative_to(run)) as temporary:
+            shutil.copyfile(source, temporary)
     return renew_page(target, title)
 
 
 def renew_page(folder: Path, title: str = "") -> Path:
-    """Renew what the README of a folder says of its summary.
-
-    Args:
-        folder: with a ``summary.json``.
-        title: of a new page; the experiment's name where it is not given.
-    """
+    """Renew the table of a folder's README from its ``summary.json``; a new page has ``title`` or the experiment's."""
     summary = read_summary(folder)
     text = "\n".join(_lines(summary, folder))
     write_part(folder / PAGE, "judgement", text, title or summary["experiment"])
@@ -77,11 +64,10 @@ def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     yield ""
     yield f"| | {' | '.join(f'{name} packing' for name in packings)} |"
     yield "|---|" + "---:|" * len(packings)
-    for kind, cell in (("requirements", _requirement), ("errors", _error)):
+    for kind, shown, what in (("requirements", _requirement, ""), ("errors", _error, " (noise floors)")):
         for key, row in next(iter(packings.values()))[kind].items():
             if kind == "requirements" or key in ERRORS:
-                label = row["label"] if kind == "requirements" else f"{row['label']} (noise floors)"
-                yield f"| {label} | {' | '.join(cell(judged[kind][key]) for judged in packings.values())} |"
+                yield f"| {row['label']}{what} | {' | '.join(shown(one[kind][key]) for one in packings.values())} |"
     counts = (judged["failures"] for judged in packings.values())
     yield f"| states not finite; spheres outside by more than r | {' | '.join(map(_failures, counts))} |"
     yield ""
@@ -111,8 +97,8 @@ def _requirement(row: dict[str, Any]) -> str:
 
 
 def _error(row: dict[str, Any]) -> str:
-    times = "" if row["multiple_of_floor"] is None else f" ({shown_multiple(row['multiple_of_floor'])})"
-    return _value(row) + times
+    multiple = row["multiple_of_floor"]
+    return _value(row) if multiple is None else f"{_value(row)} ({shown_multiple(multiple)})"
 
 
 def _value(row: dict[str, Any]) -> str:
@@ -123,22 +109,15 @@ def _failures(count: dict[str, Any] | None) -> str:
     return "" if count is None else f"{count['non_finite_states']}; {count['outside_spheres']}"
 
 
-def _copy(source: Path, target: Path) -> None:
-    with whole_file(target) as temporary:
-        shutil.copyfile(source, temporary)
-
-
 def main() -> None:
     """Read the command line and write the page."""
     parser = argparse.ArgumentParser(prog="python -m gran_bench.report.result_page", description=write_page.__doc__)
     parser.add_argument("run", type=Path, help="folder of a finished run")
     parser.add_argument("target", type=Path, help="folder of the page")
-    parser.add_argument("--title", help="of the page; the experiment's name where it is not given")
+    parser.add_argument("--title", default="", help="of the page; the experiment's name where it is not given")
     arguments = parser.parse_args()
     try:
-        summary = read_summary(arguments.run) or {}
-        title = arguments.title or str(summary.get("experiment", ""))
-        print(write_page(arguments.run, arguments.target, title))
+        print(write_page(arguments.run, arguments.target, arguments.title))
     except (ResultPageError, OSError, json.JSONDecodeError) as error:
         parser.exit(2, f"error: {error}\n")
 

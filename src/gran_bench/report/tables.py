@@ -48,25 +48,23 @@ def drum_table(root: Path) -> Iterator[str]:
             yield _row(row["name"], *times, _errors(row), worst)
     else:
         rows, ranked = [], ["surface_angle", "speed_w1"]
-    for name in RUNS:
-        summary = read_summary(root / name)
-        if summary is None:
-            continue
+    for name, summary in _runs(root):
         if not any(row["name"].startswith(name) for row in rows):
-            yield _judged(name, summary, ranked)
+            errors, rollout = (
+                summary["judged"]["shared"]["errors"],
+                summary["rollouts"][f"{summary['judged_rpm']:g}rpm"],
+            )
+            time, who = rollout["ms_per_frame_median"], f"`{summary['model']['name']}` ([{name}]({name}/README.md))"
+            times = time / summary["frame_ms"], time / rollout["dem_ms_per_frame"]
+            yield _row(f"{who}, judged by itself", *times, errors, _worst(errors, ranked))
         if name == RUNS[0]:
             for baseline, errors in summary["baselines"].items():
                 if "replayed" in baseline:
                     yield _row(f"{baseline}, judged by itself", None, None, errors, _worst(errors, ranked))
 
 
-def _judged(name: str, summary: Mapping[str, Any], ranked: list[str]) -> str:
-    """The row of a run that its own judgement timed."""
-    rollout, errors = summary["rollouts"][f"{summary['judged_rpm']:g}rpm"], summary["judged"]["shared"]["errors"]
-    second = rollout["ms_per_frame_median"] / summary["frame_ms"]
-    relative = rollout["ms_per_frame_median"] / rollout["dem_ms_per_frame"]
-    who = f"`{summary['model']['name']}` ([{name}]({name}/README.md)), judged by itself"
-    return _row(who, second, relative, errors, _worst(errors, ranked))
+def _runs(root: Path) -> list[tuple[str, dict[str, Any]]]:
+    return [(name, found) for name in RUNS if (found := read_summary(root / name)) is not None]
 
 
 def scenes_table(root: Path) -> Iterator[str]:
@@ -89,11 +87,10 @@ def failures_table(root: Path) -> Iterator[str]:
     """What failed: a row for each record, with the day of the record."""
     yield "| record | of the day | failed |"
     yield "|---|---|---|"
-    for name in RUNS:
-        if summary := read_summary(root / name):
-            missed = missed_requirements(summary)
-            words = f"{len(missed)} requirements" + (f", first: {missed[0]}" if missed else "")
-            yield _failures(f"[{name}]({name}/README.md)", summary["provenance"], words)
+    for name, summary in _runs(root):
+        missed = missed_requirements(summary)
+        words = f"{len(missed)} requirements" + (f", first: {missed[0]}" if missed else "")
+        yield _failures(f"[{name}]({name}/README.md)", summary["provenance"], words)
     if (root / "verification" / JSON).exists():
         record = json.loads((root / "verification" / JSON).read_text("utf-8"))
         failed = [case["name"] for case in record["cases"] if not case["met"]]
@@ -126,9 +123,7 @@ def _errors(row: Mapping[str, Any]) -> dict[str, Any]:
 def _worst(errors: Mapping[str, Any], ranked: list[str]) -> str:
     """The worst of the ranked errors, in noise floors."""
     multiples = [errors[key]["multiple_of_floor"] for key in ranked if key in errors]
-    if not multiples:
-        return ""
-    return "undefined" if None in multiples else f"{max(multiples):.2f}"
+    return "undefined" if None in multiples else f"{max(multiples):.2f}" if multiples else ""
 
 
 def _row(name: str, seconds: float | None, relative: float | None, errors: Mapping[str, Any], worst: str) -> str:

@@ -22,7 +22,9 @@ from gran_bench.dataset import Windows, ensure_cases
 from gran_bench.evaluation import evaluate
 from gran_bench.evaluation.plan import Plan
 from gran_bench.files import write_text
-from gran_bench.plots import draw_evaluation, drawn_for, loss_curves
+from gran_bench.plots.evaluation import draw_evaluation
+from gran_bench.plots.style import drawn_for
+from gran_bench.plots.training import loss_curves
 from gran_bench.processes import StopRequest, stop_on_signals, tell
 from gran_bench.provenance import provenance
 from gran_bench.provenance.source_digest import model_code

@@ -73,7 +73,7 @@ def headline(summary: Mapping[str, Any]) -> dict[str, float]:
 
 def registered_metrics(judged: Mapping[str, Any]) -> list[str]:
     """The metrics of plugins that a judgement has."""
-    return [name for name in METRICS if name in judged["errors"]]
+    return [name for name in METRICS.added() if name in judged["errors"]]
 
 
 def missed_requirements(summary: Mapping[str, Any]) -> list[str]:

@@ -12,7 +12,7 @@ from gran_bench.dataset import CaseSpec, read_settled
 from gran_bench.dataset.generation import Job
 from gran_bench.dem.simulate import simulate
 from gran_bench.files import locked
-from gran_bench.metrics.energy import rotational_energy, sphere_masses, translational_energy
+from gran_bench.metrics.bed import rotational_energy, sphere_masses, translational_energy
 from gran_bench.metrics.outside import FailureCount, count_failures, counted
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
@@ -58,9 +58,10 @@ def energy_scale(scene: Scene, state: ParticleState) -> float:
 
 def kinetic_energy(trajectory: Trajectory, scene: Scene) -> FloatArray:
     """Translational and, where there is spin, rotational energy of each frame, ``(F,)`` J; NaN where not finite."""
-    mass = sphere_masses(trajectory.radius, scene.material.density)
-    energy, spin = translational_energy(trajectory.time, trajectory.velocity, mass).value, trajectory.angular_velocity
-    return energy if spin is None else energy + rotational_energy(trajectory.time, spin, mass, trajectory.radius).value
+    energy = translational_energy(trajectory, scene).value
+    if trajectory.angular_velocity is not None:
+        energy = energy + rotational_energy(trajectory, scene).value
+    return energy
 
 
 def escapes(count: FailureCount) -> tuple[str, ...]:

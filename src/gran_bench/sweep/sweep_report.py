@@ -16,7 +16,8 @@ import numpy as np
 from gran_bench import tracking
 from gran_bench.config import TrackingConfig
 from gran_bench.files import write_part, write_text
-from gran_bench.plots import drawn_for, sweep_axis
+from gran_bench.plots.style import drawn_for
+from gran_bench.plots.training import sweep_axis
 from gran_bench.provenance import stamp
 from gran_bench.sweep import runs as files
 from gran_bench.sweep import table

@@ -85,7 +85,7 @@ def standing(sweep: SweepFile | None, runs: Sequence[SweepRun]) -> Standing:
 
 def columns_of(runs: Sequence[SweepRun]) -> tuple[Column, ...]:
     """The house's columns, then one for each registered metric that a run has."""
-    registered = (Column(f"{HEADLINE}{name} floors", metric.label, "floors") for name, metric in METRICS.items())
+    registered = (Column(f"{HEADLINE}{name} floors", METRICS[name].label, "floors") for name in METRICS.added())
     return COLUMNS + tuple(column for column in registered if any(column.name in run.figures for run in runs))
 
 

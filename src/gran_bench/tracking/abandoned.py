@@ -7,15 +7,12 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import psutil
 
-if TYPE_CHECKING:
-    from gran_bench.tracking.store import Store
+from gran_bench.tracking.store import Store
 
 PROCESS_TAG = "gran_bench.process"  # that records the run: its machine, its start and its number there
 ENDED_TAG = "ended_by"  # what ended a run that did not finish
@@ -24,69 +21,47 @@ GONE = "its process is gone (killed, or the machine stopped)"
 
 def this_process() -> str:
     """What tells this process from every other one, on any machine and at any time; for ``PROCESS_TAG``."""
-    pid = os.getpid()
-    return json.dumps(
-        {"host": platform.node(), "machine": _machine(), "boot": _boot(), "pid": pid, "start": _start(pid)}
-    )
+    return json.dumps({"host": platform.node(), **_machine(), "pid": os.getpid(), "start": _start(os.getpid())})
 
 
 def close_abandoned(store: Store) -> list[str]:
-    """Mark as ``KILLED`` each run that is ``RUNNING`` without its process, and tell their names.
+    """Mark as ``KILLED`` each run of a store, held alone, that is ``RUNNING`` without its process.
 
-    Args:
-        store: held alone.
-
-    Returns:
-        Names, with their machines, of the runs of other machines: whether those go on is not known here.
+    Returns the names, with their machines, of the runs of other machines: whether those go on is not known here.
     """
-    closed, elsewhere = {}, []
+    closed, elsewhere = [], []
     for run in store.running():
-        process = _process_of(run.data.tags)
-        if process is None:
-            elsewhere.append(f"{run.info.run_name} (machine unknown)")
-        elif process["machine"] != _machine():
-            elsewhere.append(f"{run.info.run_name} ({process['host']})")
+        run_id, name, here = run.info.run_id, run.info.run_name, _machine()
+        try:
+            process = json.loads(run.data.tags[PROCESS_TAG])
+        except (KeyError, ValueError):
+            process = {"host": "machine unknown", "machine": None}
+        if process["machine"] != here["machine"]:
+            elsewhere.append(f"{name} ({process['host']})")
+            continue
+        # Its number may be another process's by now.
+        gone = process["boot"] != here["boot"] or process["start"] != _start(int(process["pid"]))
         # Its process may have ended it after it was found here, so it is looked at again.
-        elif _is_gone(process) and store.status_of(run.info.run_id) == "RUNNING":
-            closed[run.info.run_id] = run.info.run_name
-    for run_id in closed:
-        store.add_tags(run_id, {ENDED_TAG: GONE})
-        store.close_run(run_id, "KILLED")
+        if gone and store.status_of(run_id) == "RUNNING":
+            store.add_tags(run_id, {ENDED_TAG: GONE})
+            store.client.set_terminated(run_id, "KILLED")
+            closed.append(name)
     if closed:
-        print(f"marked as KILLED, because {GONE}: {', '.join(closed.values())}", file=sys.stderr, flush=True)
+        print(f"marked as KILLED, because {GONE}: {', '.join(closed)}", file=sys.stderr, flush=True)
     return elsewhere
 
 
-def _process_of(tags: Mapping[str, str]) -> dict[str, object] | None:
-    try:
-        return json.loads(tags[PROCESS_TAG])
-    except (KeyError, ValueError):
-        return None
-
-
-def _is_gone(process: Mapping[str, object]) -> bool:
-    """Whether a process of this machine is there no more; its number may be another process's by now."""
-    return process["boot"] != _boot() or process["start"] != _start(int(process["pid"]))
-
-
 @functools.cache
-def _machine() -> str:
-    """This machine; of a container, too, which sees no process of its host's."""
-    known = [platform.node()]
+def _machine() -> dict[str, str]:
+    """This machine (of a container, too, which sees no process of its host's), and its last start."""
+    known, boot = [platform.node()], f"{psutil.boot_time():.0f}"
     with suppress(OSError):
         known.append(Path("/etc/machine-id").read_text().strip())
     with suppress(OSError):
         known.append(os.readlink("/proc/self/ns/pid"))
-    return " ".join(known)
-
-
-@functools.cache
-def _boot() -> str:
-    """The machine's last start."""
-    try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-    except OSError:
-        return f"{psutil.boot_time():.0f}"
+    with suppress(OSError):
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    return {"machine": " ".join(known), "boot": boot}
 
 
 def _start(pid: int) -> str | None:

@@ -12,28 +12,15 @@ from gran_bench.config import TrackingConfig
 HEADLINE = "headline/"  # sorts before every other group, so that its charts come first
 # What a person looks at first, by name, in this order; an undefined one is absent from a run.
 HEADLINE_FIGURES = (
-    "angle error deg",
-    "angle error floors",
-    "com angle error deg",
-    "com angle error floors",
-    "speed W1 m per s",
-    "speed W1 floors",
-    "position error 10 frames mm",
-    "rollout ms per frame",
-    "training minutes",
-    "requirements failed",
-    "rollouts failed",
+    *("angle error deg", "angle error floors", "com angle error deg", "com angle error floors"),
+    *("speed W1 m per s", "speed W1 floors", "position error 10 frames mm", "rollout ms per frame"),
+    *("training minutes", "requirements failed", "rollouts failed"),
 )
 _SECTION = re.compile(r"[\w.]*\.(?=\w+-)", re.ASCII)
 
 
 def ui_command(config: TrackingConfig, port: int | None = None) -> str:
-    """What opens the UI on the runs of a config, as it is typed: ``make ui`` in the folder of a clone.
-
-    Args:
-        config: where the runs are recorded.
-        port: to listen to; None for the one that is usual.
-    """
+    """What opens the UI on the runs of a config (at a port, or the usual one): ``make ui`` in a clone's folder."""
     usual, clone = TrackingConfig(), Path(gran_bench.__file__).resolve().parents[2]
     changed = {f"tracking.{name}": getattr(config, name) for name in ("root", "experiment")}
     words = [f"{key}={_quoted(value)}" for key, value in changed.items() if value != getattr(usual, key[9:])]
@@ -58,11 +45,7 @@ def shown_name(name: str) -> str:
     """The name of a run in the UI: what was changed in the recipe, without the keys' sections, and the run's key.
 
     ``sweep+model-radial+model.radius-0.08-1a2b3c4d`` becomes ``model-radial radius-0.08-1a2b3c4d``: in a column of
-    the run table the first words count, and those of the recipe are the same in all rows of a sweep. A name without
-    changes stays as it is.
-
-    Args:
-        name: of the run's folder.
+    the run table the first words count. A name without changes stays as it is.
     """
     _, *changed = name.split("+")
     return " ".join(_SECTION.sub("", word, count=1) if _SECTION.match(word) else word for word in changed) or name

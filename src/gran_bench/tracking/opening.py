@@ -12,10 +12,9 @@ from typing import Any
 
 from gran_bench.config import TrackingConfig
 from gran_bench.tracking.abandoned import ENDED_TAG, GONE, PROCESS_TAG, close_abandoned, this_process
-from gran_bench.tracking.address import said_place
 from gran_bench.tracking.names import shown_name
-from gran_bench.tracking.run import Run, StoredRun, send_kept
-from gran_bench.tracking.store import SWEEP_TAG, Store, TrackingError
+from gran_bench.tracking.run import Run, send_kept
+from gran_bench.tracking.store import SWEEP_TAG, Store, TrackingError, said_place
 
 
 @contextmanager
@@ -40,8 +39,7 @@ def open_run(
         tags: data digest, commit, hardware, …
         parent: id of the run that this one belongs to.
 
-    Raises:
-        TrackingError: the store cannot be opened; or, at the end, something could not be recorded.
+    A store that cannot be opened, or that lacks something at the end, is a `TrackingError`.
     """
     if not config.enabled:
         yield Run()
@@ -63,89 +61,31 @@ def open_run(
         run.finish("FINISHED")
 
 
-@dataclass(frozen=True)
-class Child:
-    """A run of a sweep before its job starts.
-
-    Attributes:
-        name: for people.
-        key: hash of what determines the result.
-        finished: whether its result is there already.
-    """
-
-    name: str
-    key: str
-    finished: bool = False
-
-
-def schedule_children(config: TrackingConfig, parent: str | None, children: Iterable[Child]) -> set[str]:
-    """Make a run ``SCHEDULED`` for each child that has none, and hang all of them under their parent.
-
-    A child that has a run already keeps it: one that is finished stays as it is, any other waits to start again. One
-    that hangs under another sweep stays there, and names both sweeps in its tag.
-
-    Args:
-        config: where, or that nothing is recorded.
-        parent: id of the parent run; None without tracking.
-        children: of the sweep.
-
-    Returns:
-        Keys of the children that are finished while the store does not say so: their record is missing there.
-
-    Raises:
-        TrackingError: the store cannot be used.
-    """
-    if parent is None:
-        return set()
-    store, missing = Store(config), set()
+def _open(
+    store: Store, name: str, key: str, params: dict[str, str], tags: dict[str, object], parent: str | None
+) -> Run:
+    # A sweep's own row is the only one that its recipe's name tells from others.
+    shown = name if tags.get(SWEEP_TAG) == name else shown_name(name)
+    process = {PROCESS_TAG: this_process()}
+    # Two processes with one key must not both find nothing and make two runs.
     with store.alone():
-        for child in children:
-            run_id = store.run_of(child.key)
-            if run_id is None:
-                store.create_run(shown_name(child.name), child.key, parent, "SCHEDULED")
-                status = "SCHEDULED"
-            else:
+        send_kept(store)
+        found = store.run_of(key)
+        if found is None:
+            run_id = store.create_run(shown, key, parent, tags=process)
+        else:
+            run_id = found.info.run_id
+            store.add_tags(run_id, process)
+            store.reopen_run(run_id, shown, without_tag=ENDED_TAG)
+            if parent is not None:
                 store.adopt_run(run_id, parent)
-                status = store.status_of(run_id)
-            if child.finished and status != "FINISHED":
-                missing.add(child.key)
-            elif not child.finished and run_id is not None:
-                store.reopen_run(run_id, shown_name(child.name), ENDED_TAG, "SCHEDULED")
-    return missing
-
-
-@contextmanager
-def reopen_ended(config: TrackingConfig, key: str) -> Iterator[Run | None]:
-    """The run of a key, to add to what it records without a change of its status; None where there is none.
-
-    Raises:
-        TrackingError: the store cannot be used.
-    """
-    store = Store(config)
-    run_id = store.run_of(key)
-    run = None if run_id is None else StoredRun(store, run_id, resumed=True)
-    yield run
-    if run is not None:
-        run.send()
-
-
-def end_child(config: TrackingConfig, key: str, why: str) -> None:
-    """Mark a run that its own process could not close as ``FAILED``, with the reason.
-
-    Raises:
-        TrackingError: the store cannot be used.
-    """
-    if not config.enabled:
-        return
-    store = Store(config)
-    with store.alone():
-        run_id = store.run_of(key)
-        if run_id is None:
-            return
-        # Another process may have found before that this one's is gone, without knowing why.
-        if store.status_of(run_id) in ("SCHEDULED", "RUNNING") or store.tag_of(run_id, ENDED_TAG) == GONE:
-            store.add_tags(run_id, {ENDED_TAG: why})
-            store.close_run(run_id, "FAILED")
+        changed = store.add_params(run_id, params)
+        close_abandoned(store)
+    run = Run(store, run_id, resumed=found is not None)
+    for label, value in (tags | {f"resumed_with.{param}": value for param, value in changed.items()}).items():
+        run.set_tag(label, value)
+    run.flush()
+    return run
 
 
 def dotted(params: Mapping[str, Any] | object, prefix: str = "") -> dict[str, str]:
@@ -154,37 +94,9 @@ def dotted(params: Mapping[str, Any] | object, prefix: str = "") -> dict[str, st
         params = asdict(params)
     flat: dict[str, str] = {}
     for name, value in params.items():
-        if isinstance(value, Mapping) and value:
-            flat |= dotted(value, f"{prefix}{name}.")
-        else:
-            flat[f"{prefix}{name}"] = str(value)
+        nested = isinstance(value, Mapping) and value
+        flat |= dotted(value, f"{prefix}{name}.") if nested else {f"{prefix}{name}": str(value)}
     return flat
-
-
-def _open(
-    store: Store, name: str, key: str, params: dict[str, str], tags: dict[str, object], parent: str | None
-) -> StoredRun:
-    # A sweep's own row is the only one that its recipe's name tells from others.
-    shown = name if tags.get(SWEEP_TAG) == name else shown_name(name)
-    # Two processes with one key must not both find nothing and make two runs.
-    with store.alone():
-        send_kept(store)
-        run_id = store.run_of(key)
-        resumed = run_id is not None
-        if run_id is None:
-            run_id = store.create_run(shown, key, parent, tags={PROCESS_TAG: this_process()})
-        else:
-            store.add_tags(run_id, {PROCESS_TAG: this_process()})
-            store.reopen_run(run_id, shown, without_tag=ENDED_TAG)
-            if parent is not None:
-                store.adopt_run(run_id, parent)
-        changed = store.add_params(run_id, params)
-        close_abandoned(store)
-    run = StoredRun(store, run_id, resumed)
-    for label, value in (tags | {f"resumed_with.{param}": value for param, value in changed.items()}).items():
-        run.set_tag(label, value)
-    run.flush()
-    return run
 
 
 @contextmanager
@@ -203,3 +115,62 @@ def _terminable() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+@dataclass(frozen=True)
+class Child:
+    """A run of a sweep before its job starts: its name, its key, and whether its result is there already."""
+
+    name: str
+    key: str
+    finished: bool = False
+
+
+def schedule_children(config: TrackingConfig, parent: str | None, children: Iterable[Child]) -> set[str]:
+    """Make a run ``SCHEDULED`` for each child that has none, and put all of them under their parent's run.
+
+    A child that has a run already keeps it: one that is finished stays as it is, any other waits to start again. One
+    of another sweep stays there, and names both sweeps in its tag. Without tracking there is no parent (None).
+
+    Returns:
+        Keys of the children that are finished while the store does not say so: their record is missing there.
+    """
+    if parent is None:
+        return set()
+    store, missing = Store(config), set()
+    with store.alone():
+        for child in children:
+            run, shown = store.run_of(child.key), shown_name(child.name)
+            if run is None:
+                store.create_run(shown, child.key, parent, "SCHEDULED")
+            else:
+                store.adopt_run(run.info.run_id, parent)
+            if child.finished and (run is None or run.info.status != "FINISHED"):
+                missing.add(child.key)
+            elif not child.finished and run is not None:
+                store.reopen_run(run.info.run_id, shown, ENDED_TAG, "SCHEDULED")
+    return missing
+
+
+@contextmanager
+def reopen_ended(config: TrackingConfig, key: str) -> Iterator[Run | None]:
+    """The run of a key, to add to what it records without a change of its status; None where there is none."""
+    store = Store(config)
+    found = store.run_of(key)
+    run = None if found is None else Run(store, found.info.run_id, resumed=True)
+    yield run
+    if run is not None:
+        run.send()
+
+
+def end_child(config: TrackingConfig, key: str, why: str) -> None:
+    """Mark a run that its own process could not close as ``FAILED``, with the reason."""
+    if not config.enabled:
+        return
+    store = Store(config)
+    with store.alone():
+        run = store.run_of(key)
+        # Another process may have found before that this one's is gone, without knowing why.
+        if run and (run.info.status in ("SCHEDULED", "RUNNING") or run.data.tags.get(ENDED_TAG) == GONE):
+            store.add_tags(run.info.run_id, {ENDED_TAG: why})
+            store.client.set_terminated(run.info.run_id, "FAILED")

@@ -24,73 +24,36 @@ FLUSH_METRICS = 900
 RETRY_SECONDS = 60.0  # after a store that did not answer; MLflow waits 20 s for a locked one
 
 
-class Run:
-    """A run that records nothing: the interface, and what disabled tracking uses."""
-
-    run_id: str | None = None
-
-    def log_metrics(self, metrics: Mapping[str, float], step: int = 0, supersede: bool = False) -> None:
-        """Record scalars of one step; they reach the store in batches.
-
-        Args:
-            metrics: by names in which / makes groups.
-            step: that they belong to. In a run that goes on, a step that the store has already is left as it is, so
-                that all that should be there can be logged again and fills what a kill has left out.
-            supersede: a value that differs from the one at the same step takes its place (in what the UI shows; the
-                history holds both): for figures that were found anew.
-        """
-
-    def log_artifact(self, path: Path | str, folder: str | None = None) -> None:
-        """Copy a file into the run's artifacts, into ``folder`` there; one that is missing is a warning."""
-
-    def log_dataset(self, name: str, digest: str, source: str, facts: Mapping[str, Any] | None = None) -> None:
-        """Record which data the run used, so that the UI shows them with their digest."""
-
-    def set_tag(self, name: str, value: object) -> None:
-        """Set a tag."""
-
-    def flush(self) -> None:
-        """Send what waits."""
-
-    def finish(self, status: str = "FINISHED") -> None:
-        """Close the run as ``FINISHED``, ``FAILED`` or ``KILLED``."""
-
-
 @dataclass
 class Backlog:
-    """What has not reached the store.
-
-    Attributes:
-        metrics: points, oldest first.
-        tags: by name.
-        artifacts: path of the file, from the store's root in a kept record, and folder in the artifacts or None.
-        datasets: arguments of ``Store.add_dataset`` behind the run's id.
-        status: how the run ended; None while it goes on.
-    """
+    """What has not reached the store, oldest first; ``status`` is how the run ended, None while it goes on."""
 
     metrics: list[MetricPoint] = field(default_factory=list)
     tags: dict[str, str] = field(default_factory=dict)
+    # Path of the file, from the store's root in a kept record, and folder in the artifacts or None.
     artifacts: list[tuple[str, str | None]] = field(default_factory=list)
-    datasets: list[tuple[str, str, str, dict[str, Any]]] = field(default_factory=list)
+    datasets: list[tuple[str, str, str, dict[str, Any]]] = field(default_factory=list)  # of ``Store.add_dataset``
     status: str | None = None
 
 
-class StoredRun(Run):
-    """A run in the store.
+class Run:
+    """An open run in a store, or one that records nothing; what a ``resumed`` one has logged before is not repeated."""
 
-    Args:
-        store: where.
-        run_id: of the run, which is open.
-        resumed: whether it had a life before this one, whose metrics must not be repeated.
-    """
-
-    def __init__(self, store: Store, run_id: str, resumed: bool) -> None:
+    def __init__(self, store: Store | None = None, run_id: str | None = None, resumed: bool = False) -> None:
         self.run_id, self._store, self._resumed = run_id, store, resumed
-        self._backlog, self._finished = Backlog(), False
+        self._backlog, self._finished = Backlog(), store is None
         self._next_flush, self._failing = time.monotonic() + FLUSH_SECONDS, False
         self._history: dict[str, dict[int, str]] = {}
 
     def log_metrics(self, metrics: Mapping[str, float], step: int = 0, supersede: bool = False) -> None:
+        """Record scalars of one step, by names in which / makes groups; they reach the store in batches.
+
+        In a run that goes on, a step that the store has already is left as it is, so that all that should be there can
+        be logged again and fills what a kill has left out. With ``supersede`` a value that differs from the one at the
+        same step takes its place in what the UI shows, not in the history: for figures that were found anew.
+        """
+        if self._store is None:
+            return
         now = int(1000 * time.time())
         for name, value in metrics.items():
             self._backlog.metrics.append(MetricPoint(legal_name(name), float(value), int(step), now, supersede))
@@ -100,20 +63,24 @@ class StoredRun(Run):
             self.flush()
 
     def log_artifact(self, path: Path | str, folder: str | None = None) -> None:
-        if not Path(path).is_file():
+        """Copy a file into the run's artifacts, into ``folder`` there; one that is missing is a warning."""
+        if self._store is not None and not Path(path).is_file():
             print(f"warning: {path} is not there to be recorded", file=sys.stderr)
             return
         self._backlog.artifacts.append((str(Path(path).resolve()), folder))
         self.flush()
 
     def log_dataset(self, name: str, digest: str, source: str, facts: Mapping[str, Any] | None = None) -> None:
+        """Record which data the run used, so that the UI shows them with their digest."""
         self._backlog.datasets.append((name, digest, str(source), dict(facts or {})))
         self.flush()
 
     def set_tag(self, name: str, value: object) -> None:
+        """Set a tag."""
         self._backlog.tags[name] = str(value)
 
     def flush(self) -> None:
+        """Send what waits."""
         try:
             self.send()
             self._next_flush, self._failing = time.monotonic() + FLUSH_SECONDS, False
@@ -123,6 +90,7 @@ class StoredRun(Run):
             print(f"warning: {error}; will try again", file=sys.stderr)
 
     def finish(self, status: str = "FINISHED") -> None:
+        """Close the run as ``FINISHED``, ``FAILED`` or ``KILLED``."""
         if status not in ENDINGS:
             raise ValueError(f"status={status!r}; choose one of {', '.join(ENDINGS)}")
         if self._finished:
@@ -131,26 +99,23 @@ class StoredRun(Run):
         try:
             self.send()
         except TrackingError as error:
-            kept = self._store.unsent / f"{self.run_id}.json"
+            root, kept = self._store.root, self._store.unsent / f"{self.run_id}.json"
             # The results folder may be moved until then.
-            self._backlog.artifacts = [
-                (os.path.relpath(path, self._store.root), folder) for path, folder in self._backlog.artifacts
-            ]
+            self._backlog.artifacts = [(os.path.relpath(path, root), place) for path, place in self._backlog.artifacts]
+            told = f"is in {kept} and is sent when the next run opens"
             try:
                 write_text(kept, json.dumps(asdict(self._backlog)))
             except OSError as second:
-                raise TrackingError(
-                    f"{error}. The results are safe in the run's folder, but what the store misses could not be kept "
-                    f"in {kept} either: {second}"
-                ) from error
+                told = f"could not be kept in {kept} either: {second}"
             raise TrackingError(
-                f"{error}. The results are safe in the run's folder; what the store misses is in {kept} and is sent "
-                "when the next run opens"
+                f"{error}. The results are safe in the run's folder; what the store misses {told}"
             ) from error
 
     def send(self) -> None:
         """Send the backlog; what was sent leaves it, so that a failure in the middle repeats nothing."""
         waiting, store = self._backlog, self._store
+        if store is None:
+            return
         if self._resumed:
             waiting.metrics = [point for point in waiting.metrics if not self._is_known(point)]
         while waiting.metrics:
@@ -165,19 +130,20 @@ class StoredRun(Run):
             store.add_dataset(self.run_id, *waiting.datasets[0])
             del waiting.datasets[0]
         while waiting.artifacts:
-            path, folder = store.root / waiting.artifacts[0][0], waiting.artifacts[0][1]
-            if path.is_file():  # a kept record may name a file that is long gone
-                store.add_artifact(self.run_id, str(path), folder)
+            path, folder = waiting.artifacts[0]
+            if (store.root / path).is_file():  # a kept record may name a file that is long gone
+                store.add_artifact(self.run_id, str(store.root / path), folder)
             del waiting.artifacts[0]
         if waiting.status:
-            store.close_run(self.run_id, waiting.status)
+            store.client.set_terminated(self.run_id, waiting.status)
             waiting.status = None
 
     def _is_known(self, point: MetricPoint) -> bool:
         """Whether the store has the point's step already, from an earlier life or this one; one query a metric."""
         if point.name not in self._history:
-            history = self._store.metric_history(self.run_id, point.name)
-            self._history[point.name] = {step: repr(value) for step, value in history}
+            history = self._store.client.get_metric_history(self.run_id, point.name)
+            ordered = sorted(history, key=lambda one: one.timestamp)
+            self._history[point.name] = {one.step: repr(one.value) for one in ordered}
         there = self._history[point.name].get(point.step)
         # By its text, because a NaN does not equal itself.
         return there is not None and not (point.supersedes and there != repr(point.value))
@@ -188,7 +154,7 @@ def send_kept(store: Store) -> None:
     for path in sorted(store.unsent.glob("*.json")):
         try:
             kept = json.loads(path.read_text("utf-8"))
-            run = StoredRun(store, path.stem, resumed=True)
+            run = Run(store, path.stem, resumed=True)
             run._backlog = Backlog(**kept | {"metrics": [MetricPoint(*point) for point in kept["metrics"]]})
             run.send()
         except (TrackingError, ValueError, TypeError, KeyError) as error:

@@ -6,8 +6,7 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
-from gran_bench.tracking.address import DATABASE, database_uri, has_store, server_uri, shown_uri
-from gran_bench.tracking.store import QUIET, TrackingError
+from gran_bench.tracking.store import DATABASE, QUIET, TrackingError, database_uri, has_store, server_uri, shown_uri
 
 
 class StoredRun(NamedTuple):

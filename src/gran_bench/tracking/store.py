@@ -12,29 +12,23 @@ import os
 import re
 import shlex
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import sqlite3
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from gran_bench.config import TrackingConfig
 from gran_bench.files import locked, whole_file
-from gran_bench.tracking.address import (
-    ARTIFACTS,
-    DATABASE,
-    SERVER,
-    database_uri,
-    follow_folder,
-    server_uri,
-    shown_uri,
-)
 from gran_bench.tracking.views import VIEW_TAG, experiment_tags
 
 if TYPE_CHECKING:
-    from mlflow import MlflowClient
     from mlflow.entities import Run as MlflowRun
 
+DATABASE = "mlflow.db"
+ARTIFACTS = "artifacts"
+SERVER = "MLFLOW_TRACKING_URI"  # MLflow's own variable
 KEY_TAG = "gran_bench.key"
 UNSENT = "unsent"  # folder below the store's root
 PARENT_TAG = "mlflow.parentRunId"
@@ -43,20 +37,18 @@ SWEEP_SEPARATOR = ", "
 
 # MLflow reads these when it is imported. Nobody is told of its use, and the terminal belongs to the run.
 QUIET = {
-    "MLFLOW_DISABLE_TELEMETRY": "true",
-    "DO_NOT_TRACK": "true",
-    "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
-    "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
+    **{"MLFLOW_DISABLE_TELEMETRY": "true", "DO_NOT_TRACK": "true"},
+    **{"MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false", "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true"},
 }
-
 # A server that does not answer is asked three times in six seconds, not eight times in four minutes.
 _PATIENCE = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2"}
 
+_LOCK_SECONDS = 20.0  # that a locked database is waited for, as MLflow does
 _METRICS_A_REQUEST = 900  # MLflow takes 1000
 _PARAMS_A_REQUEST = 100
 _LONGEST_VALUE = 5000  # characters of a parameter or tag
 _LONGEST_DIGEST = 36
-_ILLEGAL = re.compile(r"[^\w\-.: /]", re.ASCII)  # in the name of a metric
+_MOST_RUNS = 50_000  # that MLflow finds at once
 
 # The files that this process opened under each name of a database, by device and number; None while one is opened.
 _opened: dict[Path, list[tuple[int, int] | None]] = {}
@@ -67,14 +59,9 @@ class TrackingError(RuntimeError):
 
 
 class MetricPoint(NamedTuple):
-    """One value of a metric.
+    """One value of a metric, logged at ``when`` (ms since 1970).
 
-    Attributes:
-        name: of the metric.
-        value: of any kind, NaN included.
-        step: at which it was found.
-        when: it was logged, ms since 1970.
-        supersedes: whether it takes the place of another value at the same step; else the first one stays.
+    One that ``supersedes`` takes the place of another value at the same step; else the first one stays.
     """
 
     name: str
@@ -86,17 +73,36 @@ class MetricPoint(NamedTuple):
 
 def legal_name(name: str) -> str:
     """The name of a metric with _ for every character that MLflow refuses."""
-    return _ILLEGAL.sub("_", name)
+    return re.sub(r"[^\w\-.: /]", "_", name, flags=re.ASCII)
+
+
+class Client:
+    """MLflow's `MlflowClient`, each of whose calls is made under a guard that turns what it raises into one error."""
+
+    def __init__(self, uri: str, guard: Callable[[], AbstractContextManager[None]]) -> None:
+        os.environ.update(QUIET | {name: os.environ.get(name, value) for name, value in _PATIENCE.items()})
+        from mlflow import MlflowClient
+
+        for name in ("mlflow", "alembic"):
+            logging.getLogger(name).setLevel(logging.WARNING)
+        self._guard = guard
+        with guard():
+            self._client = MlflowClient(tracking_uri=uri)
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        call = getattr(self._client, name)
+
+        def guarded(*arguments: Any, **options: Any) -> Any:
+            with self._guard():
+                return call(*arguments, **options)
+
+        return guarded
 
 
 class Store:
     """The database or the server, the experiment and its artifacts, made by whoever comes first.
 
-    Args:
-        config: root of the store and name of the experiment.
-
-    Raises:
-        TrackingError: the store cannot be made or opened.
+    A store that cannot be made or opened is a `TrackingError`.
     """
 
     def __init__(self, config: TrackingConfig) -> None:
@@ -106,17 +112,22 @@ class Store:
         # Of the first file of that name that this process opens.
         self.uri = self.server or database_uri(str(self.database))
         self.artifacts_uri = (self.root / ARTIFACTS).as_uri()
-        self._lock = self.root / ".locks" / "mlflow.lock"
         self._identity: tuple[int, int] | None = None
         # Several first starts at once crash each other while they make the tables.
-        with self.alone(), self._answers():
-            self._client = _client(self.server or database_uri(self._spelling()))
+        with self.alone():
+            self.client = Client(self.server or database_uri(self._spelling()), self._answers)
             if self.server is None:
-                self._client.search_experiments(max_results=1)  # makes the tables
-                follow_folder(self.database, self.artifacts_uri)
+                self.client.search_experiments(max_results=1)  # makes the tables
+                with self._answers():
+                    follow_folder(self.database, self.artifacts_uri)
             self.experiment_id = self._experiment(config.experiment)
             if self.server is None:
                 self._identity = _opened[self.database][-1] = self._file_identity()
+
+    @property
+    def shown(self) -> str:
+        """The store for people: its file, or its"""
+        return str(self.database) if self.server is None else shown_uri(self.server)
 
     @property
     def unsent(self) -> Path:
@@ -127,185 +138,133 @@ class Store:
     def alone(self) -> Iterator[None]:
         """Hold the lock of the store, for what two processes must not do at once."""
         try:
-            with locked(self._lock):
+            with locked(self.root / ".locks" / "mlflow.lock"):
                 yield
         except OSError as error:
             raise TrackingError(self._complaint(error.strerror or str(error))) from error
 
-    # ---- runs ------------------------------------------------------------------------------------------------
+    def _find(self, condition: str, most: int) -> list[MlflowRun]:
+        return self.client.search_runs([self.experiment_id], condition, max_results=most)
 
-    def run_of(self, key: str) -> str | None:
-        """Id of the latest run that was opened under a key."""
-        with self._answers():
-            found = self._client.search_runs(
-                [self.experiment_id], filter_string=f"tags.`{KEY_TAG}` = '{key}'", max_results=1
-            )
-        return found[0].info.run_id if found else None
+    def run_of(self, key: str) -> MlflowRun | None:
+        """The latest run that was opened under a key."""
+        return next(iter(self._find(f"tags.`{KEY_TAG}` = '{key}'", 1)), None)
 
     def running(self) -> list[MlflowRun]:
         """The runs that are ``RUNNING`` by their status."""
-        found, page = [], None
-        with self._answers():
-            while page != "":
-                some = self._client.search_runs([self.experiment_id], "attributes.status = 'RUNNING'", page_token=page)
-                found, page = [*found, *some], some.token or ""
-        return found
+        return self._find("attributes.status = 'RUNNING'", _MOST_RUNS)
 
     def status_of(self, run_id: str) -> str:
         """``SCHEDULED``, ``RUNNING``, ``FINISHED``, ``FAILED`` or ``KILLED``."""
-        with self._answers():
-            return self._client.get_run(run_id).info.status
-
-    def tag_of(self, run_id: str, name: str) -> str | None:
-        """A tag of a run; None where it has none of the name."""
-        with self._answers():
-            return self._client.get_run(run_id).data.tags.get(name)
+        return self.client.get_run(run_id).info.status
 
     def create_run(
         self, name: str, key: str, parent: str | None, status: str = "RUNNING", tags: Mapping[str, str] | None = None
     ) -> str:
         """Make a run under a key; returns its id."""
-        with self._answers():
-            tags = {KEY_TAG: key} | dict(tags or {}) | (self.tags_of_child(parent) if parent else {})
-            run_id = self._client.create_run(self.experiment_id, tags=tags, run_name=name).info.run_id
-            if status != "RUNNING":
-                self._client.update_run(run_id, status=status)
+        tags = {KEY_TAG: key} | dict(tags or {}) | (self._tags_of_child(parent) if parent else {})
+        run_id = self.client.create_run(self.experiment_id, tags=tags, run_name=name).info.run_id
+        if status != "RUNNING":
+            self.client.update_run(run_id, status=status)
         return run_id
 
     def adopt_run(self, run_id: str, parent: str) -> None:
-        """Hang a run under a parent, unless it has another one that is there; its tag names all its sweeps."""
-        with self._answers():
-            there = self._client.get_run(run_id).data.tags
-            tags, present = self.tags_of_child(parent), there.get(PARENT_TAG)
-            if present is not None and self._has_run(present):
-                tags[PARENT_TAG] = present
-            sweeps = [*there.get(SWEEP_TAG, "").split(SWEEP_SEPARATOR), tags.get(SWEEP_TAG, "")]
-            tags[SWEEP_TAG] = SWEEP_SEPARATOR.join(dict.fromkeys(filter(None, sweeps)))
-            for name, value in tags.items():
-                if value and there.get(name) != value:
-                    self._client.set_tag(run_id, name, value)
+        """Put a run under a parent, unless it has another one that is there; its tag names all its sweeps."""
+        there = self.client.get_run(run_id).data.tags
+        tags, present = self._tags_of_child(parent), there.get(PARENT_TAG)
+        if present is not None and self._there(present):
+            tags[PARENT_TAG] = present
+        sweeps = [*there.get(SWEEP_TAG, "").split(SWEEP_SEPARATOR), tags.get(SWEEP_TAG, "")]
+        tags[SWEEP_TAG] = SWEEP_SEPARATOR.join(dict.fromkeys(filter(None, sweeps)))
+        self.add_tags(run_id, {name: value for name, value in tags.items() if value and there.get(name) != value})
 
     def reopen_run(self, run_id: str, name: str, without_tag: str, status: str = "RUNNING") -> None:
         """Mark a run as running again, or as waiting to, and remove the tag that says how it ended."""
-        with self._answers():
-            self._client.update_run(run_id, status=status, name=name)
-            if without_tag in self._client.get_run(run_id).data.tags:
-                self._client.delete_tag(run_id, without_tag)
+        self.client.update_run(run_id, status=status, name=name)
+        if without_tag in self.client.get_run(run_id).data.tags:
+            self.client.delete_tag(run_id, without_tag)
 
-    def tags_of_child(self, parent: str) -> dict[str, str]:
-        """Tags of a run that hangs under a parent: its id, and the name of its sweep."""
-        sweep = self._client.get_run(parent).data.tags.get(SWEEP_TAG) if self._has_run(parent) else None
-        return {PARENT_TAG: parent} | ({SWEEP_TAG: sweep} if sweep else {})
+    def _there(self, run_id: str) -> list[MlflowRun]:
+        """The run of an id, if it was not deleted."""
+        return self._find(f"attributes.run_id = '{run_id}'", 1)
 
-    def _has_run(self, run_id: str) -> bool:
-        from mlflow.exceptions import MlflowException
-
-        try:
-            return self._client.get_run(run_id).info.lifecycle_stage == "active"
-        except MlflowException:
-            return False
-
-    def close_run(self, run_id: str, status: str) -> None:
-        """End a run as ``FINISHED``, ``FAILED`` or ``KILLED``."""
-        with self._answers():
-            self._client.set_terminated(run_id, status)
+    def _tags_of_child(self, parent: str) -> dict[str, str]:
+        """Its parent's id, and the name of its sweep."""
+        tags = {PARENT_TAG: parent}
+        for run in self._there(parent):
+            tags |= {name: value for name, value in run.data.tags.items() if name == SWEEP_TAG and value}
+        return tags
 
     def dress_experiment(self) -> None:
         """Give the experiment what the UI starts with, as of this version; what a user has written stays."""
-        with self._answers():
-            there = self._client.get_experiment(self.experiment_id).tags
-            for name, value in experiment_tags().items():
-                own = name.startswith(VIEW_TAG)
-                if name not in there or (own and there[name] != value):
-                    self._client.set_experiment_tag(self.experiment_id, name, value)
-
-    # ---- what a run records ----------------------------------------------------------------------------------
+        there = self.client.get_experiment(self.experiment_id).tags
+        for name, value in experiment_tags().items():
+            if name not in there or (name == VIEW_TAG and there[name] != value):
+                self.client.set_experiment_tag(self.experiment_id, name, value)
 
     def add_params(self, run_id: str, params: Mapping[str, str]) -> dict[str, str]:
         """Record the parameters that are new; returns those that differ from what the run has, which MLflow keeps."""
         from mlflow.entities import Param
 
         wanted = {name: value[:_LONGEST_VALUE] for name, value in params.items()}
-        with self._answers():
-            there = self._client.get_run(run_id).data.params
-            new = [Param(name, value) for name, value in wanted.items() if name not in there]
-            for first in range(0, len(new), _PARAMS_A_REQUEST):
-                self._client.log_batch(run_id, params=new[first : first + _PARAMS_A_REQUEST])
+        there = self.client.get_run(run_id).data.params
+        new = [Param(name, value) for name, value in wanted.items() if name not in there]
+        for first in range(0, len(new), _PARAMS_A_REQUEST):
+            self.client.log_batch(run_id, params=new[first : first + _PARAMS_A_REQUEST])
         return {name: value for name, value in wanted.items() if there.get(name, value) != value}
 
     def add_metrics(self, run_id: str, points: Sequence[MetricPoint]) -> int:
         """Record the first points, as many as a request takes; returns how many."""
         from mlflow.entities import Metric
 
-        batch = points[:_METRICS_A_REQUEST]
-        with self._answers():
-            self._client.log_batch(run_id, metrics=[Metric(p.name, p.value, p.when, p.step) for p in batch])
+        batch = [Metric(point.name, point.value, point.when, point.step) for point in points[:_METRICS_A_REQUEST]]
+        self.client.log_batch(run_id, metrics=batch)
         return len(batch)
-
-    def metric_history(self, run_id: str, name: str) -> list[tuple[int, float]]:
-        """Steps and values of a metric, in the order in which they were logged."""
-        with self._answers():
-            history = sorted(self._client.get_metric_history(run_id, name), key=lambda point: point.timestamp)
-        return [(point.step, point.value) for point in history]
 
     def add_tags(self, run_id: str, tags: Mapping[str, str]) -> None:
         """Set tags."""
         from mlflow.entities import RunTag
 
-        with self._answers():
-            self._client.log_batch(run_id, tags=[RunTag(name, value[:_LONGEST_VALUE]) for name, value in tags.items()])
+        self.client.log_batch(run_id, tags=[RunTag(name, value[:_LONGEST_VALUE]) for name, value in tags.items()])
 
     def add_artifact(self, run_id: str, path: str, folder: str | None) -> None:
         """Copy a file into the run's artifacts."""
-        with self._answers():
-            if self.server is not None:
-                self._client.log_artifact(run_id, path, folder)
-                return
-            # Into this folder, whatever the database says by now: a machine that has the folder under another name
-            # may have opened it meanwhile.
-            place = self.root / ARTIFACTS / run_id / ARTIFACTS / (folder or "") / Path(path).name
-            with whole_file(place) as temporary:
-                shutil.copyfile(path, temporary)
+        if self.server is not None:
+            self.client.log_artifact(run_id, path, folder)
+            return
+        # Into this folder, whatever the database says by now: a machine that has the folder under another name may
+        # have opened it meanwhile.
+        place = self.root / ARTIFACTS / run_id / ARTIFACTS / (folder or "") / Path(path).name
+        with self._answers(), whole_file(place) as temporary:
+            shutil.copyfile(path, temporary)
 
     def add_dataset(self, run_id: str, name: str, digest: str, source: str, facts: Mapping[str, Any]) -> None:
         """Say which data a run used."""
         from mlflow.entities import Dataset, DatasetInput, InputTag
 
-        profile = json.dumps(dict(facts), default=str)
-        dataset = Dataset(
-            name,
-            digest[:_LONGEST_DIGEST],
-            "local",
-            json.dumps({"uri": Path(source).resolve().as_uri()}),
-            profile=profile,
-        )
-        with self._answers():
-            self._client.log_inputs(run_id, [DatasetInput(dataset, [InputTag("mlflow.data.context", "training")])])
-
-    # ---- the database or the server ----------------------------------------------------------------------------
+        uri, profile = json.dumps({"uri": Path(source).resolve().as_uri()}), json.dumps(dict(facts), default=str)
+        dataset = Dataset(name, digest[:_LONGEST_DIGEST], "local", uri, profile=profile)
+        self.client.log_inputs(run_id, [DatasetInput(dataset, [InputTag("mlflow.data.context", "training")])])
 
     def _experiment(self, name: str) -> str:
-        from mlflow.exceptions import MlflowException
-
-        experiment = self._client.get_experiment_by_name(name)
+        experiment = self.client.get_experiment_by_name(name)
         if experiment is None:
             try:
                 location = self.artifacts_uri if self.server is None else None
-                return self._client.create_experiment(name, artifact_location=location)
-            except MlflowException:
+                return self.client.create_experiment(name, artifact_location=location)
+            except TrackingError:
                 # Another machine was faster on the server.
-                experiment = self._client.get_experiment_by_name(name)
+                experiment = self.client.get_experiment_by_name(name)
                 if experiment is None:
                     raise
+        refused = ""
         if experiment.lifecycle_stage == "deleted":
-            raise TrackingError(
-                f"the experiment {name!r} was deleted in {self.shown}; choose another tracking.experiment"
-            )
-        if self.server is None and experiment.artifact_location != self.artifacts_uri:
-            raise TrackingError(
-                f"the experiment {name!r} in {self.shown} keeps its artifacts in {experiment.artifact_location}, "
-                "outside of this folder; choose another tracking.experiment"
-            )
+            refused = f"was deleted in {self.shown}"
+        elif self.server is None and experiment.artifact_location != self.artifacts_uri:
+            place = experiment.artifact_location
+            refused = f"in {self.shown} keeps its artifacts in {place}, outside of this folder"
+        if refused:
+            raise TrackingError(f"the experiment {name!r} {refused}; choose another tracking.experiment")
         return experiment.experiment_id
 
     def _spelling(self) -> str:
@@ -326,8 +285,6 @@ class Store:
             raise TrackingError(self._complaint("the file is gone or was replaced since the run began"))
         try:
             yield
-        except TrackingError:
-            raise
         except Exception as error:
             # Of any kind: MLflow lets those of SQLAlchemy and of its own lookups through, and none may cost a result.
             if "out-of-date database schema" in str(error):
@@ -339,23 +296,14 @@ class Store:
             lines = [line for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
             raise TrackingError(self._complaint(shown_uri(lines[0])[:300])) from error
 
-    @property
-    def shown(self) -> str:
-        """The store for people: its file, or its address."""
-        return str(self.database) if self.server is None else shown_uri(self.server)
-
     def _complaint(self, reason: str) -> str:
+        what, remedy = "store", "close what holds it, free space or choose another tracking.root"
         if self.server is not None:
-            return (
-                f"the tracking server {self.shown} does not answer: {reason}; start it, or unset {SERVER} to record in "
-                f"{self.root} (tracking.enabled=false does without)"
-            )
-        return (
-            f"the tracking store {self.shown} does not answer: {reason}; close what holds it, free space or choose "
-            "another tracking.root (tracking.enabled=false does without)"
-        )
+            what, remedy = "server", f"start it, or unset {SERVER} to record in {self.root}"
+        told = f"the tracking {what} {self.shown} does not answer: {reason}; {remedy}"
+        return f"{told} (tracking.enabled=false does without)"
 
-    def _file_identity(self) -> tuple[int, int] | None:
+    def _file_identity(self) -> tuple[int, int]:
         try:
             found = self.database.stat()
         except OSError:
@@ -363,10 +311,57 @@ class Store:
         return found.st_dev, found.st_ino
 
 
-def _client(uri: str) -> MlflowClient:
-    os.environ.update(QUIET | {name: os.environ.get(name, value) for name, value in _PATIENCE.items()})
-    from mlflow import MlflowClient
+def _named() -> str:
+    return os.environ.get(SERVER, "").strip()
 
-    for name in ("mlflow", "alembic"):
-        logging.getLogger(name).setLevel(logging.WARNING)
-    return MlflowClient(tracking_uri=uri)
+
+def server_uri() -> str | None:
+    """The server that the environment names; None where it names none."""
+    return _named().rstrip("/") if urlsplit(_named()).scheme in ("http", "https") else None
+
+
+def shown_uri(text: str) -> str:
+    """A server's address, or a text with one, as it may be printed: without user and password."""
+    return re.sub(r"(?<=://)[^/@\s]*@", "", text)
+
+
+def has_store(root: Path) -> bool:
+    """Whether there is a store for a results folder: the server, or the folder's database."""
+    return server_uri() is not None or (root / DATABASE).exists()
+
+
+def said_place(config: TrackingConfig) -> str | None:
+    """A line that says where runs are recorded, if the environment names a place; None where it names none."""
+    database, shown = Path(config.root).resolve() / DATABASE, shown_uri(_named())
+    if _named() in ("", f"sqlite:///{database}", database_uri(str(database))):
+        return None
+    if server_uri() is None:
+        return (
+            f"{SERVER}={shown} is not used, for it is no server (http:// or https://); runs are recorded in {database}"
+        )
+    return f"runs are recorded on {shown}, as {SERVER} says; their files are in {database.parent}"
+
+
+def database_uri(path: str) -> str:
+    """The URI of an SQLite database at an absolute path; SQLAlchemy quotes what would end the path, such as ``?``."""
+    from sqlalchemy.engine import URL
+
+    # With its driver named, MLflow does not take the quoted path for that of a folder to make.
+    return URL.create("sqlite+pysqlite", database=path).render_as_string()
+
+
+def follow_folder(database: Path, artifacts_uri: str) -> None:
+    """Let a database name the artifacts beside it, where its folder was moved or copied since it was written.
+
+    One transaction: any other process sees the old names or the new ones.
+    """
+    moved = (
+        "UPDATE experiments SET artifact_location = :here "
+        f"WHERE artifact_location LIKE 'file:%/{ARTIFACTS}' AND artifact_location <> :here",
+        f"UPDATE runs SET artifact_uri = :here || '/' || run_uuid || '/{ARTIFACTS}' "
+        f"WHERE artifact_uri LIKE 'file:%/{ARTIFACTS}/' || run_uuid || '/{ARTIFACTS}' "
+        f"AND artifact_uri <> :here || '/' || run_uuid || '/{ARTIFACTS}'",
+    )
+    with closing(sqlite3.connect(database, timeout=_LOCK_SECONDS)) as store, store:
+        for update in moved:
+            store.execute(update, {"here": artifacts_uri})

@@ -1,8 +1,4 @@
-"""The MLflow UI on the store, in this process.
-
-``mlflow ui`` would import MLflow twice more, in itself and in the server that it starts: seconds each. So the server's
-application is run here, where the store has loaded most of it already, with what ``mlflow ui`` tells it of the store.
-"""
+"""The MLflow UI on the store, in this process: ``mlflow ui`` would import MLflow twice more, seconds each."""
 
 from __future__ import annotations
 
@@ -15,9 +11,8 @@ from pathlib import Path
 
 from gran_bench.config import TrackingConfig
 from gran_bench.tracking.abandoned import close_abandoned
-from gran_bench.tracking.address import said_place, server_uri
 from gran_bench.tracking.names import ui_command
-from gran_bench.tracking.store import QUIET, Store, TrackingError
+from gran_bench.tracking.store import QUIET, Store, TrackingError, said_place, server_uri
 from gran_bench.tracking.views import view_path
 
 HOST = "127.0.0.1"
@@ -25,11 +20,7 @@ SHUTDOWN_SECONDS = 5  # that an answer under way may take after Ctrl-C
 
 
 def ui(root: Path | str, port: int = 5000, experiment: str = TrackingConfig.experiment) -> None:
-    """Serve the MLflow UI on the store under ``root`` until Ctrl-C; a server's own UI is only named.
-
-    Raises:
-        TrackingError: the store cannot be opened, or the port is taken.
-    """
+    """Serve the MLflow UI on the store under ``root`` until Ctrl-C; a server's own UI is only named."""
     config = TrackingConfig(experiment=experiment, root=str(root))
     if (place := said_place(config)) is not None:
         print(place, file=sys.stderr, flush=True)
@@ -43,12 +34,12 @@ def ui(root: Path | str, port: int = 5000, experiment: str = TrackingConfig.expe
     if elsewhere:
         print(f"left as RUNNING, for only their own machines know: {', '.join(elsewhere)}", file=sys.stderr, flush=True)
     here = f"http://{HOST}:{port}" if store.server is None else store.shown
-    page = f"{here}{view_path(store.experiment_id)}"
-    if store.server is not None:  # which has its own UI
-        print(f"the runs, best first, are at {page}", file=sys.stderr, flush=True)
-        return
-    os.environ.update(server_environment(store))
-    _serve(port, f"the runs, best first, are at {page} (Ctrl-C ends)")
+    ready = f"the runs, best first, are at {here}{view_path(store.experiment_id)}"
+    if store.server is None:
+        os.environ.update(server_environment(store))
+        _serve(port, f"{ready} (Ctrl-C ends)")
+    else:  # which has its own UI
+        print(ready, file=sys.stderr, flush=True)
 
 
 def server_environment(store: Store) -> dict[str, str]:

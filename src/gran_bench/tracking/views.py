@@ -19,14 +19,8 @@ WIDE_NAME, WIDE_FIGURE = 300, 170  # pixels of a column
 
 # From left to right in the table.
 COLUMN_METRICS = (
-    "angle error floors",
-    "com angle error floors",
-    "speed W1 floors",
-    "position error 10 frames mm",
-    "rollout ms per frame",
-    "requirements failed",
-    "rollouts failed",
-    "training minutes",
+    *("angle error floors", "com angle error floors", "speed W1 floors", "position error 10 frames mm"),
+    *("rollout ms per frame", "requirements failed", "rollouts failed", "training minutes"),
 )
 COLUMN_PARAMS = ("model.name", "model.radius_diameters", "boundary.kind", "loss terms", "frames ahead", "seed")
 COLUMN_TAGS = ("sweep", "scene", "judged")
@@ -51,7 +45,8 @@ def experiment_tags() -> dict[str, str]:
         "mlflow.experimentKind": "custom_model_development",
         "mlflow.experiment.primaryMetric.name": f"{HEADLINE}angle error floors",
         "mlflow.experiment.primaryMetric.greaterIsBetter": "false",
-        VIEW_TAG: json.dumps(_envelope(), ensure_ascii=False),
+        # The times only sort the menu; fixed, so that the tag is the same whoever writes it.
+        VIEW_TAG: json.dumps({"name": VIEW, "createdAt": 0, "updatedAt": 0, "state": json.dumps(view_state())}),
     }
 
 
@@ -61,84 +56,49 @@ def view_path(experiment_id: str, charts: bool = False) -> str:
     return f"/#/experiments/{experiment_id}/runs?viewStateShareKey={VIEW}&workflowType=machine_learning{mode}"
 
 
-def _envelope() -> dict[str, Any]:
-    # The times only sort the menu; fixed, so that the tag is the same whoever writes it.
-    return {"name": VIEW, "createdAt": 0, "updatedAt": 0, "state": json.dumps(view_state())}
-
-
 def view_state() -> dict[str, Any]:
     """The state of the run table and of the charts, in the words of the UI."""
     columns = [f"metrics.`{HEADLINE}{name}`" for name in COLUMN_METRICS]
     columns += [f"params.`{name}`" for name in COLUMN_PARAMS] + [f"tags.`{name}`" for name in COLUMN_TAGS]
     return {
-        "searchFilter": "",
-        "orderByKey": f"metrics.`{HEADLINE}angle error floors`",
-        "orderByAsc": True,
-        "startTime": "ALL",
-        "lifecycleFilter": "Active",
-        "modelVersionFilter": "All Runs",
-        "datasetsFilter": [],
+        **{"searchFilter": "", "orderByKey": f"metrics.`{HEADLINE}angle error floors`", "orderByAsc": True},
+        **{"startTime": "ALL", "lifecycleFilter": "Active", "modelVersionFilter": "All Runs", "datasetsFilter": []},
         "selectedColumns": [*columns, DATASET],
         "columnOrder": [RUN_NAME, *columns, DATASET],
         "columnWidths": {RUN_NAME: WIDE_NAME, **{column: WIDE_FIGURE for column in columns}},
-        "runsExpanded": {},
-        "runsPinned": [],
-        "runsHidden": [],
-        "runsVisibilityMap": {},
+        **{"runsExpanded": {}, "runsPinned": [], "runsHidden": [], "runsVisibilityMap": {}},
         "runsHiddenMode": "SHOW_ALL",
         "compareRunCharts": _charts(),
         "compareRunSections": [
-            _section(CHOICES, columns=1),
-            _section(TIMES, columns=2),
-            *(_section(name, columns=3) for name in ("headline", "training")),
+            {"uuid": name, "name": name, "columns": columns, "display": True, "isReordered": True, **_CHARTS_SHOWN}
+            for name, columns in ((CHOICES, 1), (TIMES, 2), ("headline", 3), ("training", 3))
         ],
-        "viewMaximized": False,
-        "runListHidden": False,
-        "isAccordionReordered": True,
-        "groupBy": None,
-        "groupsExpanded": {},
-        "autoRefreshEnabled": True,
-        "useGroupedValuesInCharts": True,
-        "hideEmptyCharts": True,
+        **{"viewMaximized": False, "runListHidden": False, "isAccordionReordered": True, "groupBy": None},
+        **{"groupsExpanded": {}, "autoRefreshEnabled": True, "useGroupedValuesInCharts": True, "hideEmptyCharts": True},
         "globalLineChartConfig": {"xAxisKey": "step", "lineSmoothness": 0, "selectedXAxisMetricKey": ""},
         "chartsSearchFilter": "",
     }
 
 
-def _section(name: str, columns: int) -> dict[str, Any]:
-    shown = {"display": True, "isReordered": True, "deleted": False, "isGenerated": False}
-    return {"uuid": name, "name": name, "columns": columns, **shown}
-
-
 def _charts() -> list[dict[str, Any]]:
     """Choices against errors, error against time, then a bar for each headline figure, and the loss."""
+    time, failed = f"{HEADLINE}rollout ms per frame", f"{HEADLINE}requirements failed"
+    placed = []
     # One for each error, because a run without it has no line: a short drum has no straight surface, so no angle.
-    parallels = [
-        {
-            "type": "PARALLEL",
-            "displayName": f"choices against {name}",
-            "selectedParams": list(AXES_PARAMS),
-            "selectedMetrics": [f"{HEADLINE}rollout ms per frame", f"{HEADLINE}requirements failed", HEADLINE + name],
-            "showAllRuns": True,
-        }
-        for name in ERRORS
-    ]
-    scatters = [
-        {
-            "type": "SCATTER",
-            "xaxis": {"key": f"{HEADLINE}rollout ms per frame", "type": "METRIC"},
-            "yaxis": {"key": HEADLINE + name, "type": "METRIC"},
-        }
-        for name in ERRORS
-    ]
-    bars = [{"type": "BAR", "metricKey": HEADLINE + name, "displayName": name} for name in COLUMN_METRICS]
+    for name in ERRORS:
+        chart = {"type": "PARALLEL", "displayName": f"choices against {name}", "selectedParams": list(AXES_PARAMS)}
+        placed.append((CHOICES, chart | {"selectedMetrics": [time, failed, HEADLINE + name], "showAllRuns": True}))
+    for name in ERRORS:
+        x, y = ({"key": key, "type": "METRIC"} for key in (time, HEADLINE + name))
+        placed.append((TIMES, {"type": "SCATTER", "xaxis": x, "yaxis": y}))
+    for name in COLUMN_METRICS:
+        placed.append(("headline", {"type": "BAR", "metricKey": HEADLINE + name, "displayName": name}))
     loss = {"type": "LINE", "metricKey": "training/loss", "displayName": "loss", "scaleType": "log"}
-    placed = [(CHOICES, chart) for chart in parallels] + [(TIMES, chart) for chart in scatters]
-    placed += [("headline", chart) for chart in bars] + [("training", loss)]
+    placed.append(("training", loss))
     return [
-        {"uuid": f"chart-{i}", "metricSectionId": section, "deleted": False, "isGenerated": False, **_DEFAULTS, **chart}
+        {"uuid": f"chart-{i}", "metricSectionId": section, **_CHARTS_SHOWN, "runsCountToCompare": 100, **chart}
         for i, (section, chart) in enumerate(placed)
     ]
 
 
-_DEFAULTS: dict[str, Any] = {"runsCountToCompare": 100}
+_CHARTS_SHOWN = {"deleted": False, "isGenerated": False}
