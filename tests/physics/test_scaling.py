@@ -1,6 +1,8 @@
 """No hidden metre or second: lengths × 1/4, times × 1/2, E × 1/4, with density and gravity as they are, is one flow.
 
-All factors are powers of two, so that every number is the same bits but for a power of two.
+All factors are powers of two, so that every number is the same bits but for a power of two. Still in seconds, and
+so not compared here, is what `metrics.summary` calls steady and the first peak, and the requirements of
+`metrics.judge`; the cases end before.
 """
 
 from __future__ import annotations
@@ -24,6 +26,8 @@ from gran_bench.dataset.case_spec import replica_nudge
 from gran_bench.dataset.generation import nudged
 from gran_bench.dem.simulate import settle, simulate
 from gran_bench.losses import FrameAhead, Target
+from gran_bench.metrics import judge
+from gran_bench.metrics.measured import Measured
 from gran_bench.run.experiment import make_model
 from gran_bench.scene import Scene, build_scene
 from gran_bench.state import Trajectory
@@ -80,10 +84,10 @@ def both(command: str, overrides: list[str]) -> list[TrainConfig]:
     return [read_config(TrainConfig, each) if command == "train" else each for each in (config, image)]
 
 
-def scenes(name: str) -> list[Scene]:
+def scenes(name: str, overrides: list[str]) -> list[Scene]:
     return [
         build_scene(read_config(GenerateConfig, {"scene": config["scene"]}).scene)
-        for config in both("generate", [f"scene={name}", *SOON, *SCENES[name]])
+        for config in both("generate", [f"scene={name}", *SOON, *overrides])
     ]
 
 
@@ -103,7 +107,7 @@ def same_motion(large: Trajectory, small: Trajectory) -> None:
 @pytest.mark.parametrize("name", SCENES)
 def test_the_dem_settles_and_turns_the_same(name, engine):
     found = []
-    for scene in scenes(name):
+    for scene in scenes(name, SCENES[name]):
         dem = DemConfig(engine=engine, threads=1)
         bed = settle(scene, seed=1, dem=dem) if engine == "numba" else nudged(scene.fresh_filling(1), 0.0, 1)
         bed = nudged(replace(bed, time=scene.start_time), replica_nudge(scene), 1)
@@ -168,3 +172,34 @@ def test_training_and_rollout_are_the_same(name, root, tmp_path):
     for key, weight in large.state_dict().items():
         same(weight, small.state_dict()[key], 1.0, key)
     same_motion(path.trajectory, path_small.trajectory)
+
+
+def test_the_judges_figures_and_floors_are_the_same():
+    factors = {"m": LENGTH, "m/s": SPEED, "J": ENERGY, "s": TIME, "deg": 1.0, "-": 1.0}
+    overrides = ["scene.filling.count=80", "scene.container.length=0.25", "scene.rotation.times=[0.5]"]
+    found = []
+    for scene in scenes("drum_small", [*overrides, "scene.end_time=1.0"]):
+        bed = settle(scene, seed=1, dem=DemConfig(threads=1))
+        starts = [nudged(bed, factor * replica_nudge(scene), k) for k, factor in enumerate([1, 1, 1, 2**16])]
+        *replicas, other = (simulate(scene, bed, scene.end_time, dem=DemConfig(threads=1)).trajectory for bed in starts)
+        found.append(judge(other, replicas, scene))
+    large, small = found
+
+    def same_figure(one: Measured, other: Measured, what: str) -> None:
+        assert one.defined == other.defined, what
+        if one.defined:
+            same(one.number, other.number, factors[one.unit], what)
+
+    for one, other in zip(large.errors, small.errors, strict=True):
+        same_figure(one.error, other.error, one.key)
+        same_figure(one.floor, other.floor, one.key)
+    for one, other in zip(large.figures, small.figures, strict=True):
+        same_figure(one.candidate, other.candidate, one.key)
+        same_figure(one.truth, other.truth, one.key)
+        assert (one.interval is None) == (other.interval is None)
+        for end in ("low", "high") if one.interval else ():
+            same(getattr(one.interval, end), getattr(other.interval, end), factors[one.unit], one.key)
+    floors = {row.key: row.floor for row in large.errors}
+    assert all(floors[key].number > 0 for key in ("surface_angle", "com_angle", "speed_w1", "position_30", "mixing"))
+    lines = [[line for line in str(judged).splitlines() if "outside" in line] for judged in found]
+    assert lines[0] == lines[1]

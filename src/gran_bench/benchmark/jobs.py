@@ -27,7 +27,7 @@ from gran_bench.scene import Scene
 from gran_bench.state import ParticleState, Trajectory
 from gran_bench.workers import serve
 
-STAGE = 0.05  # s that a bed is given to relax after each step towards a stiffer material
+STAGE = 5  # frames that a bed is given to relax after each step towards a stiffer material
 WARM_UP = 2  # frames: they compile, or load what was compiled before
 BASELINES = {"rigid rotation": rigid_rotation, "ballistic": ballistic}
 
@@ -81,7 +81,9 @@ def with_modulus(scene: Scene, modulus: float) -> Scene:
 def _dem(scene: Scene, bed: ParticleState, dem: DemConfig, stages: list[float]) -> Run:
     # A bed of softer spheres overlaps too much for a stiffer material to take at once: it would fly apart.
     for modulus in stages:
-        bed = simulate(with_modulus(scene, modulus), bed, bed.time + STAGE, dem=DemConfig(threads=1)).final
+        bed = simulate(
+            with_modulus(scene, modulus), bed, bed.time + STAGE * scene.frame_interval, dem=DemConfig(threads=1)
+        ).final
 
     def run(frames: int, seed: int) -> Outcome:
         start, end = nudged(bed, replica_nudge(scene), seed), bed.time + frames * scene.frame_interval

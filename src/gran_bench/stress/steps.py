@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gran_bench.config import DemConfig
+from gran_bench.dataset.case_spec import replica_nudge
 from gran_bench.dataset.generation import nudged
 from gran_bench.dem.simulate import SimulationError, dividing_step, simulate
 from gran_bench.dem.time_step import contact_times
@@ -16,8 +17,6 @@ from gran_bench.stress.expectation import Observation
 from gran_bench.stress.experiment import Bench, Experiment
 from gran_bench.verification.convergence import DRIFT_BOUND, elastic_energy, gas, quick_impact
 from gran_bench.verification.laboratory import SOFT, run
-
-NUDGE = 1e-9  # m
 
 
 def step_ladder(bench: Bench, steps: list[float], production: float, seconds: float = 2.0) -> Observation:
@@ -38,7 +37,7 @@ def step_ladder(bench: Bench, steps: list[float], production: float, seconds: fl
         found = np.degrees(center_of_mass_angles(result.trajectory.position, result.trajectory.radius, scene))
         return found, 1e3 * result.wall_seconds / (result.trajectory.frame_count - 1), result.warnings
 
-    reference, double = angles(steps[0], bed)[0], angles(steps[0], nudged(bed, NUDGE, 1))[0]
+    reference, double = angles(steps[0], bed)[0], angles(steps[0], nudged(bed, replica_nudge(scene), 1))[0]
     floor, silent = float(np.abs(double - reference).mean()), 0
     errors, costs, flags = [], [], []
     for step in steps:
