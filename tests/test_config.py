@@ -35,6 +35,7 @@ from gran_bench.scene import build_scene
 from gran_bench.state import StateError
 from gran_bench.surrogate.convolution import boundary
 
+WEIGHTLESS = "scene.gravity=[0,0,0] scene.filling.settled_speed=1e-3 scene.filling.longest_settling=20"
 CONF = Path(gran_bench.conf.__path__[0])
 GROUPS = [path for path in sorted(CONF.iterdir()) if path.is_dir() and path.name not in ("hydra", "__pycache__")]
 RECIPES = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
@@ -205,6 +206,11 @@ def test_every_number_of_the_schema_has_bounds():
         ("scene.filling.jitter=0.2", ["scene.filling.jitter=0.2", "at most 0.06"]),
         ("scene.filling.diameter=2", ["scene.filling.diameter=2", "scene.container.diameter=1"]),
         ("scene.gravity=[0,0]", ["scene.gravity=[0.0, 0.0]", "three"]),
+        (
+            "scene.gravity=[0,0,0]",
+            ["settled_froude=0.001428", "scene.gravity is 0; give scene.filling.settled_speed"],
+        ),
+        (WEIGHTLESS, ["trainer.startup_fall_times=14", "scene.gravity is 0", "give trainer.startup_seconds"]),
         ("dataset.training_speeds_rpm=[20,.nan]", ["dataset.training_speeds_rpm[1]"]),
         ("dataset.training_speeds_rpm=[30]", ["dataset.holdout_speeds_rpm=[30.0]", "30 rpm", "training"]),
         ("dataset.training_speeds_rpm=[]", ["dataset.training_speeds_rpm=[]", "at least one"]),
@@ -231,8 +237,8 @@ def test_every_number_of_the_schema_has_bounds():
         ("model=ccnn boundary.spacing=0", ["boundary.spacing=0", "> 0 diameters"]),
         ("loss.huber=-1", ["loss.huber=-1", "≥ 0"]),
         ("loss=with_momentum", ["loss.momentum=0.1", "model=contact", "loss.momentum=0", "model=radial"]),
-        ("loss=with_energy scene.gravity=[0,0,0]", ["loss.energy=0.5", "scene.gravity=[0.0, 0.0, 0.0]"]),
-        ("loss.speed_distribution=1 scene.gravity=[0,0,0]", ["loss.speed_distribution=1", "scene.gravity"]),
+        (f"loss=with_energy {WEIGHTLESS}", ["loss.energy=0.5", "scene.gravity=[0.0, 0.0, 0.0]"]),
+        (f"loss.speed_distribution=1 {WEIGHTLESS}", ["loss.speed_distribution=1", "scene.gravity"]),
         ("loss.frame_weights=linear", ["loss.frame_weights=linear", "uniform or discounted or inverse or rising"]),
         ("rollout.growth=linear rollout.final_frames=null", ["rollout.growth=linear", "rollout.final_frames"]),
         ("rollout.growth=fixed", ["rollout.growth=fixed", "jump or linear"]),

@@ -31,6 +31,11 @@ def weighed_terms(loss: LossConfig) -> list[str]:
     return [term for term in loss_terms() if getattr(loss, term) > 0]
 
 
+def given_or(absolute: float | None, share: float, unit: float) -> float:
+    """A length or a time: the absolute value where it is given, else a share of a unit, such as a diameter."""
+    return share * unit if absolute is None else absolute
+
+
 @raising
 def check_radius(model: Section, diameter: float, period: float) -> Iterator[str]:
     """Refuse, as a `ConfigError`, a radius that reaches too little or too far; a plugin's model has a `check`.
@@ -41,7 +46,8 @@ def check_radius(model: Section, diameter: float, period: float) -> Iterator[str
     """
     if not isinstance(model, CconvModelConfig | ContactModelConfig):
         return
-    radius, unit = model.metres("radius", diameter), diameter if model.radius_m is None else 1.0
+    radius = given_or(model.radius_m, model.radius_diameters, diameter)
+    unit = diameter if model.radius_m is None else 1.0
     key, of = ("radius_diameters", "diameters") if model.radius_m is None else ("radius_m", "m")
     given = f"model.{key}={getattr(model, key):g}"
     if isinstance(model, CconvModelConfig) and radius <= diameter:
@@ -78,9 +84,6 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
             remedy = f"leave it at {shown(usual)}, or choose {users}"
             remedy += " with model=radial or model=ccnn" if kind == "own" else ""
             yield f"boundary.{name}={shown(value)} changes nothing for boundary.kind={kind}; {remedy}"
-    if config.trainer.startup_fraction > 0 and config.trainer.startup_seconds is None and not any(scene.gravity):
-        why = "is a number of fall times, and scene.gravity is 0; give trainer.startup_seconds"
-        yield f"trainer.startup_fall_times={config.trainer.startup_fall_times:g} {why}"
     loss, model, terms, gravity = config.loss, config.model.name, loss_terms(), config.scene.gravity
     if not weighed_terms(loss):
         yield f"loss.{terms[0]}=0 and every other term is 0 too; give one of {', '.join(terms)} a weight"
@@ -94,6 +97,10 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
         if getattr(loss, term) > 0 and not any(gravity):
             given = f"loss.{term}={getattr(loss, term):g} is measured in units of gravity"
             yield f"{given}, and scene.gravity={gravity} has none; choose loss.{term}=0"
+    trainer = config.trainer
+    if trainer.startup_fraction > 0 and trainer.startup_seconds is None and not any(gravity):
+        why = "fall times, and scene.gravity is 0; give trainer.startup_seconds"
+        yield f"trainer.startup_fall_times={trainer.startup_fall_times:g} {why}"
     rollout, scene, first, last = config.rollout, config.scene, config.rollout.frames, config.rollout.final_frames
     available = round((scene.end_time - scene.start_time) / scene.frame_interval)
     for name, frames in (("frames", first), ("final_frames", last or 0)):

@@ -126,11 +126,6 @@ class Section:
     def __setattr__(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, checked(type(self), name, value))
 
-    def metres(self, name: str, diameter: float) -> float:
-        """A length, m: the key ``<name>_m`` where it is given, else ``<name>_diameters`` times ``diameter``, m."""
-        given = getattr(self, f"{name}_m")
-        return getattr(self, f"{name}_diameters") * diameter if given is None else given
-
 
 def stand_at(section: type[Section], place: str) -> None:
     """Let a section's class be one of those that stand at a place of a whole config, such as ``model``."""

@@ -1,7 +1,4 @@
-"""The schema of every config key: name, type, default, unit and bounds.
-
-``conf/`` chooses values, Hydra composes them, ``reading`` reads them into these classes, the only place of a key.
-"""
+"""Every config key: name, type, default, unit, bounds. ``conf/`` chooses values, ``reading`` reads them into these."""
 
 from __future__ import annotations
 
@@ -73,8 +70,9 @@ class SizesConfig(Section, place="scene.filling.sizes"):
     factors: list[float] = key([], positive())  # of listed
     edges: list[float] = key([], positive())  # of histogram, rising; uniform between two of them
     fractions: list[float] = key([], FRACTION)  # share of each factor, or between two edges, sum 1
-    # Half-width of uniform, standard deviation of ln d of lognormal (cut at two of them).
-    spread: float = key(0.0, Range(0.0, 1.0, open_high=True))
+    spread: float = key(
+        0.0, Range(0.0, 1.0, open_high=True)
+    )  # half-width of uniform; σ of lognormal's ln d, cut at 2 σ
 
 
 @dataclass
@@ -82,11 +80,10 @@ class FillingConfig(Section, place="scene.filling"):
     """How many spheres, how large, of which material, and how they start."""
 
     count: int = key(3000, at_least(0))
-    # d: the length of reference. √(d/g) is the fall time, a speed over √(g d) a Froude number.
-    diameter: float = key(0.05, positive("m"))
+    diameter: float = key(0.05, positive("m"))  # d of all `_diameters`, of fall times √(d/g), Froude numbers v/√(g d)
     lattice_spacing: float = key(1.12, at_least(1, "diameters"))
     jitter: float = key(0.05, at_least(0, "diameters"))  # uniform in ±jitter
-    settled_froude: float = key(1.428e-3, positive())  # rms speed over √(g d); a bed that stays below is at rest
+    settled_froude: float = key(1.428e-3, positive())  # rms; a bed that stays below is at rest
     settled_speed: float | None = key(None, positive("m/s"))  # null: by settled_froude
     longest_settling_fall_times: float = key(280.0, positive("√(d/g)"))  # an error beyond
     longest_settling: float | None = key(None, positive("s"))  # null: by longest_settling_fall_times
@@ -145,8 +142,7 @@ class DemConfig(Section, place="dem"):
     skin: float | None = key(None, positive("m"))  # Verlet; null: chosen by the clock; changes no bit
     threads: int | None = key(None, at_least(1))  # of numba; null: chosen by the clock; changes no bit
     precision: str = key("float64", one_of("float64", "float32"))  # of contact forces; positions stay float64
-    # The arms that spins add slip with; full_radius: as LAMMPS measures it.
-    slip: str = key("contact_point", one_of("contact_point", "full_radius"))
+    slip: str = key("contact_point", one_of("contact_point", "full_radius"))  # the arms of spins; full_radius: LAMMPS's
     allow_unsafe_step: bool = False  # true turns the error of a too large step into a recorded warning
 
 

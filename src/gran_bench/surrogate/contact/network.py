@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from gran_bench.config import ContactModelConfig
-from gran_bench.config.choices import PAIR_FADE, check_radius
+from gran_bench.config.choices import PAIR_FADE, check_radius, given_or
 from gran_bench.config.consistency import check_model
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
@@ -61,7 +61,10 @@ class ContactNetwork(Surrogate):
         d = scene.filling.diameter
         check_radius(config, d, scene.period)
         self.unit = d / DIAMETER  # m
-        self.reaches = config.metres("radius", d), config.metres("wall_reach", d)  # m
+        self.reaches = (  # m
+            given_or(config.radius_m, config.radius_diameters, d),
+            given_or(config.wall_reach_m, config.wall_reach_diameters, d),
+        )
         # Of a pair and of a wall: the gap at which an answer has faded to nothing, and the width of its fading, units.
         radius, wall_reach = (reach / self.unit for reach in self.reaches)
         self.fades = (radius - DIAMETER, PAIR_FADE * DIAMETER), (wall_reach, WALL_FADE * wall_reach)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
 
 from gran_bench.config import BoundaryConfig, CconvModelConfig
-from gran_bench.config.choices import check_radius
+from gran_bench.config.choices import check_radius, given_or
 from gran_bench.config.consistency import check_model
 from gran_bench.config.rules import ConfigError
 from gran_bench.scene import Scene
@@ -86,7 +87,7 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         if boundary.kind not in KINDS:
             raise ConfigError(f"boundary.kind={boundary.kind} is not for {config.name}; choose {' or '.join(KINDS)}")
         self.config, self.boundary = config, boundary
-        self.diameter, self.radius = diameter, config.metres("radius", diameter)
+        self.diameter, self.radius = diameter, given_or(config.radius_m, config.radius_diameters, diameter)
         if config.kernel == "lattice":
             self.pair_basis = self.wall_basis = LatticeBasis(self.radius, config.kernel_size)
         else:
@@ -151,7 +152,7 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
             wall = self._see_walls(position, given, scene, time)
             if len(wall.near):
                 fade = nearness(wall.distance, 0.5 * self.diameter, self.radius)
-                of_wall = fade[:, None] * self._wall_branch(velocity[wall.near], pairs, wall, self._pace(scene))
+                of_wall = fade[:, None] * self._wall_branch(velocity[wall.near], pairs, wall)
                 output = output.index_add(0, wall.near, of_wall)
         unit = self.config.output_scale_diameters * self.diameter / scene.frame_interval**2
         return output * unit, of_pairs * unit
@@ -161,18 +162,25 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         return _FRAMES * scene.frame_interval / self.diameter
 
     def _see_walls(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> WallPairs:
+        """What particles of a velocity, m/s, see of the walls; velocities of walls in the network's unit."""
         if self.boundary.kind == "analytic":
-            return see_contacts(position, velocity, scene, time, self.radius)
+            seen = see_contacts(position, velocity, scene, time, self.radius)
+        else:
+            seen = self._see_spheres(position, scene, time)
+        pace = self._pace(scene)
+        return replace(seen, velocity=pace * seen.velocity, slip=None if seen.slip is None else pace * seen.slip)
+
+    def _see_spheres(self, position: Tensor, scene: Scene, time: float) -> WallPairs:
         return see_spheres(position, scene, time, self.radius, self.boundary.spacing * scene.filling.diameter)
 
-    def _wall_branch(self, velocity: Tensor, pairs: Neighborhood, wall: WallPairs, pace: float) -> Tensor:
+    def _wall_branch(self, velocity: Tensor, pairs: Neighborhood, wall: WallPairs) -> Tensor:
         """Output of the wall branch, ``(P, 3)``, from the near particles' velocities in the network's unit."""
-        features, among = self._wall_input(velocity, wall, pace), pairs.restricted(wall.near)
+        features, among = self._wall_input(velocity, wall), pairs.restricted(wall.near)
         for layer in self.wall_layers:
             features = layer(features, among)
         return features
 
-    def _wall_input(self, velocity: Tensor, wall: WallPairs, pace: float) -> Tensor:
+    def _wall_input(self, velocity: Tensor, wall: WallPairs) -> Tensor:
         """Layer 1 of the wall branch, ``(P, 3/2 width)``: own velocity, normals seen, velocities seen."""
         seen = weigh_pairs(self.wall_basis, wall.query, wall.source, wall.relative, len(wall.near), len(wall.normal))
         shape = wall.normal if self.boundary.normal else torch.ones_like(wall.normal[:, :1])
@@ -181,9 +189,9 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         convolved = [self.wall_normal(shape, seen)]
         if self.wall_velocity is not None:
             if wall.slip is not None:
-                convolved.append(self.wall_velocity(pace * torch.cat((wall.velocity, wall.slip), dim=1), seen))
+                convolved.append(self.wall_velocity(torch.cat((wall.velocity, wall.slip), dim=1), seen))
             elif wall.moves:
-                convolved.append(self.wall_velocity(pace * wall.velocity, seen))
+                convolved.append(self.wall_velocity(wall.velocity, seen))
             else:
                 convolved.append(torch.zeros_like(convolved[0]))
         return torch.cat((self.wall_linear(velocity), torch.cat(convolved, dim=1) + self.wall_bias), dim=1)
