@@ -70,9 +70,8 @@ class SizesConfig(Section, place="scene.filling.sizes"):
     factors: list[float] = key([], positive())  # of listed
     edges: list[float] = key([], positive())  # of histogram, rising; uniform between two of them
     fractions: list[float] = key([], FRACTION)  # share of each factor, or between two edges, sum 1
-    spread: float = key(
-        0.0, Range(0.0, 1.0, open_high=True)
-    )  # half-width of uniform; σ of lognormal's ln d, cut at 2 σ
+    # Half-width of uniform; σ of ln d of lognormal, cut at 2 σ.
+    spread: float = key(0.0, Range(0.0, 1.0, open_high=True))
 
 
 @dataclass
