@@ -60,7 +60,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> TrainConfig:
         # Every term of the loss that looks at the data in a way of its own.
         loss=LossConfig(position_l2=1.0, acceleration=0.1, spin=0.1, overlap=0.1, cell_displacement=0.1),
         model=ContactModelConfig(iterations=2, memory=True),
-        rollout=RolloutConfig(frames=2, noise=1e-4),
+        rollout=RolloutConfig(frames=2, noise_m=1e-4),
         optim=OptimConfig(learning_rate=1e-3, accumulate=2, weight_average=0.9),
         trainer=TrainerConfig(steps=4, log_every=1, startup_fraction=0.3, startup_seconds=0.05),
         judge=JudgeConfig(speeds_rpm=[25.0, 30.0, 35.0]),

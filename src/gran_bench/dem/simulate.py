@@ -128,7 +128,7 @@ def settle(
     Raises:
         ConfigError: an argument of a wrong type, or settings that contradict each other.
         SceneError: a filling that does not fit, or a seed that is no whole number ≥ 0.
-        SimulationError: divergence, escape, or a bed that is not at rest after ``filling.longest_settling``.
+        SimulationError: divergence, escape, or a bed that is not at rest after ``scene.longest_settling``.
         StateError: a bed that its own weight crushes, so that nothing could start from it.
     """
     dem = DemConfig() if dem is None else dem
@@ -141,15 +141,15 @@ def settle(
         return replace(state, time=scene.start_time)
     time_step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
     rest = Rest(still)
-    substeps = min(steps_between_looks(time_step), max(1, round(rest.look_interval / time_step)))
+    substeps = min(steps_between_looks(still, time_step), max(1, round(rest.look_interval / time_step)))
     tuner = _tuner(still, filling.largest_radius, state.count, dem)
     record = FrameRecord(still, state.radius)  # of no frames but one where it fails
     run, rests = Run(ENGINES[dem.engine], state, still, time_step, tuner, record), False
     with _followed(progress, None, "settling") as follow:
-        while state.count and (not rests or state.time < scene.start_time - 1e-9):
-            if not rests and state.time > filling.longest_settling:
+        while state.count and (not rests or state.time < scene.start_time - 1e-7 * scene.frame_interval):
+            if not rests and state.time > scene.longest_settling:
                 raise SimulationError(
-                    f"the bed of {scene.name!r} is not at rest after {filling.longest_settling:g} s of settling: "
+                    f"the bed of {scene.name!r} is not at rest after {scene.longest_settling:.4g} s of settling: "
                     f"{rest.what_moves()}",
                     record.trajectory((state.time, state.position, state.velocity, state.angular_velocity)),
                 )

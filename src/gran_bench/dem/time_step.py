@@ -23,7 +23,7 @@ WARNING_FRACTION = 0.1  # of the contact time; restitution starts to depend on t
 ERROR_FRACTION = 0.2  # of the contact time; a contact is no longer resolved
 ROUNDING = 1e-9  # relative; what is within it of a bound is at the bound
 # Height of fall that the impact speed is judged by where no drum states one.
-NOMINAL_FALL = 1.0  # m
+NOMINAL_FALL = 20.0  # diameters
 
 
 class TimeStepError(ValueError):
@@ -44,7 +44,7 @@ def impact_speed(scene: Scene) -> float:
     The largest of √(2 g D) with D the height that a sphere can fall, twice the speed of spheres that are placed, and
     the speed of the walls.
     """
-    fall, turning, reaches = scene.fall_height or NOMINAL_FALL, 0.0, []
+    fall, turning, reaches = scene.fall_height or NOMINAL_FALL * scene.filling.diameter, 0.0, []
     speeds = [math.sqrt(2.0 * scene.gravity_strength * fall), *(2.0 * math.hypot(*v) for v in scene.filling.velocities)]
     for wall in scene.walls:
         motion = scene.motion_of(wall)
@@ -144,5 +144,7 @@ def unresolved(
 
 def dividing_step(interval: float, largest: float) -> float:
     """The largest step ≤ ``largest`` of which ``interval`` is a whole multiple, s."""
-    # The tolerance lets 1e-2 / 2e-4 be 50 steps, not 51. Fifteen digits are one step whatever interval it divides.
-    return float(f"{interval / max(1, math.ceil(interval / largest * (1.0 - ROUNDING))):.15g}")
+    # The tolerance lets 1e-2 / 2e-4 be 50 steps, not 51. Fifteen digits are one step whatever interval it divides;
+    # digits of the mantissa, so that half the interval has half the step, bit for bit.
+    mantissa, exponent = math.frexp(interval / max(1, math.ceil(interval / largest * (1.0 - ROUNDING))))
+    return math.ldexp(float(f"{mantissa:.15g}"), exponent)

@@ -207,7 +207,7 @@ def position_error(candidates: Candidates, replicas: Replicas, path: Path | str)
             drawn.append(error[1:] / diameter)
         if len(replicas) > 1:
             spread = mean_spread([run.position for run in replicas], period)
-            label = "DEM replica to replica (1e-9 m apart)"
+            label = "DEM replica to replica (2e-8 d apart)"
             axes.plot(np.arange(1, frames), spread[1:] / diameter, color=DEM, label=label)
             drawn.append(spread[1:] / diameter)
             horizon = divergence_horizon(spread, diameter)

@@ -22,10 +22,10 @@ COLUMN_METRICS = (
     *("angle error floors", "com angle error floors", "speed W1 floors", "position error 10 frames mm"),
     *("rollout ms per frame", "requirements failed", "rollouts failed", "training minutes"),
 )
-COLUMN_PARAMS = ("model.name", "model.radius", "boundary.kind", "loss terms", "frames ahead", "seed")
+COLUMN_PARAMS = ("model.name", "model.radius_diameters", "boundary.kind", "loss terms", "frames ahead", "seed")
 COLUMN_TAGS = ("sweep", "scene", "judged")
 # Axes from left to right: what was chosen, then what came out.
-AXES_PARAMS = ("model.name", "model.radius", "boundary.kind", "loss terms", "frames ahead")
+AXES_PARAMS = ("model.name", "model.radius_diameters", "boundary.kind", "loss terms", "frames ahead")
 ERRORS = ("angle error floors", "com angle error floors", "speed W1 floors")
 CHOICES, TIMES = "choices against error", "error against time"  # sections of the charts
 

@@ -14,7 +14,7 @@ def training_windows(config: TrainConfig, split: Split) -> Windows:
     """The training side of the data; nothing of the held-out cases is opened."""
     cases = [read_case(spec.path(config.dataset.root)) for spec in split.training]
     trainer = config.trainer
-    return Windows(cases, config.seed, trainer.startup_fraction, trainer.startup_seconds)
+    return Windows(cases, config.seed, trainer.startup_fraction, trainer.startup_fall_times, trainer.startup_seconds)
 
 
 def make_model(config: TrainConfig, scene: Scene) -> Surrogate:

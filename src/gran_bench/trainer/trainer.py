@@ -25,6 +25,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from gran_bench.config import OptimConfig, RolloutConfig, TrainConfig
+from gran_bench.config.choices import given_or
 from gran_bench.dataset import Window, Windows
 from gran_bench.losses import FrameAhead, Target, WindowLoss
 from gran_bench.surrogate.checkpoint import CHECKPOINT, CheckpointError, read_tensors, write_tensors
@@ -201,10 +202,10 @@ class Trainer:
         rollout, scene = self.config.rollout, window.scene
         first = window.position[0], window.velocity_at(0, model.velocity_kind), window.angular_velocity[0]
         position, velocity, spin = map(self._tensor, first)
-        if rollout.noise > 0:
+        if (size := given_or(rollout.noise_m, rollout.noise_diameters, scene.filling.diameter)) > 0:
 
             def noise() -> Tensor:
-                return self._tensor(rng.standard_normal(window.position[0].shape)) * rollout.noise
+                return self._tensor(rng.standard_normal(window.position[0].shape)) * size
 
             moved = noise()
             position = position + moved
