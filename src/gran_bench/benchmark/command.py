@@ -18,6 +18,7 @@ from gran_bench.config.reading import validate
 from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import ensure_cases, read_case, rotation_label
 from gran_bench.files import locked
+from gran_bench.plots.style import titled
 from gran_bench.plots.time_error import CostLine, cost_against, time_against_error
 from gran_bench.processes import stop_on_signals
 from gran_bench.provenance import hardware, library_versions, provenance
@@ -98,14 +99,17 @@ def draw(found: dict[str, Any], folder: Path) -> None:
     contenders = [replace(entry, name=entry.name.removeprefix("DEM ")) for entry in kept.entries(found)]
     lost = [name.removeprefix("DEM ") for name in kept.untimed(found)]
     labels = " and ".join(row["label"] for row in found["reference"]["ranked"])
-    time_against_error(contenders, labels, folder / "time_error.png", found["reference"]["accepted"], lost)
+    scene, packing = f"{found['scene']}, {found['motion'].replace('rpm', ' rpm')}", "a packing that no training saw"
+    with titled(f"{scene}, {found['spheres']} spheres, {packing}"):
+        time_against_error(contenders, labels, folder / "time_error.png", found["reference"]["accepted"], lost)
     level, soft = softened(found), None
     if level is not None:
         soft = (f"as exact at {found['modulus']:.0e} Pa: {level.name}".replace("e+0", "e"), level.seconds)
     names = {"automatic": "DEM, automatic step", "largest": "DEM, largest allowed step", "DEM": "DEM, automatic step"}
     for study, quantity, same in (("stiffness", "Young's modulus, Pa", soft), ("counts", "spheres", None)):
         if found[study]:
-            cost_against([*_cost_lines(found[study], names)], quantity, folder / f"{study}.png", same)
+            with titled(f"{scene}, {packing}"):
+                cost_against([*_cost_lines(found[study], names)], quantity, folder / f"{study}.png", same)
 
 
 def _cost_lines(study: dict[str, list[dict[str, Any]]], names: dict[str, str]) -> Iterator[CostLine]:

@@ -13,6 +13,7 @@ from gran_bench.config import StressConfig
 from gran_bench.config.rules import ConfigError
 from gran_bench.files import locked
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
+from gran_bench.plots.style import titled
 from gran_bench.processes import stop_on_signals
 from gran_bench.provenance import provenance
 from gran_bench.shipped import SHIPPED, shipped_model
@@ -93,13 +94,15 @@ def draw_figures(results: Sequence[Errand], folder: Path) -> None:
             continue
         curves = result.outcome.curves
         if result.case.kind == "step_ladder":
-            draw_dem_step(curves, folder / "dem_step.png")
+            with titled("drum, 30 rpm, one packing"):
+                draw_dem_step(curves, folder / "dem_step.png")
         elif result.case.kind == "energy_drift":
             draw_energy_drift(curves, folder / "energy_drift.png")
         elif label := _label_in_drum(result):
             runs[label].append((curves["speed_rpm"][0], curves["time_to_failure"][0], bool(curves["survived"][0])))
     if runs:
-        draw_time_to_failure(runs, folder / "time_to_failure.png")
+        with titled("drum, one packing"):
+            draw_time_to_failure(runs, folder / "time_to_failure.png")
 
 
 def _label_in_drum(result: Errand) -> str:
