@@ -18,6 +18,7 @@ from gran_bench.config.reading import validate
 from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import ensure_cases, read_case, rotation_label
 from gran_bench.files import locked, markdown, write_text
+from gran_bench.plots.style import titled
 from gran_bench.plots.time_error import CostLine, cost_against, time_against_error
 from gran_bench.processes import stop_on_signals, tell
 from gran_bench.provenance import hardware, library_versions, provenance
@@ -86,14 +87,17 @@ def draw(found: dict[str, Any], folder: Path) -> None:
     contenders = [replace(entry, name=entry.name.removeprefix("DEM ")) for entry in kept.entries(found)]
     lost = [name.removeprefix("DEM ") for name in kept.untimed(found)]
     labels = " and ".join(row["label"] for row in found["reference"]["ranked"])
-    time_against_error(contenders, labels, folder / "time_error.png", found["reference"]["accepted"], lost)
+    scene, packing = f"{found['scene']}, {found['motion'].replace('rpm', ' rpm')}", "a packing that no training saw"
+    with titled(f"{scene}, {found['spheres']} spheres, {packing}"):
+        time_against_error(contenders, labels, folder / "time_error.png", found["reference"]["accepted"], lost)
     level, soft = page.softened(found), None
     if level is not None:
         soft = (f"as exact at {found['modulus']:.0e} Pa: {level.name}".replace("e+0", "e"), level.seconds)
     for study, quantity, same in (("stiffness", "Young's modulus, Pa", soft), ("counts", "spheres", None)):
         if found[study]:
             lines = [_cost_line(label, points) for label, points in found[study].items()]
-            cost_against(lines, quantity, folder / f"{study}.png", same)
+            with titled(f"{scene}, {packing}"):
+                cost_against(lines, quantity, folder / f"{study}.png", same)
 
 
 def _cost_line(label: str, points: list[dict[str, Any]]) -> CostLine:

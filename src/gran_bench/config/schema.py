@@ -384,6 +384,7 @@ class UiConfig(Section):
     """Everything that `python -m gran_bench.ui` reads."""
 
     port: int = key(5000, Range(1, 65535))  # of this machine
+    shipped: bool = True  # the first start puts the project's own records into the store
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
 
 

@@ -22,8 +22,8 @@ from gran_bench.evaluation import evaluate
 from gran_bench.evaluation.plan import Plan
 from gran_bench.files import write_text
 from gran_bench.plots.evaluation import draw_evaluation
-from gran_bench.plots.style import drawn_for
-from gran_bench.plots.training import loss_curves
+from gran_bench.plots.style import drawn_for, titled
+from gran_bench.plots.training import VALIDATION, loss_curves
 from gran_bench.processes import StopRequest, stop_on_signals, tell
 from gran_bench.provenance import provenance
 from gran_bench.provenance.source_digest import model_code
@@ -37,7 +37,8 @@ from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, l
 from gran_bench.surrogate.contact.compiling import compile_kernels, kernels_missing
 from gran_bench.surrogate.step import Surrogate
 from gran_bench.trainer import CHECKPOINT, Trainer, TrainingStopped
-from gran_bench.trainer.start import device_named, make_model, training_windows
+from gran_bench.trainer.start import device_named, make_model, training_windows, validation_windows
+from gran_bench.trainer.validation import Validation
 
 
 def run_experiment(config: TrainConfig) -> dict[str, Any]:
@@ -69,7 +70,9 @@ def run_experiment(config: TrainConfig) -> dict[str, Any]:
             tell(f"model {config.model.name}: {model.parameter_count} parameters on {device}")
             with clock.stage("training"):
                 go_on(config, record.identity)
-                training = train_stage(config, model, windows, record.identity.folder, run, stop, start)
+                seen = validation_windows(config, split)
+                beside = None if seen is None else Validation(model, seen, config.loss)
+                training = train_stage(config, model, windows, record.identity.folder, run, stop, start, beside)
             return judge_stage(record, model, plan, asdict(config.model), training, run)
 
         return record.carry_out(work, lambda finished: wants_more(config, finished["training"]))
@@ -110,14 +113,9 @@ def _compile_ahead(model: str) -> None:
 
 
 def train_stage(
-    config: TrainConfig,
-    model: Surrogate,
-    windows: Windows,
-    folder: Path,
-    run: tracking.Run,
-    stop: StopRequest,
-    start: Start | None = None,
-) -> dict[str, Any]:
+    config: TrainConfig, model: Surrogate, windows: Windows, folder: Path, run: tracking.Run, stop: StopRequest,
+    start: Start | None = None, validation: Validation | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Train, or load what training left, into the model; gives what ``training.json`` says."""
     if (folder / TRAINING).exists():
         training = json.loads((folder / TRAINING).read_text("utf-8"))
@@ -128,6 +126,8 @@ def train_stage(
     log = LossLog(folder / LOSSES)
 
     def keep(metrics: dict[str, float], step: int) -> None:
+        if validation is not None:
+            metrics = metrics | {VALIDATION: validation.loss(int(metrics["frames_ahead"]))}
         log.add(metrics, step)
         run.log_metrics(training_metrics(metrics), step)
 
@@ -179,7 +179,9 @@ def judge_stage(
         place = folder / FIGURES
         figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, card["name"])
         if (folder / LOSSES).exists():
-            figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
+            speeds = ", ".join(f"{rpm:g}" for rpm in training["training_speeds_rpm"])
+            with titled(f"{record.scene_name}, trained at {speeds} rpm, packing {training['packing_seed']}"):
+                figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
     summary = {
         "experiment": training["experiment"],
         "provenance": provenance(),

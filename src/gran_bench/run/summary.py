@@ -47,6 +47,12 @@ def judged_words(summary: Mapping[str, Any]) -> str:
     return f"{summary['judged_as']}, {summary['judged_rpm']:g} rpm"
 
 
+def judged_tags(judged: str, missed: float) -> dict[str, str]:
+    """A judged run's first columns in the UI, of `judged_words` and how many requirements are not met."""
+    kind, _, speed = judged.rpartition(", ")
+    return {"speed": f"{speed}, {kind}", tracking.VERDICT: "fail" if missed else "pass"}
+
+
 def headline(summary: Mapping[str, Any]) -> dict[str, float]:
     """The figures that a person looks at first, by their names in MLflow; one that is undefined is absent."""
     shared, last = summary["judged"]["shared"], summary["position_error"]["10_frames"]["m"]
@@ -257,8 +263,9 @@ def record_judgement(run: tracking.Run, summary: dict[str, Any], folder: Path, f
     kept = list(figures)
     for figure in kept:
         run.log_artifact(figure, FIGURES)
+    for name, text in judged_tags(judged_words(summary), len(missed_requirements(summary))).items():
+        run.set_tag(name, text)
     run.set_tag("model", summary["model"]["name"])
-    run.set_tag("judged", judged_words(summary))
     if (parent := summary["training"].get("parent_run")) is not None:
         run.set_tag("parent_run", parent)
     run.set_tag("mlflow.note.content", description(summary, folder, [path.name for path in kept], run.run_id))

@@ -21,6 +21,7 @@ from gran_bench.config import StressConfig
 from gran_bench.config.rules import ConfigError
 from gran_bench.files import locked, write_text
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
+from gran_bench.plots.style import titled
 from gran_bench.processes import stop_on_signals, tell
 from gran_bench.provenance import provenance
 from gran_bench.provenance.source_digest import source_digest
@@ -99,7 +100,8 @@ def draw_figures(results: Sequence[Errand], folder: Path) -> None:
     for result in (result for result in results if isinstance(result.outcome, Observation)):
         curves = result.outcome.curves
         if result.case.kind == "step_ladder":
-            draw_dem_step(curves, folder / "dem_step.png")
+            with titled("drum, 30 rpm, one packing"):
+                draw_dem_step(curves, folder / "dem_step.png")
         elif result.case.kind == "energy_drift":
             draw_energy_drift(curves, folder / "energy_drift.png")
         elif result.case.kind in ("model_rollout", "untrained_rollout"):
@@ -109,7 +111,8 @@ def draw_figures(results: Sequence[Errand], folder: Path) -> None:
                 end = curves["speed_rpm"][0], curves["time_to_failure"][0], bool(curves["survived"][0])
                 runs[result.model or f"{values['model']}, untrained"].append(end)
     if runs:
-        draw_time_to_failure(runs, folder / "time_to_failure.png")
+        with titled("drum, one packing"):
+            draw_time_to_failure(runs, folder / "time_to_failure.png")
 
 
 def errands(cases: Sequence[StressCase], checkpoints: Sequence[Path], folder: Path) -> list[Errand]:

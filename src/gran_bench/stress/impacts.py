@@ -122,8 +122,9 @@ def verified(bench: Bench, case: str) -> Observation:
 def step_ladder(bench: Bench, steps: list[float], production: float, seconds: float = 2.0) -> Observation:
     """Steps (s) from small to far too large on the paper's drum: error of the centre of mass's angle, and cost.
 
-    The smallest step is the reference; the floor is its error against itself, nudged as replicas are, and what ``production``
-    errs more is beyond it. A step that ends with an error has an infinite one. The drum turns for ``seconds``, 30 rpm.
+    The smallest step is the reference; the floor is its error against itself, nudged as replicas are, and what
+    ``production`` errs more is beyond it. A step that ends with an error has an infinite one. The drum turns for
+    ``seconds``, 30 rpm.
     """
     if production not in steps:
         raise ValueError(f"with.production={production:g} is none of with.steps={steps}; choose one of them")

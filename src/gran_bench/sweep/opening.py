@@ -198,7 +198,7 @@ def _budget(job: SweepJob) -> str:
 
 def _row(job: SweepJob, ended: float, facts: Mapping[str, str], **found: Any) -> SweepRun:
     facts = {**facts, "log": job.log_name, "made_with": job.made_with}
-    facts |= {"model": job.config.model.name, "budget": _budget(job)}
+    facts |= {"model": job.config.model.name, "budget": _budget(job), "scene": job.config.scene.name}
     facts = {name: text for name, text in facts.items() if text}
     ended_at = datetime.fromtimestamp(ended, UTC).isoformat(timespec="seconds")
     who = job.run, dict(job.choices), job.seed, job.key, job.judged_by
