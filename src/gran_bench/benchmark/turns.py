@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from gran_bench.benchmark.contest import Method
 from gran_bench.files import write_text
+from gran_bench.progress import Progress
 from gran_bench.workers import Worker
 
 PREPARED_AT_A_TIME = 2
@@ -79,7 +79,7 @@ def take_turns(
         frames_wanted = wants_frames(method, place, index) and not trajectory_file(place, index).exists()
         if (place / FAILURE).exists():
             return False, False
-        return frames_wanted or not _path(place, index).exists(), frames_wanted
+        return frames_wanted or not round_file(place, index).exists(), frames_wanted
 
     for place in folders.values():
         # A run that diverged will diverge again; a process that died (of a lack of memory, say) gets another chance.
@@ -88,7 +88,7 @@ def take_turns(
     orders = [np.random.default_rng([seed, index]).permutation(len(fit)) for index in range(rounds)]
     missing = [(fit[k], index) for index, order in enumerate(orders) for k in order if wants(fit[k], index)[0]]
     workers = {method.name: Worker("gran_bench.benchmark.jobs") for method, _ in missing}
-    with tqdm(total=len(missing), desc=label, unit="run", disable=None, leave=False) as bar:
+    with Progress(total=len(missing), desc=label, unit="run", leave=False) as bar:
 
         def prepare(method: Method) -> None:
             bar.set_postfix_str(f"preparing {method.name}", refresh=True)
@@ -132,10 +132,11 @@ def _note(method: Method, answer: dict[str, Any], folder: Path, index: int, fram
         _fail(folder, answer["failure"], died=False, seconds=answer["wall_seconds"] / reached if reached else None)
     else:
         turn = {"round": index, **answer, "method": method.name}
-        write_text(_path(folder, index), json.dumps(turn, indent=1) + "\n")
+        write_text(round_file(folder, index), json.dumps(turn, indent=1) + "\n")
 
 
-def _path(folder: Path, index: int) -> Path:
+def round_file(folder: Path, index: int) -> Path:
+    """What was measured of a method, whose folder it is, in a round."""
     return folder / f"round{index}.json"
 
 
@@ -144,7 +145,9 @@ def _fail(folder: Path, message: str, died: bool, seconds: float | None = None) 
 
 
 def _read(folder: Path, rounds: int) -> Record:
-    turns = [json.loads(_path(folder, k).read_text("utf-8")) for k in range(rounds) if _path(folder, k).exists()]
+    turns = [
+        json.loads(round_file(folder, k).read_text("utf-8")) for k in range(rounds) if round_file(folder, k).exists()
+    ]
     if not (folder / FAILURE).exists():
         return Record(turns)
     failed = json.loads((folder / FAILURE).read_text("utf-8"))

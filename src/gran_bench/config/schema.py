@@ -312,6 +312,7 @@ class TrainConfig(Section):
     seed: int = key(0, SEED)
     device: str = key("auto", one_of("auto", "cpu", "cuda"))
     threads: int = key(2, at_least(1))  # CPU threads of the surrogate
+    dry_run: bool = False  # true: say what the command will do and take, and make nothing
     scene: SceneConfig = field(default_factory=SceneConfig)
     dem: DemConfig = field(default_factory=DemConfig)
     dataset: DatasetConfig = field(default_factory=DatasetConfig)
@@ -332,6 +333,7 @@ class GenerateConfig(Section):
     scene: SceneConfig = field(default_factory=SceneConfig)
     dem: DemConfig = field(default_factory=DemConfig)
     dataset: DatasetConfig = field(default_factory=DatasetConfig)
+    dry_run: bool = False  # true: say what the command will do and take, and make nothing
 
 
 @dataclass
@@ -340,6 +342,7 @@ class EvaluateConfig(Section):
 
     checkpoint: str = MISSING  # model file; `shipped`: the one in the package
     device: str = key("auto", one_of("auto", "cpu", "cuda"))
+    dry_run: bool = False  # true: say what the command will do and take, and make nothing
     dem: DemConfig = field(default_factory=DemConfig)
     dataset: DatasetConfig = field(default_factory=DatasetConfig)
     judge: JudgeConfig = field(default_factory=JudgeConfig)
@@ -395,3 +398,4 @@ class StressConfig(Section):
     workers: int = key(2, at_least(1))  # cases at a time
     patience: float = key(900.0, positive("s"))  # that a case may take
     output: str = "results/stress"  # folder of the page
+    dry_run: bool = False  # true: say what the command will do and take, and make nothing

@@ -79,9 +79,7 @@ def _make_case(job: Job, path: Path, report: Report) -> None:
     dem = replace(spec.dem, time_step=key["dem"]["time_step"]) if spec.dem.time_step is None else spec.dem
     bed, bed_facts = read_settled(spec.settled_path(job.root))
     start = nudged(bed, spec.nudge, spec.nudge_seed)
-    result = simulate(
-        scene, start, scene.end_time, dem=dem, progress=lambda clock: report(clock - scene.start_time)
-    )
+    result = simulate(scene, start, scene.end_time, dem=dem, progress=lambda clock: report(clock - scene.start_time))
     if result.time_step != key["dem"]["time_step"]:
         raise DatasetError(
             f"the solver took steps of {result.time_step:g} s where {key['dem']['time_step']:g} s name the file; "

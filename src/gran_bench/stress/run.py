@@ -14,9 +14,8 @@ from dataclasses import asdict, dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from tqdm import tqdm
-
 from gran_bench.files import write_text
+from gran_bench.progress import Progress
 from gran_bench.provenance.source_digest import source_digest
 from gran_bench.stress.case_list import StressCase
 from gran_bench.stress.expectation import Outcome, verdict
@@ -92,8 +91,7 @@ def carry_out(todo: Sequence[Errand], folder: Path, workers: int, patience: floa
         idle.put(worker)
     alone = [errand for errand in todo if EXPERIMENTS[errand.case.kind].alone]
     beside = [errand for errand in todo if errand not in alone]
-    # None: silent where stderr is no terminal.
-    with tqdm(total=len(todo), unit=" cases", leave=False, disable=None) as bar:
+    with Progress(total=len(todo), desc="stress", unit="case", leave=False) as bar:
 
         def one(errand: Errand) -> None:
             worker = idle.get()

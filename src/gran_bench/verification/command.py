@@ -8,8 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tqdm import tqdm
-
+from gran_bench.progress import Progress
 from gran_bench.provenance import program, provenance
 from gran_bench.verification import CASES
 from gran_bench.verification.case import Case, Outcome, run_case
@@ -56,7 +55,7 @@ def run(draw: Draw, words: Sequence[str] | None = None, cases: Sequence[Case] = 
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
         # None: silent where stderr is no terminal.
-        with tqdm(chosen, unit=" cases", leave=False, disable=None) as bar:
+        with Progress(chosen, desc="verification", unit="case", leave=False) as bar:
             for case in bar:
                 bar.set_description(case.name)
                 outcomes.append(run_case(case))
