@@ -26,8 +26,9 @@ from gran_bench.config import (
 from gran_bench.dataset import own_case, split_cases
 from gran_bench.progress import Progress
 from gran_bench.run import cost
-from gran_bench.run.cost import Cost, data_cost, duration, flow_cost, makespan, softer, touching_bed, work_ahead
+from gran_bench.run.cost import Cost, data_cost, duration, flow_cost, makespan, softer, work_ahead
 from gran_bench.run.experiment import run_evaluation, run_experiment
+from gran_bench.run.pace import dem_pace, touching_bed
 from gran_bench.shipped import shipped_model, shipped_scene
 from gran_bench.stress.command import run_stress
 
@@ -41,7 +42,7 @@ def with_modulus(scene, modulus):
 # ---- what is said ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("modulus", "frame"), [(1.0e7, 50), (6.3e10, 3953)])
+@pytest.mark.parametrize(("modulus", "frame"), [(1.0e7, 50), (6.3e10, 3954)])
 def test_the_step_says_what_set_it(modulus, frame):
     scene = with_modulus(shipped_scene("drum"), modulus)
     spheres, step = flow_cost(scene, DemConfig()).lines
@@ -123,7 +124,13 @@ def test_the_sample_of_a_scene_touches_and_the_solver_takes_it(name):
     if not scene.filling.positions:
         gap = np.sort(np.linalg.norm(bed.position - bed.position[0], axis=1))[1]
         assert gap == pytest.approx(2.0 * scene.filling.largest_radius, rel=2e-3)
-    assert cost.dem_pace(scene, DemConfig()) > 0.0
+    assert dem_pace(scene, DemConfig()) > 0.0
+
+
+def test_a_bed_that_is_denser_than_a_lattice_has_a_smaller_sample():
+    scene = shipped_scene("drum_small")
+    dense = replace(scene, filling=replace(scene.filling, count=1500))
+    assert touching_bed(dense).count in (750, 375)
 
 
 # ---- dry_run ---------------------------------------------------------------------------------------------

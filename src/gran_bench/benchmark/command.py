@@ -23,7 +23,8 @@ from gran_bench.plots.time_error import CostLine, cost_against, time_against_err
 from gran_bench.processes import stop_on_signals
 from gran_bench.provenance import hardware, library_versions, provenance
 from gran_bench.provenance.source_digest import comparing_code
-from gran_bench.run.cost import PROCESS_BYTES, Cost, data_cost, dem_pace, flow_cost, rollout_pace, summary_pace
+from gran_bench.run.cost import PROCESS_BYTES, Cost, data_cost, flow_cost
+from gran_bench.run.pace import dem_pace, rollout_pace, summary_pace
 from gran_bench.shipped import DEFAULT_MODEL, SHIPPED, shipped_model
 from gran_bench.surrogate.checkpoint import load_model
 

@@ -1,7 +1,6 @@
 """What a command will do and take, told before the work: flow, step, cases, updates, time, memory and disk.
 
-Paces are measured here and now, on spheres of the scene that stand on a lattice and just touch: they have about as many
-contacts and neighbours as a bed, and no bed has to be made first. So all times are "about".
+All times come from a pace that is measured here and now (`pace.py`), so they are "about".
 """
 
 from __future__ import annotations
@@ -10,41 +9,25 @@ import heapq
 import math
 import os
 import sys
-import tempfile
-import time
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gran_bench.baselines import rigid_rotation
 from gran_bench.config import DemConfig, GenerateConfig, RolloutConfig, TrainConfig
-from gran_bench.dataset import Case, CaseSpec, Windows, own_case, split_cases
-from gran_bench.dem.simulate import choose_time_step, simulate
+from gran_bench.dataset import CaseSpec, own_case, split_cases
+from gran_bench.dem.simulate import choose_time_step
 from gran_bench.dem.time_step import step_bound
 from gran_bench.evaluation.plan import Plan
-from gran_bench.metrics.summary import summarise
+from gran_bench.run.pace import dem_pace, rollout_pace, summary_pace, update_pace
 from gran_bench.scene import Scene, build_scene
-from gran_bench.state import ParticleState
 
-if TYPE_CHECKING:  # these load PyTorch, which the DEM alone does not need
-    from gran_bench.surrogate.step import Surrogate
-
-SAMPLE_STEPS = {"numba": 200, "numpy": 6}  # that the pace of the DEM is measured over
-SAMPLE_FRAMES = 3  # of a model
-NO_CONTACT = ("contact_count", "overlap_mean", "wall_contact_count", "wall_overlap_mean")
-OVERLAP = 1.0e-3  # of neighbours in the sample, in diameters, where E is SOFT; of stiffer ones less, for the same force
 SETTLING = 1.6  # times its least that a bed takes to come to rest
 FRAME_BYTES = 36  # of a sphere in a stored frame: position, velocity and spin in single precision
 BED_BYTES = 600  # of a sphere in the state that a case starts from, contact history included
-PROCESS_BYTES = {
-    "dem": 3.0e8,
-    "torch": 1.0e9,
-}  # that a process of the DEM, or with PyTorch, has before it does anything
+# That a process of the DEM, or one with PyTorch, has before it does anything.
+PROCESS_BYTES = {"dem": 3.0e8, "torch": 1.0e9}
 # What a softer sphere costs and changes was measured in the paper's drum at 30 rpm alone (results/verification).
 SOFT, STIFF, STIFF_MINUS_SOFT = 1.0e7, 1.0e8, 1.1  # Pa, Pa, and degrees of the centre-of-mass angle
 
@@ -120,7 +103,9 @@ def filled_share(scene: Scene) -> float:
         volume = height * (width * depth if room.radius is None else math.pi * room.radius**2)
     else:
         return 0.0
-    return 4.0 / 3.0 * math.pi * float(np.sum(scene.fresh_filling(0).radius ** 3)) / float(volume)
+    filling = scene.filling
+    radius = filling.radii or filling.radius * filling.sizes.sample(filling.count, np.random.default_rng(0))
+    return 4.0 / 3.0 * math.pi * float(np.sum(np.power(radius, 3))) / float(volume)
 
 
 def softer(scene: Scene) -> list[str]:
@@ -178,31 +163,6 @@ def generate_cost(config: GenerateConfig) -> Cost:
     return flow_cost(scene, config.dem) + data_cost(scene, config.dem, specs, data.root, data.workers)
 
 
-def touching_bed(scene: Scene) -> ParticleState:
-    """The spheres of a scene on a lattice where neighbours just touch, at rest and at time 0; placed ones as placed."""
-    state = replace(scene, filling=replace(scene.filling, jitter=0.0)).fresh_filling(0)
-    if scene.filling.positions or not state.count:
-        return state
-    overlap = OVERLAP * (SOFT / scene.material.youngs_modulus) ** (2.0 / 3.0)
-    position, middle = state.position.copy(), state.position.mean(axis=0)
-    for axis in range(3):
-        sites = np.unique(np.round(position[:, axis], 9))
-        if len(sites) > 1:
-            gap = float(np.diff(sites).min())
-            squeezed = (1.0 - overlap) * 2.0 * scene.filling.largest_radius / gap
-            position[:, axis] = middle[axis] + squeezed * (position[:, axis] - middle[axis])
-    return replace(state, position=position)
-
-
-def dem_pace(scene: Scene, dem: DemConfig) -> float:
-    """Measured wall time of a step of one sphere on one thread, s."""
-    step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
-    steps = SAMPLE_STEPS[dem.engine]
-    short = replace(scene, start_time=0.0, end_time=steps * step, frame_interval=steps * step)
-    dem, bed = replace(dem, time_step=step, threads=1), touching_bed(scene)
-    return simulate(short, bed, short.end_time, dem=dem).wall_seconds / (steps * max(bed.count, 1))
-
-
 def training_cost(config: TrainConfig, plan: Plan, done: int | None = 0) -> Cost:
     """What training and judging will take; ``done`` updates are there, and all that are wanted where it is None."""
     from gran_bench.trainer.start import make_model
@@ -235,53 +195,6 @@ def judging_cost(plan: Plan, frame: float) -> Cost:
     sums = len(plan.packings) * (plan.dataset.replicas + 2) + 6
     seconds += summary_pace(plan.scene.at_speed(plan.judged_rpm)) * count * sums
     return Cost([line], {"judging": seconds}, PROCESS_BYTES["torch"], FRAME_BYTES * frames * plan.scene.filling.count)
-
-
-def summary_pace(scene: Scene) -> float:
-    """Measured wall time that a frame of a trajectory takes to be summed up, s."""
-    short = replace(scene, start_time=0.0, end_time=(SAMPLE_FRAMES - 1) * scene.frame_interval)
-    motion = rigid_rotation(short, touching_bed(scene))
-    for _ in range(2):  # the first loads what was compiled
-        began = time.perf_counter()
-        summarise(motion, short)
-    return (time.perf_counter() - began) / SAMPLE_FRAMES
-
-
-def rollout_pace(model: Surrogate, scene: Scene) -> float:
-    """Measured wall time of a frame on one thread, s."""
-    import torch
-
-    from gran_bench.surrogate.rollout import step_frames
-
-    threads, frames = torch.get_num_threads(), step_frames(model, scene, touching_bed(scene))
-    torch.set_num_threads(1)
-    for _ in zip(range(2), frames, strict=False):  # the state itself, and a frame that loads what was compiled
-        began = time.perf_counter()
-    for _ in zip(range(SAMPLE_FRAMES), frames, strict=False):
-        last = time.perf_counter()
-    torch.set_num_threads(threads)
-    return (last - began) / SAMPLE_FRAMES
-
-
-def update_pace(config: TrainConfig, model: Surrogate, scene: Scene) -> float:
-    """Measured wall time of an update for each frame that it looks ahead, s; spoils the weights of the model."""
-    import torch
-
-    from gran_bench.trainer import Trainer, TrainingDiverged
-
-    ahead, bed = config.rollout.frames, touching_bed(scene)
-    short = replace(scene, start_time=0.0, end_time=(ahead + 1) * scene.frame_interval)
-    nothing = {name: np.zeros(ahead + 2) for name in NO_CONTACT}
-    case = Case(short, replace(rigid_rotation(short, bed), diagnostics=nothing), bed, {}, "", Path("sample"))
-    still = replace(config, optim=replace(config.optim, learning_rate=1e-12, final_learning_rate=1e-12))
-    with tempfile.TemporaryDirectory() as folder:
-        trainer = Trainer(model, Windows([case]), still, Path(folder))
-        with ThreadPoolExecutor(trainer.workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-            for _ in range(2):
-                began = time.perf_counter()
-                with suppress(TrainingDiverged):
-                    trainer.update(pool)
-    return (time.perf_counter() - began) / ahead
 
 
 def work_ahead(rollout: RolloutConfig, done: int, steps: int) -> int:

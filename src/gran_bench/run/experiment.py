@@ -29,8 +29,9 @@ from gran_bench.plots.training import loss_curves
 from gran_bench.processes import StopRequest, stop_on_signals, tell
 from gran_bench.provenance import provenance
 from gran_bench.provenance.source_digest import model_code
-from gran_bench.run.cost import Cost, data_cost, flow_cost, judging_cost, rollout_pace, training_cost
+from gran_bench.run.cost import Cost, data_cost, flow_cost, judging_cost, training_cost
 from gran_bench.run.identity import RunIdentity, hash_of, identify, judged_by, judging_plan, splits, wants_more
+from gran_bench.run.pace import rollout_pace
 from gran_bench.run.record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, training_metrics
 from gran_bench.run.summary import FIGURES, cut_short, finished_summary, record_judgement
 from gran_bench.scene import build_scene

@@ -85,7 +85,7 @@ def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
 
 
 def sweep_cost(planned: Sequence[SweepJob], folder: Path) -> Cost:
-    """What the jobs that are not finished will take, if each takes as long as the first of them and one runs at a time."""
+    """What the unfinished jobs will take, one after another, if each takes as long as the first of them."""
     first, specs = planned[0].config, []
     for job in planned:
         specs += [*splits(job.config).all, *judging_plan(job.config).cases]
