@@ -49,9 +49,9 @@ def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
     validate(config)
     contest, data = Contest(config, model_files(config.models)), config.dataset
     scene, folder = contest.scene, Path(config.root) / config.profile.name / contest.scene.name
+    if (config.measure or config.dry_run) and benchmark_cost(contest, folder / MEASUREMENTS).tell(config.dry_run):
+        return {}
     with stop_on_signals(), locked(folder / ".lock", lambda: _tell(f"another process works on {folder}; waiting")):
-        if config.measure and benchmark_cost(contest, folder / MEASUREMENTS).tell(config.dry_run):
-            return {}
         _tell("DEM runs that the methods start from and are held against")
         ensure_cases(contest.cases if config.measure else contest.replicas, data.root, data.workers)
         _tell("summarising the replicas")
