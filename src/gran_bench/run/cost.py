@@ -117,7 +117,7 @@ def softer(scene: Scene) -> list[str]:
     ratio = step_bound(soft)[0] / step_bound(scene)[0]
     said = f"E = {material.youngs_modulus:.2g} Pa costs {ratio:.0f} times as much as {SOFT:.0e}"
     said += f" (scene.material.youngs_modulus); in the paper's drum at 30 rpm {known}, at the same mean speed"
-    return [f"{said} (results/verification), and nothing stiffer was measured".replace("e+0", "e")]
+    return [f"{said} (results/verification), and nothing stiffer was measured".replace("e+0", "e").replace("e+", "e")]
 
 
 def data_cost(scene: Scene, dem: DemConfig, specs: Iterable[CaseSpec], root: Path | str, workers: int) -> Cost:
@@ -152,7 +152,8 @@ def data_cost(scene: Scene, dem: DemConfig, specs: Iterable[CaseSpec], root: Pat
 def _steps(spec: CaseSpec, settles: bool) -> float:
     """Steps of all spheres of a case, or of the bed that it starts from, which may take longer."""
     dem, scene = spec.bed_dem if settles else spec.dem, spec.scene
-    simulated = SETTLING * scene.start_time if settles else scene.end_time - scene.start_time
+    settling = SETTLING * scene.start_time * scene.filling.settles
+    simulated = settling if settles else scene.end_time - scene.start_time
     return simulated / choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)[0] * scene.filling.count
 
 
@@ -174,10 +175,11 @@ def training_cost(config: TrainConfig, plan: Plan, done: int | None = 0) -> Cost
     cost.memory += 2.0 * cases
     if done is None:
         return Cost([f"training: {name}, finished before"]) + cost
-    seconds, words = 60.0 * minutes, f"{budget.minutes:g} minutes of the processor's time"
+    threads = min(config.threads, config.optim.accumulate)
+    seconds, words = 60.0 * minutes / threads, f"{minutes:g} minutes of the processor's time"
     if budget.budget == "steps":
         needed, words = update_pace(config, model, scene) * work_ahead(config.rollout, done, budget.steps), ""
-        seconds, words = min(seconds, needed), f"{budget.steps - done} updates" + f" after {done}" * (done > 0)
+        seconds, words = min(60.0 * minutes, needed), f"{budget.steps - done} updates" + f" after {done}" * (done > 0)
         words += f", cut at {minutes:g} minutes (trainer.minutes)" * (seconds < needed)
     ahead = max(config.rollout.frames, config.rollout.final_frames or 0)
     words += f", each of {config.optim.accumulate} windows of up to {ahead} frames ahead"
