@@ -1,7 +1,4 @@
-"""The schema of every config key: name, type, default, unit and bounds.
-
-``conf/`` chooses values, Hydra composes them, ``reading`` reads them into these classes, the only place of a key.
-"""
+"""Every config key: name, type, default, unit, bounds; ``conf/`` chooses values, ``reading`` reads them into these."""
 
 from __future__ import annotations
 
@@ -10,10 +7,8 @@ from dataclasses import dataclass, field
 from gran_bench.config.registry import holds_weights, register_model, register_wall
 from gran_bench.config.rules import MISSING, Name, Range, Section, at_least, between, key, one_of, positive
 
-FRACTION = Range(0.0, 1.0)
-RESTITUTION, SEED = Range(0.0, 1.0, open_low=True), at_least(0)
-BACKEND = one_of("fused", "torch")
-FRAME_WEIGHTS = one_of("uniform", "discounted", "inverse", "rising")
+FRACTION, RESTITUTION, SEED = Range(0.0, 1.0), Range(0.0, 1.0, open_low=True), at_least(0)
+BACKEND, FRAME_WEIGHTS = one_of("fused", "torch"), one_of("uniform", "discounted", "inverse", "rising")
 
 
 @dataclass
