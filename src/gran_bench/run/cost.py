@@ -23,6 +23,8 @@ from gran_bench.evaluation.plan import Plan
 from gran_bench.run.pace import dem_pace, rollout_pace, summary_pace, update_pace
 from gran_bench.scene import Scene, build_scene
 
+STARTING = 2.5  # s until the process of a case simulates: libraries, compiled kernels
+FIGURES = {False: 3.0, True: 20.0}  # s, without and with a moving picture
 SETTLING = 1.6  # times its least that a bed takes to come to rest
 FRAME_BYTES = 36  # of a sphere in a stored frame: position, velocity and spin in single precision
 BED_BYTES = 600  # of a sphere in the state that a case starts from, contact history included
@@ -132,8 +134,8 @@ def data_cost(scene: Scene, dem: DemConfig, specs: Iterable[CaseSpec], root: Pat
     pace, frames = dem_pace(scene, replace(dem, time_step=None)), scene.frame_count
     cores = os.cpu_count() or 1
     lanes = max(1, min(workers, cores))
-    settling = [pace * _steps(spec, settles=True) for spec in beds.values()]
-    moving = [pace * _steps(spec, settles=False) for spec in missing.values()]
+    settling = [STARTING + pace * _steps(spec, settles=True) for spec in beds.values()]
+    moving = [STARTING + pace * _steps(spec, settles=False) for spec in missing.values()]
     cost.lines[0] += f"; {len(missing)} to make, and {len(beds)} settled beds, {lanes} at a time"
     cost.seconds["data"] = makespan(settling, lanes) + makespan(moving, lanes)
     spheres = sum(
@@ -196,7 +198,8 @@ def judging_cost(plan: Plan, frame: float) -> Cost:
     # Of each packing replicas, rollout and the other packing are summed up; once the finer step and the baselines.
     sums = len(plan.packings) * (plan.dataset.replicas + 2) + 6
     seconds += summary_pace(plan.scene.at_speed(plan.judged_rpm)) * count * sums
-    return Cost([line], {"judging": seconds}, PROCESS_BYTES["torch"], FRAME_BYTES * frames * plan.scene.filling.count)
+    stages = {"judging": seconds, "figures": FIGURES[plan.judge.gif]}
+    return Cost([line], stages, PROCESS_BYTES["torch"], FRAME_BYTES * frames * plan.scene.filling.count)
 
 
 def work_ahead(rollout: RolloutConfig, done: int, steps: int) -> int:
