@@ -48,6 +48,7 @@ def done(package: Path, *arguments: str, **environment: str) -> subprocess.Compl
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", [(), ("numba first",)])
 def test_without_a_place_to_cache_a_temporary_one_is_used_and_said_in_one_line(package: Path, arguments: tuple):
     first = done(package, *arguments)

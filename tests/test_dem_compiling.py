@@ -48,6 +48,7 @@ def used(folder, held: str = "None") -> list:
     return json.loads(run.stdout.splitlines()[-1])
 
 
+@pytest.mark.slow
 def test_a_use_compiles_all_before_its_first_step_and_later_ones_find_it(tmp_path):
     began, first = used(tmp_path)
     assert began == [1] * 5, "nothing is left to compile in a step that is timed"

@@ -163,6 +163,7 @@ def test_a_stop_says_how_to_go_on(probe):
     assert probe("seed=15")[::2] == (128 + 15, "stopped by SIGTERM; the same command goes on from here\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("launcher", ["basic", "local"])
 def test_in_a_multirun_a_failed_job_is_seen_and_stops_no_other(probe, launcher):
     code, out, said, left = probe("-m", "+experiment=smoke", "seed=1,7,2", f"hydra/launcher={launcher}")

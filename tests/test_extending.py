@@ -71,6 +71,7 @@ def test_the_page_names_every_file_of_the_package():
     assert len(COMMANDS) == 4
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_page_run(place):
     model = Path()
     for command in COMMANDS:
@@ -133,6 +134,7 @@ def keys(place: Path, *overrides: str, path: Path | None = None) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.slow
 def test_a_run_is_known_by_the_plugins_that_take_part_and_by_no_other(place, tmp_path):
     house = "+experiment=smoke"
     with_plugin, without = keys(place, house), keys(place, house, path=tmp_path)
@@ -163,7 +165,7 @@ def test_a_run_is_known_by_the_plugins_that_take_part_and_by_no_other(place, tmp
         (["+loss.height=-1"], "loss.height=-1 is impossible; choose a value ≥ 0"),
         (["scene=bowl", "scene.container.kind=bowel"], "did you mean bowl?"),
         (["scene=bowl"], "does not turn"),
-        (["model=field", "~model.width", "model.width=9"], "if that is the model, write +model.width=9"),
+        (["model=field", "~model.width", "model.width=9"], "leaves this key out; write +model.width=9"),
     ],
 )
 def test_what_a_plugin_adds_is_refused_as_the_houses_own(place, overrides, message):

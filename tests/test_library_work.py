@@ -195,6 +195,7 @@ def model_file(path: Path, **changes) -> Path:
     (lambda folder: load_model(model_file(folder / "b.pt")), "b.pt describes no model that can be built"),
     (lambda folder: load_model(model_file(folder / "c.pt", scene=3)), "scene=3 is no section"),
     (lambda folder: load_model(shipped_model(), device="gpu9"), "device=gpu9 cannot be used"),
+    (lambda folder: load_model(shipped_model(), SCENE), "device=Scene(…) has the wrong type; give a word"),
     (lambda folder: shipped_model("holdout"), "model holdout: none of that name ships with the package; choose"),
     (lambda folder: shipped_model(3), "model=3 has the wrong type; give a word"),
     (lambda folder: read_case(folder), "is a folder; give the file of a case"),

@@ -64,6 +64,7 @@ def test_no_command_escapes_these_tests():
     assert len(SNIPPETS) == 1
 
 
+@pytest.mark.slow
 def test_the_python_of_the_readme_runs(monkeypatch, capsys):
     monkeypatch.chdir(ROOT)
     exec(compile(SNIPPETS[0], "README.md", "exec"), {})

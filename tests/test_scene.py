@@ -234,7 +234,7 @@ def test_placed_spheres_have_the_radii_that_are_listed():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"filling.radii": [0.02]}, r"radii has 1 entries for 2 scene.filling.positions; give one for each placed"),
+        ({"filling.radii": [0.02]}, r"radii has 1 entries for 2 scene.filling.positions; give one for each"),
         ({"filling.radii": [0.02, 0.03], "filling.positions": [], "filling.velocities": [], "filling.spins": []},
          "radii has 2 entries for 0 scene.filling.positions"),
         ({"filling.radii": [0.02, 0.03], "filling.sizes.kind": "uniform", "filling.sizes.spread": 0.1},
@@ -353,7 +353,7 @@ def test_materials_that_are_not_there_are_refused(changes, words):
     ("scene", "words"),
     [
         ({"filling": {"second_fraction": 0.5}}, r"second_fraction=0.5 needs a second material"),
-        ({"mixed": {"friction": 0.5}}, r"scene\.mixed\.friction=0.5 is of contacts with a second material"),
+        ({"mixed": {"friction": 0.5}}, r"scene\.mixed\.friction=0.5 is of a second material"),
         ({"filling": {"count": 2, "positions": [[0, 0, 0]]}}, r"scene\.filling\.positions does not give three numbers"),
         ({"filling": {"positions": [0, 0, 0]}}, r"no list of vectors; write scene\.filling\.positions=\[\[x, y, z\]\]"),
         ({"container": {"kind": "bix"}}, r"scene\.container\.kind=bix: no such container; did you mean box\?"),

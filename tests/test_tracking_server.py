@@ -180,6 +180,7 @@ def test_the_ui_of_a_server_is_its_own(server: Server, config: TrackingConfig, c
     assert runs(server, config)["gone"].info.status == "KILLED"
 
 
+@pytest.mark.slow
 def test_a_server_that_falls_silent_costs_no_result_and_hears_of_it_later(server: Server, config: TrackingConfig):
     def life() -> None:
         with open_run(config, "lost", "key", {}) as run:

@@ -35,6 +35,7 @@ with open_run(TrackingConfig(root=sys.argv[1]), "run" + sys.argv[2], sys.argv[2]
 """
 
 
+@pytest.mark.slow
 def test_first_starts_at_once_do_not_crash_each_other(tmp_path: Path):
     sources = str(Path(__file__).parents[1] / "src")
     starts = [

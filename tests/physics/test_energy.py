@@ -81,7 +81,7 @@ def cycle_work(path, substeps=400):
                 time_step=1.0,
             )
             work -= 0.5 * (force[1] + contact.history[0, 1]) * slip
-            history, before = contact.history, contact.overlap
+            history, before = contact.history, np.array([overlap])
             force = contact.history[0]
     return work
 

@@ -89,10 +89,9 @@ def unknown_key(key: str, value: Any, schema: type, present: list[str] | None = 
         registry = CHOSEN[place]
         owners = " or ".join(owner for owner, its in registry.items() if name in hints_of(its.config))
         choice = place if place == registry.what else f"{place}.{registry.chooser}"
-        # Hydra knows the chosen file alone, which may leave out a key of its own section.
-        theirs = "the chosen" if present is not None else "the file of the chosen"
-        added = f"; if that is the {registry.what}, write +{given}" if present is None else ""
-        return ConfigError(f"{given}: {theirs} {registry.what} has no such key; it belongs to {choice}={owners}{added}")
+        if present is not None and key in present:  # Hydra has the keys of the chosen file alone
+            return ConfigError(f"{given}: the file of the chosen {registry.what} leaves this key out; write +{given}")
+        return ConfigError(f"{given}: the chosen {registry.what} has no such key; it belongs to {choice}={owners}")
     if place == "loss" and name in ADDED_TERMS:
         return ConfigError(f"{given}: a registered term is added to the chosen loss; write +{given}")
     if key in everywhere:

@@ -14,7 +14,7 @@ from torch import Tensor
 from gran_bench.config import BoundaryConfig, SceneConfig
 from gran_bench.config.reading import read_config
 from gran_bench.config.registry import MODELS
-from gran_bench.config.rules import ConfigError, checked_value
+from gran_bench.config.rules import ConfigError, check_arguments, checked_value
 from gran_bench.files import write_atomically
 from gran_bench.scene import build_scene
 from gran_bench.surrogate.step import Surrogate, build_model
@@ -110,6 +110,7 @@ def load_model(path: str | Path, device: str = "cpu") -> tuple[Surrogate, ModelC
     Raises:
         CheckpointError: no such file, not a model of this project, or a device that PyTorch cannot use.
     """
+    check_arguments(device=(device, str | torch.device))
     card, weights = load_card(path)
     try:
         scene = build_scene(read_config(SceneConfig, card.scene))
