@@ -12,18 +12,25 @@ from gran_bench.benchmark import page
 from gran_bench.benchmark import results as kept
 from gran_bench.benchmark.contest import Contest, Method
 from gran_bench.benchmark.errors import Reference, Scored, errors_file, judged_rounds, score_run
-from gran_bench.benchmark.turns import Record, take_turns
-from gran_bench.config import BenchmarkConfig
+from gran_bench.benchmark.turns import PREPARED_AT_A_TIME, Record, round_file, take_turns
+from gran_bench.config import BenchmarkConfig, DemConfig
 from gran_bench.config.reading import validate
 from gran_bench.config.rules import ConfigError
-from gran_bench.dataset import ensure_cases, read_case, rotation_label
+from gran_bench.dataset import ensure_cases, from_document, read_case, rotation_label
+from gran_bench.dem.time_step import choose_time_step
 from gran_bench.files import locked, markdown, write_text
 from gran_bench.plots.style import titled
 from gran_bench.plots.time_error import CostLine, cost_against, time_against_error
 from gran_bench.processes import stop_on_signals, tell
 from gran_bench.provenance import hardware, library_versions, provenance
 from gran_bench.provenance.source_digest import comparing_code
+from gran_bench.run.cost import PROCESS_BYTES, Cost, data_cost, flow_cost
+from gran_bench.run.pace import dem_pace, rollout_pace, summary_pace
 from gran_bench.shipped import DEFAULT_MODEL, SHIPPED, shipped_model
+from gran_bench.surrogate.checkpoint import load_model
+
+MEASUREMENTS = "measurements"  # folder of the finished runs
+PREPARING = 5.0  # s that a method takes before its first run: libraries, kernels, two frames
 
 
 def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
@@ -39,8 +46,9 @@ def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
     validate(config)
     contest, data = Contest(config, model_files(config.models)), config.dataset
     scene, folder = contest.scene, Path(config.root) / config.profile.name / contest.scene.name
+    if (config.measure or config.dry_run) and benchmark_cost(contest, folder / MEASUREMENTS).tell(config.dry_run):
+        return {}
     with stop_on_signals(), locked(folder / ".lock", lambda: tell(f"another process works on {folder}; waiting")):
-        tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
         tell("DEM runs that the methods start from and are held against")
         ensure_cases(contest.cases if config.measure else contest.replicas, data.root, data.workers)
         tell("summarising the replicas")
@@ -106,6 +114,53 @@ def _cost_line(label: str, points: list[dict[str, Any]]) -> CostLine:
     return CostLine(page.DEMS.get(label, label), kind, [point["at"] for point in done], costs, failed)
 
 
+def benchmark_cost(contest: Contest, folder: Path) -> Cost:
+    """What is left to measure in a folder, and what it will take."""
+    config, scene, data = contest.config, contest.scene, contest.config.dataset
+    cost = flow_cost(scene, config.dem) + data_cost(scene, config.dem, contest.cases, data.root, data.workers)
+    conditions, profile, paces = measured_under(config.seed), config.profile, {}
+    studies = [
+        m for found in (contest.stiffness_methods, contest.count_methods) for line in found.values() for _, m in line
+    ]
+    turns = [(m, profile.rounds) for m in contest.methods] + [(m, profile.study_rounds) for m in studies]
+    turns = [
+        (m, sum(not round_file(folder / m.key(*conditions), k).exists() for k in range(n))) for m, n in turns if m.job
+    ]
+    for method, _ in turns:
+        job, kind = method.job, pace_kind(method)
+        if kind not in paces:
+            paces[kind] = 0.0
+            if method.kind == "dem":
+                paces[kind] = dem_pace(scene, DemConfig(**job["dem"] | {"time_step": None}))
+            elif method.kind == "surrogate":
+                paces[kind] = rollout_pace(load_model(job["model"])[0], scene) / scene.filling.count
+    seconds = sum(n * paces[pace_kind(m)] * _work(m) for m, n in turns)
+    judged = sum(min(n, judged_rounds(m, profile.judged_rounds)) for m, n in turns if m.judged)
+    summing = summary_pace(scene) * scene.frame_count * (judged + data.replicas)
+    preparing = PREPARING * sum(n > 0 for _, n in turns) / PREPARED_AT_A_TIME
+    runs = sum(n for _, n in turns)
+    line = f"benchmark: {len(turns)} methods and points of studies, {runs} timed runs to make, one after the other"
+    return cost + Cost(
+        [line], {"preparing": preparing, "timed runs": seconds, "judging": summing}, PROCESS_BYTES["torch"]
+    )
+
+
+def pace_kind(method: Method) -> tuple[str, ...]:
+    """Methods of one kind take as long for a sphere and a step, or a frame of a model."""
+    if method.kind == "dem":
+        return method.kind, method.job["dem"]["engine"], method.job["dem"]["precision"]
+    return method.kind, method.job.get("model", "")
+
+
+def _work(method: Method) -> float:
+    """Steps of all spheres in a run, or frames of all spheres."""
+    if method.kind == "baseline":
+        return 0.0
+    scene = from_document(method.job["scene"])
+    step = scene.frame_interval if method.kind == "surrogate" else method.job["dem"]["time_step"]
+    return method.seconds / (step or choose_time_step(scene)[0]) * scene.filling.count
+
+
 def measured_under(seed: int) -> list[str]:
     """Whatever else than its job decides what is measured of a method: a change of any measures anew."""
     return [comparing_code(), library_versions(), hardware(), f"format {kept.FORMAT}", f"seed {seed}"]
@@ -118,7 +173,7 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
 
     def turns(what: list[Method], rounds: int, label: str, **judging: Any) -> dict[str, Record]:
         tell(f"{label}: {len([m for m in what if not m.unfit_because])} methods in {rounds} rounds")
-        place = folder / "measurements"
+        place = folder / MEASUREMENTS
         return take_turns(what, rounds, config.seed, place, conditions, scene.frame_interval, label=label, **judging)
 
     def wants_frames(method: Method, place: Path, index: int) -> bool:

@@ -7,10 +7,8 @@ from dataclasses import dataclass, field
 from gran_bench.config.registry import holds_weights, register_model, register_wall
 from gran_bench.config.rules import MISSING, Name, Range, Section, at_least, between, key, one_of, positive
 
-FRACTION = Range(0.0, 1.0)
-RESTITUTION, SEED = Range(0.0, 1.0, open_low=True), at_least(0)
-BACKEND = one_of("fused", "torch")
-FRAME_WEIGHTS = one_of("uniform", "discounted", "inverse", "rising")
+FRACTION, RESTITUTION, SEED = Range(0.0, 1.0), Range(0.0, 1.0, open_low=True), at_least(0)
+BACKEND, FRAME_WEIGHTS = one_of("fused", "torch"), one_of("uniform", "discounted", "inverse", "rising")
 
 
 @dataclass
@@ -70,8 +68,7 @@ class SizesConfig(Section, place="scene.filling.sizes"):
     factors: list[float] = key([], positive())  # of listed
     edges: list[float] = key([], positive())  # of histogram, rising; uniform between two of them
     fractions: list[float] = key([], FRACTION)  # share of each factor, or between two edges, sum 1
-    # Half-width of uniform; σ of ln d of lognormal, cut at 2 σ.
-    spread: float = key(0.0, Range(0.0, 1.0, open_high=True))
+    spread: float = key(0.0, Range(0.0, 1.0, open_high=True))  # half-width of uniform; σ of ln d of lognormal, cut at 2 σ
 
 
 @dataclass
@@ -98,9 +95,8 @@ class FillingConfig(Section, place="scene.filling"):
 
 @dataclass
 class MixedConfig(Section, place="scene.mixed"):
-    """Contacts between the two particle materials."""
+    """Contacts between the two particle materials; null: the geometric mean of the two materials' own."""
 
-    # null: the geometric mean of the two materials' own
     restitution: float | None = key(None, RESTITUTION)
     friction: float | None = key(None, at_least(0))
     rolling_friction: float | None = key(None, at_least(0))
@@ -147,11 +143,10 @@ class DemConfig(Section, place="dem"):
 
 @dataclass
 class DatasetConfig(Section, place="dataset"):
-    """Which cases are made, and which may be seen by training."""
+    """Which cases are made, and which may be seen by training; speeds below 0 turn the other way, the mirror image."""
 
     root: str = "data"  # folder of the HDF5 cases, relative to where the command runs
     files: list[str] = field(default_factory=list)  # imported cases or folders of them; empty: the DEM makes the cases
-    # Speeds below 0 turn the other way: the mirror image. 0 is a drum at rest.
     training_speeds_rpm: list[float] = key([20.0, 25.0, 35.0, 40.0, 50.0, 60.0], Range(unit="rpm"))
     validation_speeds_rpm: list[float] = key([], Range(unit="rpm"))  # held out of training, used to choose
     holdout_speeds_rpm: list[float] = key([30.0], Range(unit="rpm"))  # never read in training
@@ -316,6 +311,7 @@ class TrainConfig(Section):
     seed: int = key(0, SEED)
     device: str = key("auto", one_of("auto", "cpu", "cuda"))
     threads: int = key(2, at_least(1))  # CPU threads of the surrogate
+    dry_run: bool = False  # true: say what the command will do and take, and make nothing
     scene: SceneConfig = field(default_factory=SceneConfig)
     dem: DemConfig = field(default_factory=DemConfig)
     dataset: DatasetConfig = field(default_factory=DatasetConfig)
@@ -336,6 +332,7 @@ class GenerateConfig(Section):
     scene: SceneConfig = field(default_factory=SceneConfig)
     dem: DemConfig = field(default_factory=DemConfig)
     dataset: DatasetConfig = field(default_factory=DatasetConfig)
+    dry_run: bool = False  # true: say what the command will do and take, and make nothing
 
 
 @dataclass
@@ -344,6 +341,7 @@ class EvaluateConfig(Section):
 
     checkpoint: str = MISSING  # model file; `shipped`: the one in the package
     device: str = key("auto", one_of("auto", "cpu", "cuda"))
+    dry_run: bool = False  # true: say what the command will do and take, and make nothing
     dem: DemConfig = field(default_factory=DemConfig)
     dataset: DatasetConfig = field(default_factory=DatasetConfig)
     judge: JudgeConfig = field(default_factory=JudgeConfig)
@@ -400,3 +398,4 @@ class StressConfig(Section):
     workers: int = key(2, at_least(1))  # cases at a time
     patience: float = key(900.0, positive("s"))  # that a case may take
     output: str = "results/stress"  # folder of the page
+    dry_run: bool = False  # true: say what the command will do and take, and make nothing

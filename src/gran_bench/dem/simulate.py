@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from types import ModuleType
 
 import numpy as np
-from tqdm import tqdm
 
 from gran_bench.config import DemConfig
 from gran_bench.config.consistency import check_dem
@@ -24,6 +23,7 @@ from gran_bench.dem.integrate import Physics
 from gran_bench.dem.record import FrameRecord, SimulationError, impact_warnings
 from gran_bench.dem.rest import Rest
 from gran_bench.dem.time_step import choose_time_step, impact_speed, unresolved
+from gran_bench.progress import Progress
 from gran_bench.scene import Scene
 from gran_bench.state import ContactHistory, ParticleState, Trajectory
 
@@ -197,8 +197,8 @@ def _sorted_history(history: ContactHistory) -> ContactHistory:
 @contextmanager
 def _followed(progress: bool | Callable[[float], None], total: int | None, label: str) -> Iterator[Callable[..., None]]:
     """What is called with steps, time in s and more words: it moves a bar, or tells a listener the time."""
-    silent = None if progress is True else True  # None: where stderr is no terminal
-    with tqdm(total=total, desc=label, unit=" steps", unit_scale=True, leave=False, disable=silent) as bar:
+    show = progress is True
+    with Progress(total=total, desc=label, unit="step", unit_scale=True, leave=False, show=show) as bar:
 
         def follow(steps: int, time: float, said: str = "") -> None:
             bar.update(steps)

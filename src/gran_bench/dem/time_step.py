@@ -89,6 +89,28 @@ def contact_times(scene: Scene, radius: float | None = None, speed: float | None
     return elastic, damped
 
 
+def step_bound(scene: Scene, radius: float | None = None) -> tuple[float, str]:
+    """What the automatic step may not exceed, s, and which time sets it, in words; ``radius`` as of contact_times."""
+    contact_time, damping_time = contact_times(scene, radius)
+    r = scene.filling.smallest_radius if radius is None else radius
+    rayleigh, modulus = min(
+        (rayleigh_time(r, m.density, m.shear_modulus, m.poisson_ratio), m.youngs_modulus) for m in scene.materials
+    )
+    stiffness, impact = f"at E = {modulus:.3g} Pa", f"an impact at {impact_speed(scene):.3g} m/s"
+    wave = f"{rayleigh:.3g} s that a wave takes around the smallest sphere {stiffness}"
+    return min(
+        (TIME_STEP_FRACTION * rayleigh, f"{TIME_STEP_FRACTION:g} of the {wave}"),
+        (
+            TIME_STEP_FRACTION * contact_time,
+            f"{TIME_STEP_FRACTION:g} of the {contact_time:.3g} s of {impact} {stiffness}",
+        ),
+        (
+            DAMPING_FRACTION * damping_time,
+            f"{DAMPING_FRACTION:g} of the {damping_time:.3g} s in which damping stops {impact}",
+        ),
+    )
+
+
 def choose_time_step(
     scene: Scene, requested: float | None = None, allow_unsafe: bool = False, radius: float | None = None
 ) -> tuple[float, tuple[str, ...]]:
@@ -104,12 +126,8 @@ def choose_time_step(
         ConfigError: a step that is not positive and finite.
         TimeStepError: one beyond 0.2 t_c that is not allowed.
     """
-    contact_time, damping_time = contact_times(scene, radius)
     if requested is None:
-        r = scene.filling.smallest_radius if radius is None else radius
-        rayleigh = min(rayleigh_time(r, m.density, m.shear_modulus, m.poisson_ratio) for m in scene.materials)
-        largest = min(TIME_STEP_FRACTION * min(rayleigh, contact_time), DAMPING_FRACTION * damping_time)
-        return dividing_step(scene.frame_interval, largest), ()
+        return dividing_step(scene.frame_interval, step_bound(scene, radius)[0]), ()
     requested = checked(DemConfig, "time_step", requested)
     step, given, shortened = dividing_step(scene.frame_interval, requested), f"dem.time_step={requested:g} s", ()
     if step < requested * (1.0 - ROUNDING):

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
-from tqdm import tqdm
 
 from gran_bench.config import GenerateConfig
 from gran_bench.dataset import CaseSpec, ensure_cases, half_step, read_case, replicas, rotation_label, split_cases
@@ -19,6 +18,7 @@ from gran_bench.metrics.measured import Measured, frame_at, mean_of, noise_floor
 from gran_bench.metrics.summary import PATTERN_TIME, TrajectorySummary, summarise
 from gran_bench.plots.flow import default_title, draw_pattern, fastest, finish_patterns
 from gran_bench.plots.style import BASELINE, DEM, QUIET, SURROGATE, drawing, say
+from gran_bench.progress import Progress
 from gran_bench.scene import Scene, build_scene
 from gran_bench.state import FloatArray, Trajectory
 
@@ -41,7 +41,7 @@ def draw_missing_cards(paths: Sequence[Path], progress: bool = True) -> list[Pat
     """
     figures = [path.parent / "figures" / f"{path.stem}.png" for path in paths]
     missing = [(path, figure) for path, figure in zip(paths, figures, strict=True) if not figure.exists()]
-    for path, figure in tqdm(missing, desc="figures", disable=None if progress and missing else True, leave=False):
+    for path, figure in Progress(missing, desc="figures", unit="figure", show=progress and bool(missing), leave=False):
         case = read_case(path)
         packing = case.attributes.get("packing_seed")
         words = default_title(case.scene) + ("" if packing is None else f", packing {packing}")

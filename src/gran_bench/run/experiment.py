@@ -7,6 +7,7 @@ any interruption and a finished run only prints its summary again.
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -27,13 +28,23 @@ from gran_bench.plots.training import VALIDATION, loss_curves
 from gran_bench.processes import StopRequest, stop_on_signals, tell
 from gran_bench.provenance import provenance
 from gran_bench.provenance.source_digest import model_code
-from gran_bench.run.going_on import go_on, parent_of
+from gran_bench.run.cost import Cost, data_cost, flow_cost, judging_cost, training_cost
+from gran_bench.run.going_on import go_on, parent_of, updates_ahead
 from gran_bench.run.identity import RunIdentity, hash_of, identify, judged_by, judging_plan, splits, wants_more
+from gran_bench.run.pace import rollout_pace
 from gran_bench.run.record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, training_metrics
 from gran_bench.run.start_from import Start, refuse_unfair, start_of
-from gran_bench.run.summary import FIGURES, cut_short, record_judgement
+from gran_bench.run.summary import FIGURES, cut_short, finished_summary, record_judgement
 from gran_bench.scene import build_scene
-from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model
+from gran_bench.surrogate.checkpoint import (
+    CheckpointError,
+    ModelCard,
+    file_digest,
+    load_card,
+    load_model,
+    read_tensors,
+    save_model,
+)
 from gran_bench.surrogate.contact.compiling import compile_kernels, kernels_missing
 from gran_bench.surrogate.step import Surrogate
 from gran_bench.trainer import CHECKPOINT, Trainer, TrainingStopped
@@ -44,28 +55,29 @@ from gran_bench.trainer.validation import Validation
 def run_experiment(config: TrainConfig) -> dict[str, Any]:
     """Run the experiment that a config describes, or what is left of it; gives the summary, as in ``summary.json``.
 
+    What it will take is told first; with ``dry_run`` that is all, and the summary is empty.
+
     Raises:
         ConfigError: a value that no run can have.
         KeyboardInterrupt: SIGTERM or Ctrl-C; a resumable state is on disk and the MLflow run is KILLED.
     """
     validate(config)
-    scene, clock, start = build_scene(config.scene), Clock(), start_of(config)
+    scene, clock, split, start = build_scene(config.scene), Clock(), splits(config), start_of(config)
     model = make_model(config, scene)
-    tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
     if start is not None:
         tell(f"starts from the weights of {start.name}")
         for line in start.put_into(model, config):
             tell(f"warning: {start.given}: {line}")
     with stop_on_signals() as stop:
-        split = splits(config)
-        tell(f"data: {len(split.all)} cases in {Path(config.dataset.root).resolve()}")
+        if experiment_cost(config).tell(config.dry_run):
+            return {}
         with clock.stage("data"):
             ensure_cases(split.all, config.dataset.root, config.dataset.workers)
             windows = training_windows(config, split)
         record, plan = RunRecord(identify(config), config, scene.name, clock), judging_plan(config)
 
         def work(run: tracking.Run) -> dict[str, Any]:
-            _compile_ahead(config.model.name)
+            compile_ahead(config.model.name)
             device = next(model.parameters()).device
             tell(f"model {config.model.name}: {model.parameter_count} parameters on {device}")
             with clock.stage("training"):
@@ -79,7 +91,7 @@ def run_experiment(config: TrainConfig) -> dict[str, Any]:
 
 
 def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
-    """Roll out and judge a model file, without training; gives the summary.
+    """Roll out and judge a model file, without training; gives the summary, which is empty with ``dry_run``.
 
     Raises:
         CheckpointError: the file is no model.
@@ -92,12 +104,17 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
     scene, name = build_scene(read_config(SceneConfig, card.scene)), card.model["name"]
     tell(f"model {name}: {model.parameter_count} parameters from {path}, made for scene {scene.name}")
     refuse_unfair(config, card.origin, "this model")
-    _compile_ahead(name)
+    compile_ahead(name)
     plan = Plan(scene, config.dem, config.dataset, config.judge)
     key = hash_of(file_digest(path), judged_by(plan), model_code(name))
     folder = Path(config.tracking.root) / "evaluations" / f"{path.resolve().parent.name}-{key[:8]}"
     identity = RunIdentity(folder, key, judged_by(plan), card.origin["data_digest"])
     record = RunRecord(identity, config, scene.name, Clock())
+    if finished_summary(identity) is None or config.dry_run:
+        cost = flow_cost(scene, config.dem)
+        cost += data_cost(scene, config.dem, plan.cases, config.dataset.root, config.dataset.workers)
+        if (cost + judging_cost(plan, rollout_pace(model, scene))).tell(config.dry_run):
+            return {}
 
     def work(run: tracking.Run) -> dict[str, Any]:
         return judge_stage(record, model, plan, card.model, card.origin, run)
@@ -106,7 +123,30 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
         return record.carry_out(work, lambda finished: False)
 
 
-def _compile_ahead(model: str) -> None:
+def experiment_cost(config: TrainConfig) -> Cost:
+    """What is left to do of an experiment, and what it will take."""
+    scene, data, split, plan = build_scene(config.scene), config.dataset, splits(config), judging_plan(config)
+    cost = flow_cost(scene, config.dem)
+    cost += data_cost(scene, config.dem, [*split.all, *plan.cases], data.root, data.workers)
+    done: int | None = 0
+    if all(spec.path(data.root).exists() for spec in split.training):
+        identity = identify(config)
+        training, checkpoint = identity.folder / TRAINING, identity.folder / CHECKPOINT
+        if training.exists() and not wants_more(config, json.loads(training.read_text("utf-8"))):
+            if finished_summary(identity) is not None:
+                return cost
+            done = None
+        elif checkpoint.exists():
+            with suppress(CheckpointError, OSError):  # the training says what is wrong with it
+                done = read_tensors(checkpoint, "cpu")["step"]
+        else:
+            done = updates_ahead(config, identity)
+    compile_ahead(config.model.name)
+    return cost + training_cost(config, plan, done)
+
+
+def compile_ahead(model: str) -> None:
+    """Compile what a model needs and this installation has not, in a process of its own."""
     if kernels_missing(model):
         tell("compiling the kernels of the network (once, a minute or two) …")
         compile_kernels(model)

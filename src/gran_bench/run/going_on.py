@@ -60,6 +60,12 @@ def go_on(config: TrainConfig, identity: RunIdentity) -> None:
         return
 
 
+def updates_ahead(config: TrainConfig, identity: RunIdentity) -> int:
+    """How many updates a run that has not begun has from the training that it will go on from."""
+    longest = max(_shorter(config, identity), default=None)
+    return 0 if longest is None or _bent_by(config, longest) else longest.steps
+
+
 def parent_of(folder: Path) -> dict[str, Any]:
     """What a run that went on from another records of it: ``parent_run`` and ``parent_steps``; else nothing."""
     return json.loads((folder / PARENT).read_text("utf-8")) if (folder / PARENT).exists() else {}

@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from gran_bench.config import OptimConfig, RolloutConfig, TrainConfig
 from gran_bench.config.choices import given_or
 from gran_bench.dataset import Window, Windows
 from gran_bench.losses import FrameAhead, Target, WindowLoss
+from gran_bench.progress import Progress
 from gran_bench.surrogate.checkpoint import CHECKPOINT, CheckpointError, read_tensors, write_tensors
 from gran_bench.surrogate.step import FrameState, Surrogate
 
@@ -291,9 +291,7 @@ class Trainer:
         windows = ThreadPoolExecutor(
             self.workers, thread_name_prefix="windows", initializer=torch.set_num_threads, initargs=(1,)
         )
-        bar = tqdm(
-            total=budget.steps, initial=self.step, desc="training", unit="update", disable=None if progress else True
-        )
+        bar = Progress(total=budget.steps, initial=self.step, desc="training", unit="update", show=progress)
         self.model.train()
         try:
             with windows as pool:
@@ -313,7 +311,7 @@ class Trainer:
                         self.log(metrics | {"seconds": self.seconds}, self.step)
                         if capped and frames and (said := self._cut_ahead(work, (self.spent - before[1]) / frames)):
                             capped = False
-                            with tqdm.external_write_mode():
+                            with Progress.external_write_mode():
                                 self.warn(said)
                     due = budget.checkpoint_steps and self.step % budget.checkpoint_steps == 0
                     stop = self.should_stop()
