@@ -68,7 +68,7 @@ class SizesConfig(Section, place="scene.filling.sizes"):
     factors: list[float] = key([], positive())  # of listed
     edges: list[float] = key([], positive())  # of histogram, rising; uniform between two of them
     fractions: list[float] = key([], FRACTION)  # share of each factor, or between two edges, sum 1
-    spread: float = key(0.0, Range(0.0, 1.0, open_high=True))  # half-width of uniform; σ of ln d of lognormal, cut at 2 σ
+    spread: float = key(0.0, Range(0.0, 1.0, open_high=True))  # half-width; of lognormal σ of ln d, cut at 2 σ
 
 
 @dataclass
@@ -304,17 +304,23 @@ class TrackingConfig(Section, place="tracking"):
 
 
 @dataclass
-class TrainConfig(Section):
+class GenerateConfig(Section):
+    """Everything that `python -m gran_bench.generate` reads."""
+
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    dem: DemConfig = field(default_factory=DemConfig)
+    dataset: DatasetConfig = field(default_factory=DatasetConfig)
+    dry_run: bool = False  # true: say what the command will do and take, and make nothing
+
+
+@dataclass
+class TrainConfig(GenerateConfig):
     """Everything that `python -m gran_bench.train` reads."""
 
     experiment: str = key("default", Name())  # first word of the run's folder and of its MLflow run
     seed: int = key(0, SEED)
     device: str = key("auto", one_of("auto", "cpu", "cuda"))
     threads: int = key(2, at_least(1))  # CPU threads of the surrogate
-    dry_run: bool = False  # true: say what the command will do and take, and make nothing
-    scene: SceneConfig = field(default_factory=SceneConfig)
-    dem: DemConfig = field(default_factory=DemConfig)
-    dataset: DatasetConfig = field(default_factory=DatasetConfig)
     model: ContactModelConfig | CconvModelConfig = field(default_factory=ContactModelConfig)  # by model.name
     boundary: BoundaryConfig = field(default_factory=lambda: BoundaryConfig(kind="own"))  # of the contact network
     loss: LossConfig = field(default_factory=LossConfig)
@@ -323,16 +329,6 @@ class TrainConfig(Section):
     trainer: TrainerConfig = field(default_factory=TrainerConfig)
     judge: JudgeConfig = field(default_factory=JudgeConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
-
-
-@dataclass
-class GenerateConfig(Section):
-    """Everything that `python -m gran_bench.generate` reads."""
-
-    scene: SceneConfig = field(default_factory=SceneConfig)
-    dem: DemConfig = field(default_factory=DemConfig)
-    dataset: DatasetConfig = field(default_factory=DatasetConfig)
-    dry_run: bool = False  # true: say what the command will do and take, and make nothing
 
 
 @dataclass
