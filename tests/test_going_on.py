@@ -76,7 +76,7 @@ def job(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable
                 root=str(data), training_speeds_rpm=[25.0, 35.0], holdout_speeds_rpm=[30.0], workers=1
             ),
             model=ContactModelConfig(iterations=2, memory=True),
-            rollout=RolloutConfig(frames=2, noise=1e-4),
+            rollout=RolloutConfig(frames=2, noise_m=1e-4),
             optim=OptimConfig(schedule="constant", learning_rate=1e-3, accumulate=2, weight_average=0.9),
             trainer=TrainerConfig(steps=4, log_every=1, checkpoint_steps=1),
             judge=JudgeConfig(speeds_rpm=[30.0], unseen_packing=False),
@@ -278,7 +278,7 @@ def test_what_differs_from_the_training_of_the_weights_is_told(job, capfd):
             scene__filling__diameter=0.04,
             scene__frame_interval=0.02,
             scene__material__friction=0.5,
-            model__radius=0.05,
+            model__radius_diameters=1.15,
         )
     )
     told = [line for line in capfd.readouterr().err.split("\n") if "warning: " in line]
@@ -286,7 +286,7 @@ def test_what_differs_from_the_training_of_the_weights_is_told(job, capfd):
         "scene.filling.diameter=0.04, trained with 0.05",
         "scene.frame_interval=0.02, trained with 0.01",
         "scene.material.friction=0.5, trained with 0.3",
-        "model.radius=0.05, trained with 0.06",
+        "model.radius_diameters=1.15, trained with 1.2",
     ):
         assert sum(line.endswith(f": {words}") for line in told) == 1
     assert len(told) == 4
