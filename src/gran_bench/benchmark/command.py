@@ -26,6 +26,7 @@ from gran_bench.provenance import hardware, library_versions, provenance
 from gran_bench.provenance.source_digest import comparing_code
 from gran_bench.run.cost import PROCESS_BYTES, Cost, data_cost, flow_cost
 from gran_bench.run.pace import dem_pace, rollout_pace, summary_pace
+from gran_bench.scene import Scene
 from gran_bench.shipped import DEFAULT_MODEL, SHIPPED, shipped_model
 from gran_bench.surrogate.checkpoint import load_model
 
@@ -119,46 +120,38 @@ def benchmark_cost(contest: Contest, folder: Path) -> Cost:
     config, scene, data = contest.config, contest.scene, contest.config.dataset
     cost = flow_cost(scene, config.dem) + data_cost(scene, config.dem, contest.cases, data.root, data.workers)
     conditions, profile, paces = measured_under(config.seed), config.profile, {}
-    studies = [
-        m for found in (contest.stiffness_methods, contest.count_methods) for line in found.values() for _, m in line
-    ]
-    turns = [(m, profile.rounds) for m in contest.methods] + [(m, profile.study_rounds) for m in studies]
-    turns = [
-        (m, sum(not round_file(folder / m.key(*conditions), k).exists() for k in range(n))) for m, n in turns if m.job
-    ]
-    for method, _ in turns:
-        job, kind = method.job, pace_kind(method)
-        if kind not in paces:
-            paces[kind] = 0.0
-            if method.kind == "dem":
-                paces[kind] = dem_pace(scene, DemConfig(**job["dem"] | {"time_step": None}))
-            elif method.kind == "surrogate":
-                paces[kind] = rollout_pace(load_model(job["model"])[0], scene) / scene.filling.count
-    seconds = sum(n * paces[pace_kind(m)] * _work(m) for m, n in turns)
-    judged = sum(min(n, judged_rounds(m, profile.judged_rounds)) for m, n in turns if m.judged)
-    summing = summary_pace(scene) * scene.frame_count * (judged + data.replicas)
-    preparing = PREPARING * sum(n > 0 for _, n in turns) / PREPARED_AT_A_TIME
-    runs = sum(n for _, n in turns)
-    line = f"benchmark: {len(turns)} methods and points of studies, {runs} timed runs to make, one after the other"
-    return cost + Cost(
-        [line], {"preparing": preparing, "timed runs": seconds, "judging": summing}, PROCESS_BYTES["torch"]
-    )
+    studies = [*contest.stiffness_methods.values(), *contest.count_methods.values()]
+    turns = [(method, profile.rounds) for method in contest.methods]
+    turns += [(method, profile.study_rounds) for line in studies for _, method in line]
+    runs = methods = judged = timed = 0
+    for method, rounds in (turn for turn in turns if turn[0].job):
+        place = folder / method.key(*conditions)
+        if left := sum(not round_file(place, k).exists() for k in range(rounds)):
+            runs, methods, timed = runs + left, methods + 1, timed + left * _run_seconds(method, scene, paces)
+            judged += min(left, judged_rounds(method, profile.judged_rounds)) * method.judged
+    stages = {"preparing": PREPARING * methods / PREPARED_AT_A_TIME, "timed runs": timed}
+    stages["judging"] = summary_pace(scene) * scene.frame_count * (judged + data.replicas)
+    line = f"benchmark: {methods} methods and points of studies, {runs} timed runs to make, one after the other"
+    return cost + Cost([line], stages, PROCESS_BYTES["torch"])
 
 
-def pace_kind(method: Method) -> tuple[str, ...]:
-    """Methods of one kind take as long for a sphere and a step, or a frame of a model."""
-    if method.kind == "dem":
-        return method.kind, method.job["dem"]["engine"], method.job["dem"]["precision"]
-    return method.kind, method.job.get("model", "")
-
-
-def _work(method: Method) -> float:
-    """Steps of all spheres in a run, or frames of all spheres."""
+def _run_seconds(method: Method, scene: Scene, paces: dict[Any, float]) -> float:
+    """Wall time of a run; methods of one kind take as long for a sphere and a step, or a frame of a model."""
+    job, own = method.job, from_document(method.job["scene"])
     if method.kind == "baseline":
         return 0.0
-    scene = from_document(method.job["scene"])
-    step = scene.frame_interval if method.kind == "surrogate" else method.job["dem"]["time_step"]
-    return method.seconds / (step or choose_time_step(scene)[0]) * scene.filling.count
+    if method.kind == "surrogate":
+        kind, step = job["model"], own.frame_interval
+        if kind not in paces:
+            paces[kind] = rollout_pace(load_model(kind)[0], scene) / scene.filling.count
+    else:
+        kind, step = (
+            (job["dem"]["engine"], job["dem"]["precision"]),
+            job["dem"]["time_step"] or choose_time_step(own)[0],
+        )
+        if kind not in paces:
+            paces[kind] = dem_pace(scene, DemConfig(**job["dem"] | {"time_step": None}))
+    return method.seconds / step * own.filling.count * paces[kind]
 
 
 def measured_under(seed: int) -> list[str]:
