@@ -137,18 +137,16 @@ def benchmark_cost(contest: Contest, folder: Path) -> Cost:
 
 def _run_seconds(method: Method, scene: Scene, paces: dict[Any, float]) -> float:
     """Wall time of a run; methods of one kind take as long for a sphere and a step, or a frame of a model."""
-    job, own = method.job, from_document(method.job["scene"])
     if method.kind == "baseline":
         return 0.0
+    job, own = method.job, from_document(method.job["scene"])
     if method.kind == "surrogate":
         kind, step = job["model"], own.frame_interval
         if kind not in paces:
             paces[kind] = rollout_pace(load_model(kind)[0], scene) / scene.filling.count
     else:
-        kind, step = (
-            (job["dem"]["engine"], job["dem"]["precision"]),
-            job["dem"]["time_step"] or choose_time_step(own)[0],
-        )
+        kind = job["dem"]["engine"], job["dem"]["precision"]
+        step = job["dem"]["time_step"] or choose_time_step(own)[0]
         if kind not in paces:
             paces[kind] = dem_pace(scene, DemConfig(**job["dem"] | {"time_step": None}))
     return method.seconds / step * own.filling.count * paces[kind]

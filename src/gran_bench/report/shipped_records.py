@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 from hydra.core.global_hydra import GlobalHydra
 
 import gran_bench
+from gran_bench.benchmark.page import TABLE
 from gran_bench.benchmark.results import RESULTS
 from gran_bench.compose import compose
 from gran_bench.processes import tell
@@ -115,7 +116,7 @@ def _record_benchmark(records: _Records, table: Path) -> None:
     tags = _tags(folder, {"scene": scene, "speed": found["motion"].replace("rpm", " rpm"), **made})
     key = f"shipped/benchmark/{profile}/{scene}"
     tags[PARENT_TAG] = records.add(f"benchmark {scene} {profile}", key, {}, {}, tags, ended)
-    for row in _rows(folder / "methods.csv"):
+    for row in pd.read_csv(folder / TABLE, dtype=str, keep_default_na=False).to_dict("records"):
         figures = {name: factor * float(row[at]) for name, (at, factor) in COLUMNS.items() if row.get(at)}
         if row["seconds_median"]:
             figures["rollout ms per frame"] = frame_ms * float(row["seconds_median"])
@@ -123,11 +124,6 @@ def _record_benchmark(records: _Records, table: Path) -> None:
         failed = {VERDICT: FAILED, ENDED_TAG: row["reason"]} if row["failed"] == "True" else {}
         name, more = f"{row['method']}, {scene} {profile}", {"model": row["method"], **failed}
         records.add(name, f"{key}/{row['method']}", {"kind": row["kind"]}, figures, tags | more, ended)
-
-
-def _rows(path: Path) -> Iterator[dict[str, str]]:
-    with open(path, newline="", encoding="utf-8") as file:
-        yield from csv.DictReader(file)
 
 
 def _tags(folder: Path, tags: Mapping[str, Any]) -> dict[str, str]:

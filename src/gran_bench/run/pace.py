@@ -43,17 +43,12 @@ def touching_bed(scene: Scene) -> ParticleState:
         if filling.count < 2 or filling.positions:
             raise
         return touching_bed(replace(scene, filling=replace(filling, count=filling.count // 2)))
-    if scene.filling.positions or not state.count:
+    if filling.positions or not state.count:
         return state
     overlap = min(LARGEST_OVERLAP, OVERLAP * (OVERLAP_MODULUS / scene.material.youngs_modulus) ** (2.0 / 3.0))
-    position, middle = state.position.copy(), state.position.mean(axis=0)
-    for axis in range(3):
-        sites = np.unique(np.round(position[:, axis], 9))
-        if len(sites) > 1:
-            gap = float(np.diff(sites).min())
-            squeezed = (1.0 - overlap) * 2.0 * scene.filling.largest_radius / gap
-            position[:, axis] = middle[axis] + squeezed * (position[:, axis] - middle[axis])
-    return replace(state, position=position)
+    middle, closest = state.position.mean(axis=0), 2.0 * filling.largest_radius
+    gaps = [np.diff(np.unique(np.round(column, 9))).min(initial=np.inf) for column in state.position.T]
+    return replace(state, position=middle + (1.0 - overlap) * closest * (state.position - middle) / gaps)
 
 
 def dem_pace(scene: Scene, dem: DemConfig) -> float:
