@@ -109,7 +109,7 @@ def train(config: TrainConfig, tmp_path: Path) -> Callable[[str], Weights]:
         windows, model = training_windows(config, split), make_model(config, scene)
         beside = Validation(model, validation_windows(config, split), config.loss) if looked_at else None
         with open_run(config.tracking, name, name, config) as run:
-            training = train_stage(config, model, windows, tmp_path / name, run, StopRequest(), beside)
+            training = train_stage(config, model, windows, tmp_path / name, run, StopRequest(), validation=beside)
         assert training["steps"] == config.trainer.steps
         return model.state_dict()
 

@@ -34,7 +34,7 @@ from gran_bench.config import (
 )
 from gran_bench.config.rules import ConfigError
 from gran_bench.run import experiment
-from gran_bench.run.experiment import run_evaluation, run_experiment
+from gran_bench.run.experiment import experiment_cost, run_evaluation, run_experiment
 from gran_bench.run.identity import identify
 from gran_bench.run.summary import description, record_judgement, summary_table
 from gran_bench.surrogate.checkpoint import ModelCard, load_card, save_model
@@ -145,6 +145,8 @@ def test_more_steps_go_on_from_the_longest_finished_run_and_end_with_the_bits_of
     if killed:
         kill_at(4, longer, monkeypatch)  # before its first checkpoint
         kill_at(6, longer, monkeypatch)
+    left = f"training: contact, {2 if killed else 4} updates after {6 if killed else 4}, "
+    assert left in "\n".join(experiment_cost(longer).lines)
     capfd.readouterr()
     child, training = trained(longer)
     assert f"training goes on from update {6 if killed else 4} of 8" in capfd.readouterr().err
@@ -314,7 +316,7 @@ def test_what_differs_from_the_training_of_the_weights_is_told(job, capfd):
         ),
     ],
 )
-def test_weights_that_do_not_fit_are_refused_before_any_work(job, tmp_path, changes, said):
+def test_weights_that_do_not_fit_are_refused_before_any_work(job, tmp_path, monkeypatch, changes, said):
     parent, _ = trained(job())
     place = tmp_path / "NOT"
     place.mkdir()
@@ -324,6 +326,7 @@ def test_weights_that_do_not_fit_are_refused_before_any_work(job, tmp_path, chan
     if named["trainer__start_from"] in ("NOT", "README.md"):
         named["trainer__start_from"] = str(tmp_path / named["trainer__start_from"])
     config = job(**named)
+    monkeypatch.setattr(experiment, "experiment_cost", lambda config: pytest.fail("the cost was told first"))
     with pytest.raises(ConfigError) as refused:
         run_experiment(config)
     assert said in str(refused.value)
