@@ -196,7 +196,7 @@ def test_a_look_at_the_validation_changes_no_weight_and_reads_its_cases_alone(
 def test_the_validation_loss_is_the_training_loss_of_its_windows(
     config: TrainConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    quiet = replace(config, rollout=replace(config.rollout, noise_diameters=0.0, mirror=False))
+    quiet = replace(config, rollout=replace(config.rollout, noise_m=0.0, mirror=False))
     scene = build_scene(config.scene)
     windows = validation_windows(quiet, split_cases(scene, config.dem, config.dataset))
     model = make_model(quiet, scene)
