@@ -13,11 +13,7 @@ from matplotlib.ticker import LogLocator
 
 from gran_bench.plots.style import BASELINE, DEM, FURTHER, QUIET, ROUND, SURROGATE, drawing, plain_numbers
 
-KINDS = {
-    "dem": ("DEM", DEM, "o"),
-    "surrogate": ("surrogate", SURROGATE, "D"),
-    "baseline": ("baseline", BASELINE, "^"),
-}
+KINDS = {"dem": ("DEM", DEM, "o"), "surrogate": ("surrogate", SURROGATE, "D"), "baseline": ("baseline", BASELINE, "^")}
 LARGEST_IN_FULL = 1e6  # numbers up to which the measured places are the ticks
 
 
