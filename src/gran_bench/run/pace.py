@@ -46,9 +46,9 @@ def touching_bed(scene: Scene) -> ParticleState:
     if filling.positions or not state.count:
         return state
     overlap = min(LARGEST_OVERLAP, OVERLAP * (OVERLAP_MODULUS / scene.material.youngs_modulus) ** (2.0 / 3.0))
-    middle, closest = state.position.mean(axis=0), 2.0 * filling.largest_radius
-    gaps = [np.diff(np.unique(np.round(column, 9))).min(initial=np.inf) for column in state.position.T]
-    return replace(state, position=middle + (1.0 - overlap) * closest * (state.position - middle) / gaps)
+    middle, diameters = state.position.mean(axis=0), state.position.T / (2.0 * filling.largest_radius)
+    gaps = [np.diff(np.unique(np.round(line, 7))).min(initial=np.inf) for line in diameters]
+    return replace(state, position=middle + (1.0 - overlap) * (state.position - middle) / gaps)
 
 
 def dem_pace(scene: Scene, dem: DemConfig) -> float:
