@@ -132,7 +132,7 @@ class SimulatedTimeBar:
 
     Args:
         jobs: everything that will run, each with its ``simulated_seconds``; none draws no bar.
-        show: False never draws; True draws where there is a terminal.
+        show: False never draws.
     """
 
     def __init__(self, jobs: list[Any], show: bool) -> None:

@@ -57,8 +57,7 @@ def simulate(
         scene, state: walls, motion, materials, gravity; start, with its contact history.
         end_time: s in the scene's clock; a whole number of frames after the start.
         dem: engine, time step, precision, and what is else chosen by the clock: skin and threads.
-        progress: whether to show a bar, silent without a terminal; or a function that is called with the simulated
-            time, s, at each frame.
+        progress: whether to show how far it is; or a function that is called with the simulated time, s, at each frame.
 
     Raises:
         ConfigError: an argument of a wrong type, or settings that contradict each other.
