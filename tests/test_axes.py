@@ -144,7 +144,7 @@ def test_a_named_rollout_changes_how_far_the_model_looks_and_leaves_its_noise(mo
 def test_a_named_rollout_takes_the_noise_of_the_model_that_a_recipe_or_the_command_line_chose():
     for overrides in (["+experiment=smoke", "model=radial"], ["+experiment=paper", "model=radial"]):
         found = checked_config(compose("train", [*overrides, "rollout=growing"]), TrainConfig).rollout
-        assert (found.noise, found.growth, found.frames, found.final_frames) == (3e-4, "linear", 1, 8)
+        assert (found.noise_diameters, found.growth, found.frames, found.final_frames) == (0.006, "linear", 1, 8)
 
 
 @pytest.mark.parametrize("model", ["contact", "radial"])
@@ -184,7 +184,7 @@ def test_windows_reach_the_last_frame_of_a_case_and_never_beyond(models, root, t
 @pytest.mark.parametrize(("model", "radius"), list(itertools.product(["contact", "radial", "ccnn"], RADII)))
 def test_each_radius_trains(model, radius, models, root, tmp_path):
     config = models[model]
-    trained = Trained(replace(config, model=replace(config.model, radius=round(radius, 4))), root, tmp_path)
+    trained = Trained(replace(config, model=replace(config.model, radius_m=round(radius, 4))), root, tmp_path)
     assert any(trained.moved.values())
 
 
@@ -209,7 +209,7 @@ def test_the_hats_of_a_radial_kernel_lie_within_its_radius_and_add_up_to_one(rad
 
 
 def test_a_touching_pair_is_answered_in_full_at_the_smallest_radius(models):
-    config = replace(models["contact"], model=replace(models["contact"].model, radius=1.1 * D))
+    config = replace(models["contact"], model=replace(models["contact"].model, radius_diameters=1.1))
     reach, width = make_model(config, build_scene(config.scene)).fades[0]
     assert reach == pytest.approx(width, rel=1e-6)  # the answer begins to fade where the gap opens
 
@@ -263,8 +263,8 @@ def test_each_feature_of_an_analytic_wall_reaches_the_network(feature, models):
     [
         {"scene": {"frame_interval": 0.02}},
         {"scene": {"frame_interval": 0.04}},
-        {"rollout": {"noise": 0.0}},
-        {"rollout": {"noise": 1e-3}},
+        {"rollout": {"noise_diameters": 0.0}},
+        {"rollout": {"noise_m": 1e-3}},
         {"dataset": {"training_speeds_rpm": [30.0, 50.0]}},
         {"seed": 1},
     ],

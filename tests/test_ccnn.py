@@ -209,9 +209,9 @@ def test_without_the_constant_input_a_bed_at_rest_sends_no_signal():
     assert spread[False] < 1e-6 < spread[True]
 
 
-def test_one_unit_of_output_is_the_output_scale_in_metres_a_frame_squared():
+def test_one_unit_of_output_is_the_output_scale_in_diameters_a_frame_squared():
     scene = replace(drum(), gravity=(0.0, 0.0, 0.0))
-    model = network(scene, BoundaryConfig(kind="none"), output_scale=2e-3)
+    model = network(scene, BoundaryConfig(kind="none"), output_scale_diameters=0.04)
     for weight in model.parameters():
         weight.data.zero_()
     model.pair_layers[-1].linear.bias.data.fill_(1.0)
@@ -238,9 +238,9 @@ def test_a_copy_shares_nothing_and_repeats_bit_for_bit():
         ("model.kernel=cubic", {"kernel": "cubic"}),
         ("model.width=7", {"width": 7}),
         ("model.layers=0", {"layers": 0}),
-        ("model.radius=0.05", {"radius": 0.05}),
+        ("model.radius_m=0.05", {"radius_m": 0.05}),
         ("model.kernel_size=1", {"kernel_size": 1}),
-        ("model.output_scale=0", {"output_scale": 0.0}),
+        ("model.output_scale_diameters=0", {"output_scale_diameters": 0.0}),
         ("model.update=euler", {"update": "euler"}),
         ("model.backend=gpu", {"backend": "gpu"}),
         ("model.name=gnn", {"name": "gnn"}),

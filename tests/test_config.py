@@ -35,6 +35,7 @@ from gran_bench.scene import build_scene
 from gran_bench.state import StateError
 from gran_bench.surrogate.convolution import boundary
 
+WEIGHTLESS = "scene.gravity=[0,0,0] scene.filling.settled_speed=1e-3 scene.filling.longest_settling=20"
 CONF = Path(gran_bench.conf.__path__[0])
 GROUPS = [path for path in sorted(CONF.iterdir()) if path.is_dir() and path.name not in ("hydra", "__pycache__")]
 RECIPES = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
@@ -115,7 +116,7 @@ def test_the_papers_training_is_the_papers():
     assert (loss.position_l2, loss.position_mse, loss.velocity, loss.spin, loss.overlap) == (1, 0, 0, 0, 0)
     assert loss.frame_weights == "uniform"
     assert (config.rollout.frames, config.rollout.final_frames) == (3, None)
-    assert (config.rollout.noise, config.rollout.mirror) == (0.0, False)
+    assert (config.rollout.noise_diameters, config.rollout.mirror) == (0.0, False)
     optim = config.optim
     assert (optim.learning_rate, optim.final_learning_rate, optim.schedule) == (1e-4, 2e-6, "steps")
     assert (optim.accumulate, optim.warmup_steps, optim.gradient_clip, optim.weight_average) == (5, 0, None, 0.0)
@@ -205,6 +206,11 @@ def test_every_number_of_the_schema_has_bounds():
         ("scene.filling.jitter=0.2", ["scene.filling.jitter=0.2", "at most 0.06"]),
         ("scene.filling.diameter=2", ["scene.filling.diameter=2", "scene.container.diameter=1"]),
         ("scene.gravity=[0,0]", ["scene.gravity=[0.0, 0.0]", "three"]),
+        (
+            "scene.gravity=[0,0,0]",
+            ["settled_froude=0.001428", "scene.gravity is 0; give scene.filling.settled_speed"],
+        ),
+        (WEIGHTLESS, ["trainer.startup_fall_times=14", "scene.gravity is 0", "give trainer.startup_seconds"]),
         ("dataset.training_speeds_rpm=[20,.nan]", ["dataset.training_speeds_rpm[1]"]),
         ("dataset.training_speeds_rpm=[30]", ["dataset.holdout_speeds_rpm=[30.0]", "30 rpm", "training"]),
         ("dataset.training_speeds_rpm=[]", ["dataset.training_speeds_rpm=[]", "at least one"]),
@@ -212,10 +218,10 @@ def test_every_number_of_the_schema_has_bounds():
         ("dataset.unseen_packing_seed=0", ["dataset.unseen_packing_seed=0", "another"]),
         ("dataset.replicas=1", ["dataset.replicas=1", "≥ 2"]),
         ("judge.speeds_rpm=[31]", ["judge.speeds_rpm=[31.0]", "30.0"]),
-        ("model.radius=0.04", ["model.radius=0.04", "0.05"]),
-        ("model.radius=0.0549", ["model.radius=0.0549", "at least 0.055 m", "1.1 particle diameters"]),
-        ("scene=drum_slice model.radius=0.11", ["model.radius=0.11", "container.length=0.2", "at most 0.1 m"]),
-        ("model=radial model.radius=0.05", ["model.radius=0.05", "more than the particle diameter, 0.05 m"]),
+        ("model.radius_m=0.04", ["model.radius_m=0.04", "0.055 m"]),
+        ("model.radius_diameters=1.09", ["model.radius_diameters=1.09", "at least 1.1 diameters"]),
+        ("scene=drum_slice model.radius_m=0.11", ["model.radius_m=0.11", "container.length=0.2", "at most 0.1 m"]),
+        ("model=radial model.radius_diameters=1", ["model.radius_diameters=1", "more than 1 diameters"]),
         ("model.hidden=8", ["model.hidden=8", "16 and 4", "model.backend=torch"]),
         ("model.channels=8", ["model.channels=8", "16 and 4", "model.backend=torch"]),
         ("model.backend=cuda", ["model.backend=cuda", "fused or torch"]),
@@ -231,8 +237,8 @@ def test_every_number_of_the_schema_has_bounds():
         ("model=ccnn boundary.spacing=0", ["boundary.spacing=0", "> 0 diameters"]),
         ("loss.huber=-1", ["loss.huber=-1", "≥ 0"]),
         ("loss=with_momentum", ["loss.momentum=0.1", "model=contact", "loss.momentum=0", "model=radial"]),
-        ("loss=with_energy scene.gravity=[0,0,0]", ["loss.energy=0.5", "scene.gravity=[0.0, 0.0, 0.0]"]),
-        ("loss.speed_distribution=1 scene.gravity=[0,0,0]", ["loss.speed_distribution=1", "scene.gravity"]),
+        (f"loss=with_energy {WEIGHTLESS}", ["loss.energy=0.5", "scene.gravity=[0.0, 0.0, 0.0]"]),
+        (f"loss.speed_distribution=1 {WEIGHTLESS}", ["loss.speed_distribution=1", "scene.gravity"]),
         ("loss.frame_weights=linear", ["loss.frame_weights=linear", "uniform or discounted or inverse or rising"]),
         ("rollout.growth=linear rollout.final_frames=null", ["rollout.growth=linear", "rollout.final_frames"]),
         ("rollout.growth=fixed", ["rollout.growth=fixed", "jump or linear"]),

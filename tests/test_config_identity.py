@@ -29,8 +29,8 @@ def test_a_key_that_leaves_the_weights_as_they_are_is_not_among_those_that_decid
 @pytest.mark.parametrize(
     "override",
     [
-        *("seed=1", "device=cpu", "threads=1", "model.iterations=4", "loss.spin=0.1", "rollout.noise=0"),
-        *("rollout.growth=linear", "optim.accumulate=3", "trainer.budget=time"),
+        *("seed=1", "device=cpu", "threads=1", "model.iterations=4", "loss.spin=0.1", "rollout.noise_diameters=0"),
+        *("rollout.growth=linear", "optim.accumulate=3", "trainer.budget=time", "trainer.start_from=shipped"),
         *("trainer.steps=10", "trainer.startup_fraction=0", "dataset.packing_seed=3", "dem.time_step=1e-4"),
         *("dataset.training_speeds_rpm=[20]", "scene.material.friction=0.4", "model=ccnn"),
     ],

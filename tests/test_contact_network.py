@@ -23,7 +23,7 @@ class TestDefinition:
     def test_a_pair_entering_its_reach_feels_nothing_yet(self):
         scene = nowhere()
         model = network(scene)
-        edge = model.config.radius
+        edge = model.reaches[0]
 
         def speed_after(distance: float) -> float:
             position = torch.tensor([[0.0, 0.0, 0.0], [distance, 0.0, 0.0]], dtype=torch.float64)
@@ -55,7 +55,7 @@ class TestDefinition:
     @pytest.mark.parametrize(
         ("choices", "named"),
         [
-            ({"radius": 0.05}, "model.radius=0.05"),
+            ({"radius_m": 0.05}, "model.radius_m=0.05"),
             ({"velocity": "median"}, "model.velocity=median"),
             ({"backend": "cuda"}, "model.backend=cuda"),
             ({"backend": "fused", "hidden": 24}, "model.hidden=24 .* model.backend=torch"),

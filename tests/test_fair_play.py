@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import h5py
+import pandas as pd
 import pytest
 import torch
 
@@ -28,9 +29,12 @@ from gran_bench.config import (
 from gran_bench.dataset import DatasetError, ensure_cases, read_case, split_cases
 from gran_bench.evaluation.plan import Plan
 from gran_bench.processes import StopRequest
-from gran_bench.run.experiment import make_model, train_stage, training_windows
+from gran_bench.run.experiment import make_model, train_stage, training_windows, validation_windows
 from gran_bench.scene import build_scene
 from gran_bench.tracking import open_run
+from gran_bench.trainer import Trainer
+from gran_bench.trainer import validation as looks
+from gran_bench.trainer.validation import Validation
 
 Weights = dict[str, torch.Tensor]
 
@@ -60,7 +64,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> TrainConfig:
         # Every term of the loss that looks at the data in a way of its own.
         loss=LossConfig(position_l2=1.0, acceleration=0.1, spin=0.1, overlap=0.1, cell_displacement=0.1),
         model=ContactModelConfig(iterations=2, memory=True),
-        rollout=RolloutConfig(frames=2, noise=1e-4),
+        rollout=RolloutConfig(frames=2, noise_m=1e-4),
         optim=OptimConfig(learning_rate=1e-3, accumulate=2, weight_average=0.9),
         trainer=TrainerConfig(steps=4, log_every=1, startup_fraction=0.3, startup_seconds=0.05),
         judge=JudgeConfig(speeds_rpm=[25.0, 30.0, 35.0]),
@@ -98,13 +102,14 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
 def train(config: TrainConfig, tmp_path: Path) -> Callable[[str], Weights]:
     """Train as the main job does, in a folder of the given name; returns the weights to judge."""
 
-    def trained(name: str) -> Weights:
+    def trained(name: str, looked_at: bool = False) -> Weights:
         scene = build_scene(config.scene)
         (tmp_path / name).mkdir()
-        windows = training_windows(config, split_cases(scene, config.dem, config.dataset))
-        model = make_model(config, scene)
+        split = split_cases(scene, config.dem, config.dataset)
+        windows, model = training_windows(config, split), make_model(config, scene)
+        beside = Validation(model, validation_windows(config, split), config.loss) if looked_at else None
         with open_run(config.tracking, name, name, config) as run:
-            training = train_stage(config, model, windows, tmp_path / name, run, StopRequest())
+            training = train_stage(config, model, windows, tmp_path / name, run, StopRequest(), validation=beside)
         assert training["steps"] == config.trainer.steps
         return model.state_dict()
 
@@ -172,3 +177,31 @@ def test_the_weights_depend_on_what_training_reads(
     monkeypatch.setattr(config.dataset, "training_speeds_rpm", [25.0])
     after = train("after")
     assert not all(torch.equal(after[name], before[name]) for name in before)
+
+
+def test_a_look_at_the_validation_changes_no_weight_and_reads_its_cases_alone(
+    train: Callable[..., Weights], config: TrainConfig, training_files: set[Path], watched: list[Path], tmp_path: Path
+):
+    plain = train("unseen")
+    watched.clear()
+    looked = train("seen", looked_at=True)
+    assert all(torch.equal(plain[name], looked[name]) for name in plain)
+    split = split_cases(build_scene(config.scene), config.dem, config.dataset)
+    assert set(watched) == training_files | {spec.path(config.dataset.root) for spec in split.validation}
+    losses = pd.read_csv(tmp_path / "seen" / "losses.csv")["validation_loss"]
+    assert losses.notna().all()
+    assert losses.nunique() == len(losses) == config.trainer.steps
+
+
+def test_the_validation_loss_is_the_training_loss_of_its_windows(
+    config: TrainConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    quiet = replace(config, rollout=replace(config.rollout, noise_m=0.0, mirror=False))
+    scene = build_scene(config.scene)
+    windows = validation_windows(quiet, split_cases(scene, config.dem, config.dataset))
+    model = make_model(quiet, scene)
+    monkeypatch.setattr(windows, "draw", lambda number, frames: windows.window(0, number, frames))
+    found = [Trainer(model, windows, quiet, tmp_path)._window_gradients(model, start, 2)[0] for start in (0, 6)]
+    assert windows.cases[0].trajectory.frame_count == 21
+    monkeypatch.setattr(looks, "STARTS", (0.0, 0.3))
+    assert Validation(model, windows, quiet.loss).loss(2) == pytest.approx(sum(found) / 2, rel=1e-6)

@@ -91,7 +91,7 @@ def test_a_sphere_that_nothing_is_near_has_no_part_in_any_gradient(name, choices
 @pytest.mark.parametrize("name", ["radial", "ccnn"])
 def test_a_convolution_lets_go_of_its_neighbours_and_walls_smoothly(name):
     model = lively(name, {"backend": "torch"}, "analytic").double()
-    radius = model.config.radius
+    radius = model.radius
 
     def pushed(gap: float, wall: float) -> float:
         position = torch.tensor([[0.0, 0.0, 0.0], [radius - gap, 0.0, 0.0]], dtype=torch.float64)

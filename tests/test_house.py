@@ -32,10 +32,10 @@ MODULES = sorted(path for path in SOURCE.rglob("*.py") if path.name != "__init__
 
 # A module may import from rooms before its own.
 ROOMS = [
-    *("cache_folders", "files", "config", "provenance", "processes", "workers"),
+    *("cache_folders", "files", "config", "provenance", "processes", "workers", "progress"),
     *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses"),
-    *("metrics", "baselines", "trainer", "evaluation", "plots", "tracking", "run", "compose"),
-    *("sweep", "export", "compare", "shipped", "entry", "import_case", "benchmark", "stress", "report"),
+    *("metrics", "baselines", "trainer", "evaluation", "plots", "tracking", "compose", "shipped", "run"),
+    *("sweep", "export", "compare", "entry", "import_case", "benchmark", "stress", "report"),
 ]
 ENTRIES = ["train", "generate", "verify", "evaluate", "ui"]
 

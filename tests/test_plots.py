@@ -29,7 +29,7 @@ from gran_bench.plots.evaluation import (
 from gran_bench.plots.flow import draw_pattern, flow_animation, flow_pattern, view_along_axis
 from gran_bench.plots.scene_state import scene_state
 from gran_bench.plots.time_error import Contender, time_against_error
-from gran_bench.plots.training import loss_curves
+from gran_bench.plots.training import PANELS, RUN_TIMES, loss_curves, sweep_axis
 from gran_bench.plots.verification import HopperDischarge, draw_discharge, draw_drum_flow
 from gran_bench.shipped import shipped_scene
 
@@ -204,6 +204,10 @@ def test_an_evaluation_is_drawn_for_both_packings(tmp_path, texts, replicas):
     )
     paths = draw_evaluation(evaluation, 30.0, tmp_path, model_name="contact")
     assert "contact" in texts
+    of = default_title(SCENE)
+    assert {f"{of}, {packing} packing" for packing in ("shared", "unseen")} < set(texts)
+    assert f"{of}, shared packing: flow at 2.5 s, seen along the axis" in texts
+    assert "drum, shared packing" in texts
     assert all(path.stat().st_size > 0 for path in paths)
     found = {path.name for path in paths}
     assert {"flow_pattern.png", "flow_pattern_unseen.png", "flow.gif", "nearest_case.png"} <= found
@@ -221,12 +225,37 @@ def test_loss_figure_marks_where_training_looks_further_ahead(tmp_path, texts):
             "learning_rate": 1e-3,
             "frames_ahead": np.where(step < 40, 3, 5),
             "term/spin": 0.1 / step,
+            "validation_loss": 2.0 / step,
         }
     )
-    loss_curves(losses, tmp_path / "loss.png")
-    assert {"5 frames ahead", "spin"} <= set(texts)
+    with style.titled("drum, packing 0"):
+        loss_curves(losses, tmp_path / "loss.png")
+    assert {"5 frames ahead", "spin", "loss, validation", "drum, packing 0"} <= set(texts)
     loss_curves(losses.iloc[:0], tmp_path / "empty.png")
     assert "no losses were logged" in texts
+
+
+def test_a_sweep_joins_no_seeds_and_draws_no_run_time_as_an_effect(tmp_path, monkeypatch):
+    runs = pd.DataFrame({name: [1.0, 2.0, 3.0, 4.0] for name, _ in PANELS})
+    runs = runs.assign(status="finished", seed=list("0101"), **{"model.radius": ["1", "1", "2", "2"]})
+    panels, save = {}, Figure.savefig
+    monkeypatch.setattr(
+        Figure, "savefig", lambda figure, *a, **k: (panels.update(enumerate(figure.axes)), save(figure, *a, **k))
+    )
+
+    def joined(axis: str, frame: pd.DataFrame) -> list[bool]:
+        sweep_axis(frame, axis, [], tmp_path / "sweep.png", "a sweep")
+        return [
+            any(len(line.get_xdata()) > 1 and line.get_linestyle() != "None" for line in panels[i].lines)
+            for i in range(len(PANELS))
+        ]
+
+    timed = [name in RUN_TIMES for name, _ in PANELS]
+    assert joined("model.radius", runs) == [not it for it in timed]
+    assert not any(joined("seed", runs))
+    texts = [[text.get_text() for text in panels[i].texts] for i in range(len(PANELS))]
+    assert ["seed has no part in time for a frame"] in texts
+    assert ["seed has no part in updates in the time given"] in texts
 
 
 def test_case_card_of_an_empty_drum_says_that_there_is_nothing(tmp_path, texts):
@@ -288,7 +317,7 @@ def test_the_film_says_how_many_spheres_it_cannot_show(tmp_path):
         run.position[5:, escaped // 2 : escaped] = np.nan
         with Image.open(flow_animation({"surrogate": run}, SCENE, tmp_path / f"flow{escaped}.gif")) as film:
             film.seek(8)
-            return np.asarray(film.convert("L").crop((60, 30, 240, 46)))
+            return np.asarray(film.convert("L").crop((60, 51, 240, 67)))
 
     none, some, more = top(0), top(4), top(57)
     assert (some < 50).sum() > (none < 50).sum() + 50
@@ -349,7 +378,7 @@ def test_the_drums_flow_is_drawn_packing_by_packing(tmp_path, texts):
     samples = {("ours", 30.0): values, ("other", 30.0): values, ("ours", 20.0): values}
     labels = ["centre-of-mass angle, °", "mean speed, m/s"]
     draw_drum_flow(tmp_path / "flow.png", samples, {30.0: ((34.9, 0.5), (0.612, 0.015))}, labels)
-    assert {"ours", "other", "20 rpm", "30 rpm", *labels} <= set(texts)
+    assert {"ours", "other", "drum, 20 rpm; a dot is a packing", *labels} <= set(texts)
     assert Image.open(tmp_path / "flow.png").size[0] > 100
 
 

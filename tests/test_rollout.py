@@ -65,10 +65,10 @@ def test_a_scene_says_how_many_frames_a_rollout_has():
 
 
 MODELS = {
-    "contact": (ContactModelConfig(radius=0.024, wall_reach=0.004, memory=True), BoundaryConfig(kind="own")),
-    "contact, torch": (ContactModelConfig(radius=0.024, memory=True, backend="torch"), BoundaryConfig(kind="own")),
-    "radial": (CconvModelConfig(name="radial", kernel="radial", width=8, radius=0.045), BoundaryConfig()),
-    "ccnn": (CconvModelConfig(width=8, radius=0.045), BoundaryConfig(kind="analytic")),
+    "contact": (ContactModelConfig(radius_m=0.024, wall_reach_m=0.004, memory=True), BoundaryConfig(kind="own")),
+    "contact, torch": (ContactModelConfig(radius_m=0.024, memory=True, backend="torch"), BoundaryConfig(kind="own")),
+    "radial": (CconvModelConfig(name="radial", kernel="radial", width=8, radius_m=0.045), BoundaryConfig()),
+    "ccnn": (CconvModelConfig(width=8, radius_m=0.045), BoundaryConfig(kind="analytic")),
 }
 
 

@@ -25,9 +25,10 @@ from gran_bench.provenance.source_digest import (
 )
 
 PACKAGE = Path(gran_bench.__file__).parent
-# They say which values are legal, where files lie, which data a run has and how a process ends, and change no number.
+# They say which values are legal, where files lie, which data a run has, how a process ends and how far it is, and
+# change no number.
 NEUTRAL = (
-    *("cache_folders", "files", "provenance", "processes", "config"),
+    *("cache_folders", "files", "provenance", "processes", "progress", "config"),
     *("surrogate/checkpoint", "__init__"),
 )
 # In a run's key by the digest of its data.

@@ -21,6 +21,7 @@ from gran_bench.tracking import Store, abandoned, end_child, open_run, ui, user_
 # SQLAlchemy's word to MLflow, which a user never sees either.
 pytestmark = pytest.mark.filterwarnings("ignore:The ``noload`` loader strategy")
 
+STOPPED = "stopped: the same command goes on"
 # Fixtures.
 template, config = stored_runs.template, stored_runs.config
 
@@ -37,6 +38,7 @@ def test_the_status_says_how_a_run_ended(config: TrackingConfig, error: BaseExce
     found = only_run(config)
     assert found.info.status == status
     assert found.data.tags["ended_by"].startswith(type(error).__name__)
+    assert found.data.tags["verdict"] == (STOPPED if status == "KILLED" else "failed: see ended_by")
     assert found.data.metrics["loss"] == 1.0
 
 
@@ -72,13 +74,13 @@ def killed_by(number: signal.Signals, config: TrackingConfig) -> None:
 def test_a_killed_run_is_marked_and_reopened(config: TrackingConfig, number: signal.Signals):
     killed_by(number, config)
     before = only_run(config)
-    assert before.info.status == "KILLED"
+    assert (before.info.status, before.data.tags["verdict"]) == ("KILLED", STOPPED)
     with open_run(config, "killed", "key", {}) as run:
         assert run.run_id == before.info.run_id
         assert only_run(config).info.status == "RUNNING"
     after = only_run(config)
     assert after.info.status == "FINISHED"
-    assert "ended_by" not in after.data.tags
+    assert not {"ended_by", "verdict"} & set(after.data.tags)
 
 
 # ---- runs whose process is gone ------------------------------------------------------------------------------
@@ -93,7 +95,7 @@ def the_ui(config: TrackingConfig) -> None:
     with pytest.MonkeyPatch.context() as patch:
         for name, value in os.environ.items():
             patch.setenv(name, value)  # so that what the UI sets is undone
-        patch.setattr(user_interface, "_serve", lambda port, ready: None)
+        patch.setattr(user_interface, "_serve", lambda *given: None)
         ui(config.root, port=50124, experiment=config.experiment)
 
 
@@ -107,6 +109,7 @@ def test_a_run_that_was_killed_outright_is_marked_by_whoever_opens_the_store_nex
     killed = next(run for run in runs(config) if run.info.run_name == "killed")
     assert killed.info.status == "KILLED"
     assert "its process is gone" in killed.data.tags["ended_by"]
+    assert killed.data.tags["verdict"] == STOPPED
     assert "marked as KILLED, because its process is gone (killed, or the machine stopped): killed\n" in (
         capsys.readouterr().err
     )

@@ -83,6 +83,16 @@ def test_metrics_travel_in_batches(config: TrackingConfig, monkeypatch: pytest.M
     assert [count for count in sent if count] == [100]
 
 
+def test_headline_figures_are_rounded_to_three_figures_and_no_others(config: TrackingConfig):
+    with open_run(config, "rounded", "key", {}) as run:
+        run.log_metrics({"headline/speed W1": 0.0123456, "headline/requirements failed": 0.0, "loss": 0.0123456})
+    assert only_run(config).data.metrics == {
+        "headline/speed W1": 0.0123,
+        "headline/requirements failed": 0.0,
+        "loss": 0.0123456,
+    }
+
+
 def test_a_diverged_loss_is_recorded_as_it_is(config: TrackingConfig):
     with open_run(config, "nan", "key", {}) as run:
         run.log_metrics({"loss": float("nan")}, 1)
@@ -115,12 +125,13 @@ def test_the_ui_serves_this_store_in_this_process(template: Path, monkeypatch: p
     for name, value in os.environ.items():
         monkeypatch.setenv(name, value)  # so that what the UI sets is undone
     served = []
-    monkeypatch.setattr(user_interface, "_serve", lambda port, ready: served.append((port, ready)))
+    monkeypatch.setattr(user_interface, "_serve", lambda *given: served.append(given))
     ui(template, port=50123)
-    ((port, ready),) = served
+    ((port, ready, experiment),) = served
     store = Store(TrackingConfig(root=str(template)))
     assert port == 50123
-    assert f"http://127.0.0.1:50123/#/experiments/{store.experiment_id}/runs?viewStateShareKey=what-matters" in ready
+    assert ready == "the runs, best first, are at http://127.0.0.1:50123 (Ctrl-C ends)"
+    assert experiment == store.experiment_id
     told = {name: os.environ[name] for name in user_interface.server_environment(store)}
     assert told["_MLFLOW_SERVER_FILE_STORE"] == store.uri
     assert told["MLFLOW_SERVER_ENABLE_JOB_EXECUTION"] == "false"

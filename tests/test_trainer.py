@@ -70,7 +70,7 @@ def test_a_kill_between_checkpoints_ends_with_the_same_bits(tmp_path):
 
 @pytest.mark.parametrize("through_time", [True, False])
 def test_the_number_of_threads_changes_no_bit(tmp_path, through_time):
-    rollout = RolloutConfig(frames=2, noise=1e-3, gradient_through_time=through_time)
+    rollout = RolloutConfig(frames=2, noise_m=1e-3, gradient_through_time=through_time)
     one, _ = train(tmp_path / "one", threads=1, rollout=rollout)
     two, _ = train(tmp_path / "two", threads=2, rollout=rollout)
     assert same(one.final_weights(), two.final_weights())

@@ -79,7 +79,7 @@ def config(**changes) -> TrainConfig:
         threads=2,
         scene=SceneConfig(name="drum"),
         loss=LossConfig(velocity=1.0),
-        rollout=RolloutConfig(frames=2, noise=1e-3),
+        rollout=RolloutConfig(frames=2, noise_m=1e-3),
         optim=OptimConfig(learning_rate=1e-2, accumulate=3, weight_average=0.9, gradient_clip=1.0),
         trainer=TrainerConfig(steps=12, checkpoint_steps=4, log_every=1),
     )

@@ -57,10 +57,15 @@ def run(
         complain(error, schema)
         sys.exit(FAILED if explain(error, schema) is None else REFUSED)
 
+    dry_run = sweep is None and any(getattr(config, "dry_run", False) for config in configs)
     # Found here: a job of a multirun may run in a process that a launcher started.
     each = Task(task, source, schema, [*program(), *source.flags])
     around: AbstractContextManager[Any] = nullcontext()
     try:
+        if multirun and dry_run:  # Hydra would leave a file
+            for config in configs:
+                task(config)
+            sys.exit(0)
         if multirun and configs:
             if described.apart:
                 load_ahead(loads)

@@ -7,11 +7,14 @@ from gran_bench.entry import run
 
 
 def task(config: GenerateConfig) -> object:
-    """Make the cases that ``config`` describes and that are not there yet, and a figure of each."""
+    """Say what it takes, then make the cases that ``config`` describes and that are missing, and a figure of each."""
     # Imported here, so that --help and a refused config need not wait for Numba.
     from gran_bench.dataset import generate
     from gran_bench.plots.data_card import draw_missing_cards
+    from gran_bench.run.cost import generate_cost
 
+    if generate_cost(config).tell(config.dry_run):
+        return []
     paths = generate(config)
     print(f"a figure of each case is in {draw_missing_cards(paths)[0].parent}")
     return paths

@@ -12,9 +12,15 @@ from gran_bench.entry import run
 def task(config: UiConfig) -> object:
     """Become the UI, until Ctrl-C."""
     # Imported here, so that --help and a refused config need not wait for MLflow.
-    from gran_bench.tracking import ui
+    from gran_bench.tracking import Store, ui
 
-    return ui(config.tracking.root, config.port, config.tracking.experiment)
+    def fill(store: Store) -> None:
+        from gran_bench.report.shipped_records import record_shipped
+
+        record_shipped(store)
+
+    tracking = config.tracking
+    return ui(tracking.root, config.port, tracking.experiment, fill if config.shipped else None)
 
 
 if __name__ == "__main__":

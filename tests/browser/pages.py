@@ -51,7 +51,7 @@ def user_interface(root: Path) -> Iterator[tuple[str, float]]:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     began, address = time.monotonic(), f"http://127.0.0.1:{port}"
-    command = [sys.executable, "-m", "gran_bench.ui", f"port={port}", f"tracking.root={root}"]
+    command = [sys.executable, "-m", "gran_bench.ui", f"port={port}", f"tracking.root={root}", "shipped=false"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     try:
         while not _answers(f"{address}/health"):

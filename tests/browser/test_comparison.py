@@ -17,6 +17,7 @@ from pages import CHROMIUM, DRIVER, WIDE, Browser, user_interface
 
 from gran_bench.tracking import HEADLINE, SWEEP_TAG
 from gran_bench.tracking.store import DATABASE
+from gran_bench.tracking.views import FIRST_TAGS
 
 pytestmark = [
     pytest.mark.browser,
@@ -72,11 +73,19 @@ def test_the_table_shows_choices_and_headline_figures_best_first(
         assert run.info.run_name in row["attributes.`Run Name`"]
         for name in ("angle error floors", "speed W1 floors", "rollout ms per frame", "requirements failed"):
             shown = float(row[f"metrics.`{HEADLINE}{name}`"])
-            assert shown == pytest.approx(run.data.metrics[HEADLINE + name], rel=1e-6)
-        for name in ("model.name", "loss terms", "frames ahead"):
+            assert shown == run.data.metrics[HEADLINE + name]
+        for name in ("loss terms", "frames ahead"):
             assert row[f"params.`{name}`"] == run.data.params[name]
+        for name in FIRST_TAGS:
+            assert row[f"tags.`{name}`"] == run.data.tags[name]
         assert row[f"tags.`{SWEEP_TAG}`"] == run.data.tags[SWEEP_TAG] != ""
     assert {row["params.`frames ahead`"] for run_id, row in rows.items() if run_id in runs} == {"3", "3 to 5"}
+
+
+def test_the_address_alone_opens_the_saved_view(browser: Browser, runs: dict[str, Run]):
+    browser.open("")
+    browser.wait("[data-testid='sort-header-headline/angle error floors']")
+    browser.wait_for_text(*(run.info.run_name for run in runs.values()))
 
 
 def test_two_runs_compare_in_what_they_differ(browser: Browser, runs: dict[str, Run], experiment: str):

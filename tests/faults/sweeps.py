@@ -42,7 +42,7 @@ def sweep_command(data: Path, jobs: int) -> list[str]:
         *(sys.executable, "-m", "gran_bench.train", "-m", "+experiment=smoke", "hydra/launcher=local"),
         *("scene.end_time=1.7", "trainer.steps=12", "trainer.checkpoint_steps=2", "threads=1"),
         *("judge.speeds_rpm=[]", "judge.short_horizon_starts=2", override("dataset.root", data.resolve())),
-        *(f"model.radius={','.join(map(str, radii))}", f"seed={seeds}", f"tracking.sweep={SWEEP}"),
+        *(f"model.radius_m={','.join(map(str, radii))}", f"seed={seeds}", f"tracking.sweep={SWEEP}"),
     ]
 
 

@@ -32,7 +32,7 @@ def planned(place: Path, root: Path, *more: str) -> list[SweepJob]:
     jobs = []
     for overrides, composed in described(place, root, *more):
         config = checked_config(composed, TrainConfig)
-        radius = next(line.partition("=")[2] for line in overrides if line.startswith("model.radius"))
+        radius = next(line.partition("=")[2] for line in overrides if line.startswith("model.radius_m"))
         config.tracking.folder = f"R{radius}"
         choices = dict(line.partition("=")[::2] for line in changed_in(overrides))
         jobs.append(SweepJob(f"R{radius}", choices, config.seed, config=config))

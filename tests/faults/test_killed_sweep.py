@@ -75,7 +75,7 @@ def test_a_job_that_the_system_kills_fails_alone_and_the_same_command_finishes_i
 
 def _process_of_first_job(folder: Path) -> int | None:
     """Id of the first job's process, once it has its log."""
-    for log in folder.glob("results/sweeps/kills/logs/*radius-0.06+*.log"):
+    for log in folder.glob("results/sweeps/kills/logs/*radius_m-0.06+*.log"):
         if found := re.search(r"^---- \S+  process (\d+)  ", log.read_text("utf-8")):
             return int(found[1])
     return None

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 import victim
+from overrides import override
 
 # A short scene and few updates: what is tested is the way, not the result.
 COMMAND = [
@@ -30,23 +31,23 @@ ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 PATIENCE = 240.0  # s, of a test that would otherwise wait for ever
 
 
-def start(folder: Path) -> subprocess.Popen:
+def start(folder: Path, *changes: str) -> subprocess.Popen:
     folder.mkdir(exist_ok=True)
     return subprocess.Popen(
-        COMMAND, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        [*COMMAND, *changes], cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
 
 
-def finish(folder: Path) -> str:
-    process = start(folder)
+def finish(folder: Path, *changes: str) -> str:
+    process = start(folder, *changes)
     output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, output
     return output
 
 
-def stop_when(folder: Path, pattern: str, how: signal.Signals) -> int:
+def stop_when(folder: Path, pattern: str, how: signal.Signals, *changes: str) -> int:
     """Start the command, send it a signal as soon as a file of that pattern is there; returns its exit code."""
-    process, patience = start(folder), time.monotonic() + PATIENCE
+    process, patience = start(folder, *changes), time.monotonic() + PATIENCE
     while not list(folder.glob(pattern)):
         assert process.poll() is None, f"ended before {pattern} was there: {process.communicate()[0]}"
         assert time.monotonic() < patience, f"{pattern} never came"
@@ -56,8 +57,8 @@ def stop_when(folder: Path, pattern: str, how: signal.Signals) -> int:
     return process.returncode
 
 
-def run_of(folder: Path) -> Path:
-    (summary,) = folder.glob("results/runs/*/summary.json")
+def run_of(folder: Path, name: str = "resume") -> Path:
+    (summary,) = folder.glob(f"results/runs/{name}-*/summary.json")
     return summary.parent
 
 
@@ -80,8 +81,8 @@ def numbers(folder: Path) -> dict:
     return kept(json.loads((run_of(folder) / "summary.json").read_text()))
 
 
-def weights(folder: Path) -> dict:
-    return torch.load(run_of(folder) / "model.pt", weights_only=True)["weights"]
+def weights(folder: Path, name: str = "resume") -> dict:
+    return torch.load(run_of(folder, name) / "model.pt", weights_only=True)["weights"]
 
 
 def statuses(folder: Path) -> list[str]:
@@ -148,3 +149,25 @@ def test_a_finished_command_prints_its_summary_again(undisturbed):
     assert "finished before" in output
     assert "held out" in output
     assert (run_of(undisturbed) / "summary.json").stat().st_mtime_ns == before
+
+
+def test_kill_9_of_a_run_that_goes_on_and_of_one_that_starts_from_its_weights_changes_no_weight(tmp_path):
+    steady = ["optim.schedule=constant", "rollout.final_frames=null", "judge.speeds_rpm=[40]"]
+    steady.append(override("dataset.root", tmp_path / "data"))
+    half, whole = (*steady, "trainer.steps=30", "tracking.folder=half"), (*steady, "tracking.folder=whole")
+    tuned = (*steady, "trainer.steps=20", "dataset.training_speeds_rpm=[50]", "tracking.folder=tuned")
+    there, calm = tmp_path / "there", tmp_path / "calm"
+    finish(there, *half)
+    parent = run_of(there, "half").name
+    tuned = (*tuned, f"trainer.start_from={there / 'results' / 'runs' / parent}")
+    assert stop_when(there, "results/runs/whole-*/checkpoint.pt", signal.SIGKILL, *whole) == -signal.SIGKILL
+    assert stop_when(there, "results/runs/tuned-*/checkpoint.pt", signal.SIGKILL, *tuned) == -signal.SIGKILL
+    for name, command in (("whole", whole), ("tuned", tuned)):
+        finish(there, *command)
+        finish(calm, *command)
+        ours, theirs = weights(there, name), weights(calm, name)
+        assert all(torch.equal(ours[key], theirs[key]) for key in theirs)
+        assert run_of(there, name).name == run_of(calm, name).name
+        training = json.loads((run_of(there, name) / "training.json").read_text())
+        assert training["parent_run"] == parent
+    assert "parent_run" not in json.loads((run_of(calm, "whole") / "training.json").read_text())

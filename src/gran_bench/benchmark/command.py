@@ -10,17 +10,26 @@ from gran_bench.benchmark import page
 from gran_bench.benchmark import results as kept
 from gran_bench.benchmark.contest import Contest, Method
 from gran_bench.benchmark.errors import Reference, Scored, errors_file, judged_rounds, score_run
-from gran_bench.benchmark.turns import Record, take_turns
-from gran_bench.config import BenchmarkConfig
+from gran_bench.benchmark.turns import PREPARED_AT_A_TIME, Record, round_file, take_turns
+from gran_bench.config import BenchmarkConfig, DemConfig
 from gran_bench.config.reading import validate
 from gran_bench.config.rules import ConfigError
-from gran_bench.dataset import ensure_cases, read_case, rotation_label
+from gran_bench.dataset import ensure_cases, from_document, read_case, rotation_label
+from gran_bench.dem.time_step import choose_time_step
 from gran_bench.files import locked, markdown, write_text
+from gran_bench.plots.style import titled
 from gran_bench.plots.time_error import CostLine, cost_against, time_against_error
 from gran_bench.processes import stop_on_signals, tell
 from gran_bench.provenance import hardware, library_versions, provenance
 from gran_bench.provenance.source_digest import comparing_code
+from gran_bench.run.cost import PROCESS_BYTES, Cost, data_cost, flow_cost
+from gran_bench.run.pace import dem_pace, rollout_pace, summary_pace
+from gran_bench.scene import Scene
 from gran_bench.shipped import DEFAULT_MODEL, SHIPPED, shipped_model
+from gran_bench.surrogate.checkpoint import load_model
+
+MEASUREMENTS = "measurements"  # folder of the finished runs
+PREPARING = 5.0  # s that a method takes before its first run: libraries, kernels, two frames
 
 
 def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
@@ -36,8 +45,9 @@ def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
     validate(config)
     contest, data = Contest(config, model_files(config.models)), config.dataset
     scene, folder = contest.scene, Path(config.root) / config.profile.name / contest.scene.name
+    if (config.measure or config.dry_run) and benchmark_cost(contest, folder / MEASUREMENTS).tell(config.dry_run):
+        return {}
     with stop_on_signals(), locked(folder / ".lock", lambda: tell(f"another process works on {folder}; waiting")):
-        tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
         tell("DEM runs that the methods start from and are held against")
         ensure_cases(contest.cases if config.measure else contest.replicas, data.root, data.workers)
         tell("summarising the replicas")
@@ -84,20 +94,60 @@ def draw(found: dict[str, Any], folder: Path) -> None:
     contenders = [replace(entry, name=entry.name.removeprefix("DEM ")) for entry in kept.entries(found)]
     lost = [name.removeprefix("DEM ") for name in kept.untimed(found)]
     labels = " and ".join(row["label"] for row in found["reference"]["ranked"])
-    time_against_error(contenders, labels, folder / "time_error.png", found["reference"]["accepted"], lost)
+    scene, packing = f"{found['scene']}, {found['motion'].replace('rpm', ' rpm')}", "a packing that no training saw"
+    with titled(f"{scene}, {found['spheres']} spheres, {packing}"):
+        time_against_error(contenders, labels, folder / "time_error.png", found["reference"]["accepted"], lost)
     level, soft = page.softened(found), None
     if level is not None:
         soft = (f"as exact at {found['modulus']:.0e} Pa: {level.name}".replace("e+0", "e"), level.seconds)
     for study, quantity, same in (("stiffness", "Young's modulus, Pa", soft), ("counts", "spheres", None)):
         if found[study]:
             lines = [_cost_line(label, points) for label, points in found[study].items()]
-            cost_against(lines, quantity, folder / f"{study}.png", same)
+            with titled(f"{scene}, {packing}"):
+                cost_against(lines, quantity, folder / f"{study}.png", same)
 
 
 def _cost_line(label: str, points: list[dict[str, Any]]) -> CostLine:
     kind, done = "dem" if label in page.DEMS else "surrogate", [point for point in points if kept.succeeded(point)]
     costs, failed = [point["wall"]["median"] for point in done], [p["at"] for p in points if not kept.succeeded(p)]
     return CostLine(page.DEMS.get(label, label), kind, [point["at"] for point in done], costs, failed)
+
+
+def benchmark_cost(contest: Contest, folder: Path) -> Cost:
+    """What is left to measure in a folder, and what it will take."""
+    config, scene, data = contest.config, contest.scene, contest.config.dataset
+    cost = flow_cost(scene, config.dem) + data_cost(scene, config.dem, contest.cases, data.root, data.workers)
+    conditions, profile, paces = measured_under(config.seed), config.profile, {}
+    studies = [*contest.stiffness_methods.values(), *contest.count_methods.values()]
+    turns = [(method, profile.rounds) for method in contest.methods]
+    turns += [(method, profile.study_rounds) for line in studies for _, method in line]
+    runs = methods = judged = timed = 0
+    for method, rounds in (turn for turn in turns if turn[0].job):
+        place = folder / method.key(*conditions)
+        if left := sum(not round_file(place, k).exists() for k in range(rounds)):
+            runs, methods, timed = runs + left, methods + 1, timed + left * _run_seconds(method, scene, paces)
+            judged += min(left, judged_rounds(method, profile.judged_rounds)) * method.judged
+    stages = {"preparing": PREPARING * methods / PREPARED_AT_A_TIME, "timed runs": timed}
+    stages["judging"] = summary_pace(scene) * scene.frame_count * (judged + data.replicas)
+    line = f"benchmark: {methods} methods and points of studies, {runs} timed runs to make, one after the other"
+    return cost + Cost([line], stages, PROCESS_BYTES["torch"])
+
+
+def _run_seconds(method: Method, scene: Scene, paces: dict[Any, float]) -> float:
+    """Wall time of a run; methods of one kind take as long for a sphere and a step, or a frame of a model."""
+    if method.kind == "baseline":
+        return 0.0
+    job, own = method.job, from_document(method.job["scene"])
+    if method.kind == "surrogate":
+        kind, step = job["model"], own.frame_interval
+        if kind not in paces:
+            paces[kind] = rollout_pace(load_model(kind)[0], scene) / scene.filling.count
+    else:
+        kind = job["dem"]["engine"], job["dem"]["precision"]
+        step = job["dem"]["time_step"] or choose_time_step(own)[0]
+        if kind not in paces:
+            paces[kind] = dem_pace(scene, DemConfig(**job["dem"] | {"time_step": None}))
+    return method.seconds / step * own.filling.count * paces[kind]
 
 
 def measured_under(seed: int) -> list[str]:
@@ -112,7 +162,7 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
 
     def turns(what: list[Method], rounds: int, label: str, **judging: Any) -> dict[str, Record]:
         tell(f"{label}: {len([m for m in what if not m.unfit_because])} methods in {rounds} rounds")
-        place = folder / "measurements"
+        place = folder / MEASUREMENTS
         return take_turns(what, rounds, config.seed, place, conditions, scene.frame_interval, label=label, **judging)
 
     def wants_frames(method: Method, place: Path, index: int) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from gran_bench.baselines import ballistic, interpolated_statistics, rigid_rotation
 from gran_bench.config import DemConfig
 from gran_bench.dataset import from_document, read_case, read_settled
-from gran_bench.dataset.case_spec import NUDGE
+from gran_bench.dataset.case_spec import replica_nudge
 from gran_bench.dataset.generation import nudged
 from gran_bench.dem.simulate import SimulationError, simulate
 from gran_bench.files import write_atomically
@@ -22,7 +22,7 @@ from gran_bench.scene import Scene
 from gran_bench.state import ParticleState, Trajectory
 from gran_bench.workers import serve
 
-STAGE = 0.05  # s that a bed is given to relax after each step towards a stiffer material
+STAGE = 5  # frames that a bed is given to relax after each step towards a stiffer material
 WARM_UP = 2  # frames: they compile, or load what was compiled before
 BASELINES = {"rigid rotation": rigid_rotation, "ballistic": ballistic}
 
@@ -59,7 +59,7 @@ def prepare(job: dict[str, Any]) -> Run:
     def run(frames: int, seed: int) -> Outcome:
         end = bed.time + frames * scene.frame_interval
         cut = scene if np.isclose(end, scene.end_time) else replace(scene, end_time=end)
-        return Outcome(BASELINES[job["does"]](cut, nudged(bed, NUDGE, seed)))
+        return Outcome(BASELINES[job["does"]](cut, nudged(bed, replica_nudge(scene), seed)))
 
     return run
 
@@ -80,10 +80,12 @@ def with_modulus(scene: Scene, modulus: float) -> Scene:
 def _dem(scene: Scene, bed: ParticleState, dem: DemConfig, stages: list[float]) -> Run:
     # A bed of softer spheres overlaps too much for a stiffer material to take at once: it would fly apart.
     for modulus in stages:
-        bed = simulate(with_modulus(scene, modulus), bed, bed.time + STAGE, dem=DemConfig(threads=1)).final
+        bed = simulate(
+            with_modulus(scene, modulus), bed, bed.time + STAGE * scene.frame_interval, dem=DemConfig(threads=1)
+        ).final
 
     def run(frames: int, seed: int) -> Outcome:
-        start, end = nudged(bed, NUDGE, seed), bed.time + frames * scene.frame_interval
+        start, end = nudged(bed, replica_nudge(scene), seed), bed.time + frames * scene.frame_interval
         try:
             return Outcome(simulate(scene, start, end, dem=dem).trajectory)
         except SimulationError as error:
@@ -103,7 +105,7 @@ def _surrogate(scene: Scene, bed: ParticleState, path: str) -> Run:
     model, _ = load_model(path)
 
     def run(frames: int, seed: int) -> Outcome:
-        result = rollout(model, scene, nudged(bed, NUDGE, seed), frames + 1)
+        result = rollout(model, scene, nudged(bed, replica_nudge(scene), seed), frames + 1)
         failed = result.failed_frame
         reason = () if failed is None else (f"not finite from frame {failed} on", failed - 1)
         return Outcome(result.trajectory, *reason)

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from gran_bench.benchmark.contest import Method
 from gran_bench.files import write_text
+from gran_bench.progress import Progress
 from gran_bench.workers import Worker, crew
 
 PREPARED_AT_A_TIME = 2
@@ -66,7 +66,7 @@ def take_turns(
 
     def wants(method: Method, index: int) -> bool:
         place = folders[method.name]
-        return not (place / FAILURE).exists() and (keeps(method, index) or not _path(place, index).exists())
+        return not (place / FAILURE).exists() and (keeps(method, index) or not round_file(place, index).exists())
 
     for failed in (place / FAILURE for place in folders.values()):
         # A run that diverged will diverge again; a process that died (of a lack of memory, say) gets another chance.
@@ -75,7 +75,7 @@ def take_turns(
     orders = [np.random.default_rng([seed, index]).permutation(len(fit)) for index in range(rounds)]
     missing = [(fit[k], index) for index, order in enumerate(orders) for k in order if wants(fit[k], index)]
     workers = {method.name: Worker("gran_bench.benchmark.jobs") for method, _ in missing}
-    bar = tqdm(total=len(missing), desc=label, unit="run", disable=None, leave=False)
+    bar = Progress(total=len(missing), desc=label, unit="run", leave=False)
     with bar, crew(list(workers.values()), PREPARED_AT_A_TIME) as threads:
 
         def prepare(method: Method) -> None:
@@ -112,14 +112,16 @@ def _note(method: Method, answer: dict[str, Any], folder: Path, index: int, fram
         write_text(folder / FAILURE, json.dumps(found) + "\n")
     else:
         turn = {"round": index, **answer, "method": method.name}
-        write_text(_path(folder, index), json.dumps(turn, indent=1) + "\n")
+        write_text(round_file(folder, index), json.dumps(turn, indent=1) + "\n")
 
 
-def _path(folder: Path, index: int) -> Path:
+def round_file(folder: Path, index: int) -> Path:
+    """What was measured of a method, whose folder it is, in a round."""
     return folder / f"round{index}.json"
 
 
 def _read(folder: Path, rounds: int) -> Record:
-    turns = [json.loads(_path(folder, k).read_text("utf-8")) for k in range(rounds) if _path(folder, k).exists()]
+    files = (round_file(folder, k) for k in range(rounds))
+    turns = [json.loads(file.read_text("utf-8")) for file in files if file.exists()]
     failed = json.loads((folder / FAILURE).read_text("utf-8")) if (folder / FAILURE).exists() else {}
     return Record(turns, failed.get("failure", ""), failed.get("seconds"))

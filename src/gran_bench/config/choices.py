@@ -29,6 +29,11 @@ def weighed_terms(loss: LossConfig) -> list[str]:
     return [term for term in loss_terms() if getattr(loss, term) > 0]
 
 
+def given_or(absolute: float | None, share: float, unit: float) -> float:
+    """A length or a time: the absolute value where it is given, else a share of a unit, such as a diameter."""
+    return share * unit if absolute is None else absolute
+
+
 @raising
 def check_radius(model: Section, diameter: float, period: float) -> Iterator[str]:
     """Refuse, as a `ConfigError`, a radius that reaches too little or too far; a plugin's model has a `check`.
@@ -37,17 +42,22 @@ def check_radius(model: Section, diameter: float, period: float) -> Iterator[str
         diameter: of the spheres, m.
         period: length of the periodic axis, m; 0 for none.
     """
-    if isinstance(model, CconvModelConfig) and model.radius <= diameter:
-        remedy = f"choose more than the particle diameter, {diameter:g} m"
-        yield f"model.radius={model.radius:g} reaches no neighbour; {remedy}"
+    if not isinstance(model, CconvModelConfig | ContactModelConfig):
+        return
+    radius = given_or(model.radius_m, model.radius_diameters, diameter)
+    unit = diameter if model.radius_m is None else 1.0
+    key, of = ("radius_diameters", "diameters") if model.radius_m is None else ("radius_m", "m")
+    given = f"model.{key}={getattr(model, key):g}"
+    if isinstance(model, CconvModelConfig) and radius <= diameter:
+        yield f"{given} reaches no neighbour; choose more than {diameter / unit:g} {of}, the size of a particle"
     if isinstance(model, ContactModelConfig):
-        diameters, given = 1.0 + PAIR_FADE, f"model.radius={model.radius:g}"
-        if model.radius < diameters * diameter * (1.0 - 1e-9):
-            remedy = f"choose at least {diameters * diameter:g} m, {diameters:g} particle diameters"
-            yield f"{given} leaves no room for a contact to fade; {remedy}"
-        if period and 2.0 * model.radius > period:
+        least = (1.0 + PAIR_FADE) * diameter
+        if radius < least * (1.0 - 1e-9):
+            yield f"{given} leaves no room for a contact to fade; choose at least {least / unit:g} {of}"
+        if period and 2.0 * radius > period:
             ends = f"both ends of the period, scene.container.length={period:g}"
-            yield f"{given} sees a neighbour through {ends}; choose at most {0.5 * period:g} m, or model=radial"
+            remedy = f"choose at most {0.5 * period / unit:g} {of}, or model=radial"
+            yield f"{given} sees a neighbour through {ends}; {remedy}"
 
 
 @raising
@@ -85,6 +95,10 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
         if getattr(loss, term) > 0 and not any(gravity):
             given = f"loss.{term}={getattr(loss, term):g} is measured in units of gravity"
             yield f"{given}, and scene.gravity={gravity} has none; choose loss.{term}=0"
+    trainer = config.trainer
+    if trainer.startup_fraction > 0 and trainer.startup_seconds is None and not any(gravity):
+        why = "fall times, and scene.gravity is 0; give trainer.startup_seconds"
+        yield f"trainer.startup_fall_times={trainer.startup_fall_times:g} {why}"
     rollout, scene, first, last = config.rollout, config.scene, config.rollout.frames, config.rollout.final_frames
     available = round((scene.end_time - scene.start_time) / scene.frame_interval)
     for name, frames in (("frames", first), ("final_frames", last or 0)):

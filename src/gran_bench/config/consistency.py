@@ -110,6 +110,10 @@ def _check_scene(scene: schema.SceneConfig, dataset: schema.DatasetConfig) -> It
     check_end(scene)
     check_frames(scene)
     check_filling(filling)
+    for name, absolute in (("settled_froude", "settled_speed"), ("longest_settling_fall_times", "longest_settling")):
+        if filling.settles and filling.count and not any(scene.gravity) and getattr(filling, absolute) is None:
+            given = f"scene.filling.{name}={getattr(filling, name):g}"
+            yield f"{given} is measured with gravity, and scene.gravity is 0; give scene.filling.{absolute}"
     for name in ("diameter", "width", "length", "height", "orifice"):
         room = getattr(scene.container, name, None)
         if kind != "none" and WALLS.owner(kind) == HOUSE and room is not None and filling.diameter >= room:

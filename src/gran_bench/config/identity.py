@@ -11,7 +11,7 @@ from gran_bench.config.registry import ADDED_TERMS, MODELS
 # far a training gets.
 UNDECIDING = frozenset(
     {
-        *("experiment", "judge", "tracking"),
+        *("experiment", "judge", "tracking", "dry_run"),
         *("dataset.root", "dataset.files", "dataset.workers"),
         *("dataset.holdout_speeds_rpm", "dataset.unseen_packing_seed", "dataset.replicas"),
         *("trainer.minutes", "trainer.checkpoint_every", "trainer.checkpoint_steps", "trainer.log_every"),

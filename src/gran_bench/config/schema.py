@@ -1,7 +1,4 @@
-"""The schema of every config key: name, type, default, unit and bounds.
-
-``conf/`` chooses values, Hydra composes them, ``reading`` reads them into these classes, the only place of a key.
-"""
+"""Every config key: name, type, default, unit, bounds. ``conf/`` chooses values, ``reading`` reads them into these."""
 
 from __future__ import annotations  # the types of keys are read as words
 
@@ -10,10 +7,8 @@ from dataclasses import dataclass, field
 from gran_bench.config.registry import holds_weights, register_model, register_wall
 from gran_bench.config.rules import MISSING, Name, Range, Section, at_least, between, key, one_of, positive
 
-FRACTION = Range(0.0, 1.0)
-RESTITUTION, SEED = Range(0.0, 1.0, open_low=True), at_least(0)
-BACKEND = one_of("fused", "torch")
-FRAME_WEIGHTS = one_of("uniform", "discounted", "inverse", "rising")
+FRACTION, RESTITUTION, SEED = Range(0.0, 1.0), Range(0.0, 1.0, open_low=True), at_least(0)
+BACKEND, FRAME_WEIGHTS = one_of("fused", "torch"), one_of("uniform", "discounted", "inverse", "rising")
 
 
 @dataclass
@@ -73,8 +68,7 @@ class SizesConfig(Section, place="scene.filling.sizes"):
     factors: list[float] = key([], positive())  # of listed
     edges: list[float] = key([], positive())  # of histogram, rising; uniform between two of them
     fractions: list[float] = key([], FRACTION)  # share of each factor, or between two edges, sum 1
-    # Half-width of uniform, standard deviation of ln d of lognormal (cut at two of them).
-    spread: float = key(0.0, Range(0.0, 1.0, open_high=True))
+    spread: float = key(0.0, Range(0.0, 1.0, open_high=True))  # half-width; of lognormal σ of ln d, cut at 2 σ
 
 
 @dataclass
@@ -82,11 +76,13 @@ class FillingConfig(Section, place="scene.filling"):
     """How many spheres, how large, of which material, and how they start."""
 
     count: int = key(3000, at_least(0))
-    diameter: float = key(0.05, positive("m"))
+    diameter: float = key(0.05, positive("m"))  # d of all `_diameters`, of fall times √(d/g), Froude numbers v/√(g d)
     lattice_spacing: float = key(1.12, at_least(1, "diameters"))
     jitter: float = key(0.05, at_least(0, "diameters"))  # uniform in ±jitter
-    settled_speed: float = key(1.0e-3, positive("m/s"))  # root mean square; a bed that stays below is at rest
-    longest_settling: float = key(20.0, positive("s"))  # an error beyond
+    settled_froude: float = key(1.428e-3, positive())  # rms; a bed that stays below is at rest
+    settled_speed: float | None = key(None, positive("m/s"))  # null: by settled_froude
+    longest_settling_fall_times: float = key(280.0, positive("√(d/g)"))  # an error beyond
+    longest_settling: float | None = key(None, positive("s"))  # null: by longest_settling_fall_times
     settles: bool = True  # false: the scene starts with the spheres where and as fast as they are put
     sizes: SizesConfig = field(default_factory=SizesConfig)
     second_fraction: float = key(0.0, FRACTION)  # share of spheres of scene.second_material, by number
@@ -99,9 +95,8 @@ class FillingConfig(Section, place="scene.filling"):
 
 @dataclass
 class MixedConfig(Section, place="scene.mixed"):
-    """Contacts between the two particle materials."""
+    """Contacts between the two particle materials; null: the geometric mean of the two materials' own."""
 
-    # null: the geometric mean of the two materials' own
     restitution: float | None = key(None, RESTITUTION)
     friction: float | None = key(None, at_least(0))
     rolling_friction: float | None = key(None, at_least(0))
@@ -142,18 +137,16 @@ class DemConfig(Section, place="dem"):
     skin: float | None = key(None, positive("m"))  # Verlet; null: chosen by the clock; changes no bit
     threads: int | None = key(None, at_least(1))  # of numba; null: chosen by the clock; changes no bit
     precision: str = key("float64", one_of("float64", "float32"))  # of contact forces; positions stay float64
-    # The arms that spins add slip with; full_radius: as LAMMPS measures it.
-    slip: str = key("contact_point", one_of("contact_point", "full_radius"))
+    slip: str = key("contact_point", one_of("contact_point", "full_radius"))  # the arms of spins; full_radius: LAMMPS's
     allow_unsafe_step: bool = False  # true turns the error of a too large step into a recorded warning
 
 
 @dataclass
 class DatasetConfig(Section, place="dataset"):
-    """Which cases are made, and which may be seen by training."""
+    """Which cases are made, and which may be seen by training; speeds below 0 turn the other way, the mirror image."""
 
     root: str = "data"  # folder of the HDF5 cases, relative to where the command runs
     files: list[str] = field(default_factory=list)  # imported cases or folders of them; empty: the DEM makes the cases
-    # Speeds below 0 turn the other way: the mirror image. 0 is a drum at rest.
     training_speeds_rpm: list[float] = key([20.0, 25.0, 35.0, 40.0, 50.0, 60.0], Range(unit="rpm"))
     validation_speeds_rpm: list[float] = key([], Range(unit="rpm"))  # held out of training, used to choose
     holdout_speeds_rpm: list[float] = key([30.0], Range(unit="rpm"))  # never read in training
@@ -178,8 +171,10 @@ class ContactModelConfig(Section, place="model"):
     iterations: int = key(8, at_least(1))
     hidden: int = key(16, at_least(1))
     channels: int = key(4, at_least(1))
-    radius: float = key(0.06, positive("m"))  # reach of a pair
-    wall_reach: float = key(0.01, positive("m"))  # gap up to which a wall contact is listed
+    radius_diameters: float = key(1.2, positive("diameters"))  # reach of a pair
+    radius_m: float | None = key(None, positive("m"))  # null: by radius_diameters
+    wall_reach_diameters: float = key(0.2, positive("diameters"))  # gap up to which a wall contact is listed
+    wall_reach_m: float | None = key(None, positive("m"))  # null: by wall_reach_diameters
     memory: bool = False  # carry a tangential spring vector of each contact from frame to frame
     velocity: str = key("mean", one_of("mean", "instantaneous"))  # what the state's velocity is
     backend: str = key("fused", BACKEND)  # fused: Numba, CPU
@@ -200,10 +195,11 @@ class CconvModelConfig(Section, place="model"):
     kernel_size: int = key(4, at_least(2))  # lattice nodes along an edge of the cube
     width: int = key(64, at_least(2))
     layers: int = key(3, at_least(1))  # hidden layers of each branch
-    radius: float = key(0.1125, positive("m"))  # support radius R
+    radius_diameters: float = key(2.25, positive("diameters"))  # support radius R
+    radius_m: float | None = key(None, positive("m"))  # null: by radius_diameters
     constant_input: bool = True  # a constant 1 among the input features
     residual: bool = True  # where widths agree
-    output_scale: float = key(1.0e-3, positive("m per frame²"))  # one unit of the network's output
+    output_scale_diameters: float = key(0.02, positive("diameters per frame²"))  # one unit of the network's output
     update: str = key("mean", one_of("mean", "trapezoid"))
     backend: str = key("fused", BACKEND)  # fused: Numba, CPU
 
@@ -231,7 +227,7 @@ class LossConfig(Section, place="loss"):
     spin: float = key(0.0, at_least(0))
     overlap: float = key(0.0, at_least(0))
     momentum: float = key(0.0, at_least(0))
-    cell_displacement: float = key(0.0, at_least(0))  # mean displacement in cells of the cross-section, 0.1 m wide
+    cell_displacement: float = key(0.0, at_least(0))  # mean displacement in cells of the cross-section, 2 d wide
     center_of_mass: float = key(0.0, at_least(0))
     energy: float = key(0.0, at_least(0))
     speed_distribution: float = key(0.0, at_least(0))
@@ -249,7 +245,8 @@ class RolloutConfig(Section, place="rollout"):
     final_from: float = key(0.6, FRACTION)  # fraction of the steps
     growth: str = key("jump", one_of("jump", "linear"))  # how F gets from `frames` to `final_frames`
     gradient_through_time: bool = True
-    noise: float = key(0.0, at_least(0, "m"))  # Gaussian, on the first frame's position
+    noise_diameters: float = key(0.0, at_least(0, "diameters"))  # Gaussian, on the first frame's position
+    noise_m: float | None = key(None, at_least(0, "m"))  # null: by noise_diameters
     independent_noise: bool = False  # own noise on velocity × Δt and spin × r × Δt; false: the velocity implied
     mirror: bool = False  # random reflection along the drum's axis
 
@@ -278,8 +275,10 @@ class TrainerConfig(Section, place="trainer"):
     checkpoint_every: float = key(30.0, positive("s"))  # between checkpoints
     checkpoint_steps: int | None = key(None, at_least(1))  # or every so many updates
     log_every: int = key(20, at_least(1))  # updates between logged losses
-    startup_fraction: float = key(0.0, FRACTION)  # share of windows drawn from the first second of rotation
-    startup_seconds: float = key(1.0, positive("s"))
+    startup_fraction: float = key(0.0, FRACTION)  # share of windows drawn from the start-up
+    startup_fall_times: float = key(14.0, positive("√(d/g)"))  # of rotation that count as start-up
+    startup_seconds: float | None = key(None, positive("s"))  # null: by startup_fall_times
+    start_from: str | None = None  # run or model file whose weights it starts from; null: random ones
 
 
 @dataclass
@@ -305,16 +304,23 @@ class TrackingConfig(Section, place="tracking"):
 
 
 @dataclass
-class TrainConfig(Section):
+class GenerateConfig(Section):
+    """Everything that `python -m gran_bench.generate` reads."""
+
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    dem: DemConfig = field(default_factory=DemConfig)
+    dataset: DatasetConfig = field(default_factory=DatasetConfig)
+    dry_run: bool = False  # true: say what the command will do and take, and make nothing
+
+
+@dataclass
+class TrainConfig(GenerateConfig):
     """Everything that `python -m gran_bench.train` reads."""
 
     experiment: str = key("default", Name())  # first word of the run's folder and of its MLflow run
     seed: int = key(0, SEED)
     device: str = key("auto", one_of("auto", "cpu", "cuda"))
     threads: int = key(2, at_least(1))  # CPU threads of the surrogate
-    scene: SceneConfig = field(default_factory=SceneConfig)
-    dem: DemConfig = field(default_factory=DemConfig)
-    dataset: DatasetConfig = field(default_factory=DatasetConfig)
     model: ContactModelConfig | CconvModelConfig = field(default_factory=ContactModelConfig)  # by model.name
     boundary: BoundaryConfig = field(default_factory=lambda: BoundaryConfig(kind="own"))  # of the contact network
     loss: LossConfig = field(default_factory=LossConfig)
@@ -326,20 +332,12 @@ class TrainConfig(Section):
 
 
 @dataclass
-class GenerateConfig(Section):
-    """Everything that `python -m gran_bench.generate` reads."""
-
-    scene: SceneConfig = field(default_factory=SceneConfig)
-    dem: DemConfig = field(default_factory=DemConfig)
-    dataset: DatasetConfig = field(default_factory=DatasetConfig)
-
-
-@dataclass
 class EvaluateConfig(Section):
     """Everything that `python -m gran_bench.evaluate` reads; the scene is the one that the model was made for."""
 
     checkpoint: str = MISSING  # model file; `shipped`: the one in the package
     device: str = key("auto", one_of("auto", "cpu", "cuda"))
+    dry_run: bool = False  # true: say what the command will do and take, and make nothing
     dem: DemConfig = field(default_factory=DemConfig)
     dataset: DatasetConfig = field(default_factory=DatasetConfig)
     judge: JudgeConfig = field(default_factory=JudgeConfig)
@@ -380,6 +378,7 @@ class UiConfig(Section):
     """Everything that `python -m gran_bench.ui` reads."""
 
     port: int = key(5000, Range(1, 65535))  # of this machine
+    shipped: bool = True  # the first start puts the project's own records into the store
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
 
 
@@ -395,3 +394,4 @@ class StressConfig(Section):
     workers: int = key(2, at_least(1))  # cases at a time
     patience: float = key(900.0, positive("s"))  # that a case may take
     output: str = "results/stress"  # folder of the page
+    dry_run: bool = False  # true: say what the command will do and take, and make nothing

@@ -16,7 +16,7 @@ from gran_bench.provenance.source_digest import SOLVER, source_digest
 from gran_bench.scene import Scene
 
 FORMAT_VERSION = 2  # of the files; a change makes every case anew
-NUDGE = 1.0e-9  # m, of a replica's settled state
+NUDGE_DIAMETERS = 2.0e-8  # of a replica's settled state
 
 
 class DatasetError(RuntimeError):
@@ -91,8 +91,13 @@ def rotation_label(scene: Scene) -> str:
 
 
 def replicas(spec: CaseSpec, count: int) -> list[CaseSpec]:
-    """The same case from ``count`` settled states, each nudged by 1e-9 m in directions of its own."""
-    return [replace(spec, nudge=NUDGE, nudge_seed=k) for k in range(1, count + 1)]
+    """The same case from ``count`` settled states, each nudged by 2e-8 d in directions of its own."""
+    return [replace(spec, nudge=replica_nudge(spec.scene), nudge_seed=k) for k in range(1, count + 1)]
+
+
+def replica_nudge(scene: Scene) -> float:
+    """Length of a nudge, 2e-8 d, m."""
+    return NUDGE_DIAMETERS * scene.filling.diameter
 
 
 def half_step(spec: CaseSpec) -> CaseSpec:

@@ -13,12 +13,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from tqdm import tqdm
-
 from gran_bench.dataset.case_file import read_attributes
 from gran_bench.dataset.case_spec import CaseSpec, DatasetError
 from gran_bench.dataset.generation import Job
 from gran_bench.processes import ONE_THREAD, start_module
+from gran_bench.progress import Progress
 
 
 def ensure_case(spec: CaseSpec, root: Path | str, progress: bool = False) -> Path:
@@ -36,7 +35,7 @@ def ensure_cases(specs: Iterable[CaseSpec], root: Path | str, workers: int = 2, 
         specs: the cases.
         root: folder of the files.
         workers: processes; 1 makes everything in this process.
-        progress: one bar of simulated time for all; silent without a terminal.
+        progress: one bar of simulated time for all.
 
     Returns:
         A path for each spec, in order.
@@ -133,17 +132,17 @@ class SimulatedTimeBar:
 
     Args:
         jobs: everything that will run, each with its ``simulated_seconds``; none draws no bar.
-        show: False never draws; True draws where there is a terminal.
+        show: False never draws.
     """
 
     def __init__(self, jobs: list[Any], show: bool) -> None:
         self._expected = {id(job): job.simulated_seconds for job in jobs}
         self._covered = dict.fromkeys(self._expected, 0.0)
         self._done, self._lock = -1, threading.Lock()
-        self._bar = tqdm(
+        self._bar = Progress(
             total=round(sum(self._expected.values()), 6),
             desc=self._one_more(),
-            disable=None if show and jobs else True,
+            show=show and bool(jobs),
             bar_format="{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.1f} s simulated "
             "[{elapsed}<{remaining}{postfix}]",
         )

@@ -68,8 +68,9 @@ class Windows:
     Args:
         cases: the training cases, held in memory.
         seed: of the draws.
-        startup_fraction: share of windows that start in the first ``startup_seconds`` of a case.
-        startup_seconds: s.
+        startup_fraction: share of windows that start in the start-up of a case.
+        startup_fall_times: its length, √(d/g).
+        startup_seconds: its length, s; None: by the fall times.
 
     Raises:
         ConfigError: an impossible seed, share or span.
@@ -77,12 +78,14 @@ class Windows:
     """
 
     def __init__(
-        self, cases: Sequence[Case], seed: int = 0, startup_fraction: float = 0.0, startup_seconds: float = 1.0
-    ) -> None:
+        self, cases: Sequence[Case], seed: int = 0, startup_fraction: float = 0.0,
+        startup_fall_times: float = 14.0, startup_seconds: float | None = None,
+    ) -> None:  # fmt: skip
         if not cases:
             raise DatasetError("there is no case to train on; give dataset.training_speeds_rpm")
         checked_value(int, SEED, seed, "seed")
         checked(TrainerConfig, "startup_fraction", startup_fraction)
+        checked(TrainerConfig, "startup_fall_times", startup_fall_times)
         checked(TrainerConfig, "startup_seconds", startup_seconds)
         intervals = {case.scene.frame_interval for case in cases}
         if len(intervals) > 1:
@@ -96,7 +99,7 @@ class Windows:
                     f"{broken[0]}; no training can use it: delete it and run the same command again, or leave it out"
                 )
         self.cases, self.seed = list(cases), seed
-        self.startup_fraction, self.startup_seconds = startup_fraction, startup_seconds
+        self.startup_fraction, self._startup = startup_fraction, (startup_fall_times, startup_seconds)
         self._overlap = [_mean_overlap(case) for case in cases]
 
     def draw(self, number: int, frames_ahead: int) -> Window:
@@ -121,7 +124,9 @@ class Windows:
                 f"({case.trajectory.frame_count - 1} ahead of its first); choose fewer frames or a later scene.end_time"
             )
         if rng.random() < self.startup_fraction:
-            starts = min(starts, max(1, round(self.startup_seconds / case.scene.frame_interval)))
+            fall_times, seconds = self._startup
+            seconds = fall_times * case.scene.fall_time if seconds is None else seconds
+            starts = min(starts, max(1, round(seconds / case.scene.frame_interval)))
         return self.window(index, int(rng.integers(starts)), frames_ahead)
 
     def window(self, case: int, start: int, frames_ahead: int) -> Window:

@@ -20,16 +20,17 @@ from gran_bench.dem.walls import largest_excess, wall_poses
 from gran_bench.scene import Scene
 from gran_bench.state import Continuation, FloatArray, Held, ParticleState, name_some
 
-# Between two looks at who leaves and who escaped, s.
-LOOK = 0.01
+# Between two looks at who leaves and who escaped, √(d/g): 10 ms for 50 mm. Where nothing falls, a frame.
+LOOK_FALL_TIMES = 0.14
 MOST_POSES = 100_000  # at a time: with steps of 1e-10 s all those up to a look would be 10 GB
 # Looks until the particles are sorted anew: neighbours in space soon lie apart in memory, and sorting takes new lists.
 LOOKS_BETWEEN_SORTS = 5
 
 
-def steps_between_looks(time_step: float) -> int:
-    """Whole steps of about 10 ms."""
-    return max(1, round(LOOK / time_step))
+def steps_between_looks(scene: Scene, time_step: float) -> int:
+    """Whole steps."""
+    interval = LOOK_FALL_TIMES * scene.fall_time if scene.needs.gravity else scene.frame_interval
+    return max(1, round(interval / time_step))
 
 
 class Run:
@@ -46,7 +47,7 @@ class Run:
         record: FrameRecord,
     ) -> None:  # fmt: skip
         self._engine, self._scene, self._time_step, self._tuner, self._record = engine, scene, time_step, tuner, record
-        self._look_steps = steps_between_looks(time_step)
+        self._look_steps = steps_between_looks(scene, time_step)
         self._sort_steps = LOOKS_BETWEEN_SORTS * self._look_steps
         # State and what is held of all where the stretch began; the stretch is None where it is still to begin.
         self._whole, self._held, self._stretch = state, None, None

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from types import ModuleType
 
 import numpy as np
-from tqdm import tqdm
 
 from gran_bench.config import DemConfig
 from gran_bench.config.consistency import check_dem
@@ -22,6 +21,7 @@ from gran_bench.dem.integrate import Physics
 from gran_bench.dem.record import FrameRecord, SimulationError, impact_warnings
 from gran_bench.dem.rest import Rest
 from gran_bench.dem.time_step import choose_time_step, impact_speed, unresolved
+from gran_bench.progress import Progress
 from gran_bench.scene import Scene
 from gran_bench.state import ContactHistory, ParticleState, Trajectory
 
@@ -55,8 +55,7 @@ def simulate(
         scene, state: walls, motion, materials, gravity; start, with its contact history.
         end_time: s in the scene's clock; a whole number of frames after the start.
         dem: engine, time step, precision, and what is else chosen by the clock: skin and threads.
-        progress: whether to show a bar, silent without a terminal; or a function that is called with the simulated
-            time, s, at each frame.
+        progress: whether to show how far it is; or a function that is called with the simulated time, s, at each frame.
 
     Raises:
         ConfigError: an argument of a wrong type, or settings that contradict each other.
@@ -126,7 +125,7 @@ def settle(
     Raises:
         ConfigError: an argument of a wrong type, or settings that contradict each other.
         SceneError: a filling that does not fit, or a seed that is no whole number ≥ 0.
-        SimulationError: divergence, escape, or a bed that is not at rest after ``filling.longest_settling``.
+        SimulationError: divergence, escape, or a bed that is not at rest after ``scene.longest_settling``.
         StateError: a bed that its own weight crushes, so that nothing could start from it.
     """
     dem = DemConfig() if dem is None else dem
@@ -139,15 +138,15 @@ def settle(
         return replace(state, time=scene.start_time)
     time_step, _ = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)
     rest = Rest(still)
-    substeps = min(steps_between_looks(time_step), max(1, round(rest.look_interval / time_step)))
+    substeps = min(steps_between_looks(still, time_step), max(1, round(rest.look_interval / time_step)))
     tuner = _tuner(still, filling.largest_radius, state.count, dem)
     record = FrameRecord(still, state.radius)  # of no frames but one where it fails
     run, rests = Run(ENGINES[dem.engine], state, still, time_step, tuner, record), False
     with _followed(progress, None, "settling") as follow:
-        while state.count and (not rests or state.time < scene.start_time - 1e-9):
-            if not rests and state.time > filling.longest_settling:
+        while state.count and (not rests or state.time < scene.start_time - 1e-7 * scene.frame_interval):
+            if not rests and state.time > scene.longest_settling:
                 raise SimulationError(
-                    f"the bed of {scene.name!r} is not at rest after {filling.longest_settling:g} s of settling: "
+                    f"the bed of {scene.name!r} is not at rest after {scene.longest_settling:.4g} s of settling: "
                     f"{rest.what_moves()}",
                     record.trajectory((state.time, state.position, state.velocity, state.angular_velocity)),
                 )
@@ -195,8 +194,8 @@ def _sorted_history(history: ContactHistory) -> ContactHistory:
 @contextmanager
 def _followed(progress: bool | Callable[[float], None], total: int | None, label: str) -> Iterator[Callable[..., None]]:
     """What is called with steps, time in s and more words: it moves a bar, or tells a listener the time."""
-    silent = None if progress is True else True  # None: where stderr is no terminal
-    with tqdm(total=total, desc=label, unit=" steps", unit_scale=True, leave=False, disable=silent) as bar:
+    show = progress is True
+    with Progress(total=total, desc=label, unit="step", unit_scale=True, leave=False, show=show) as bar:
 
         def follow(steps: int, time: float, said: str = "") -> None:
             bar.update(steps)

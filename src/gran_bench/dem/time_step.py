@@ -21,7 +21,7 @@ WARNING_FRACTION = 0.1  # of the contact time; restitution starts to depend on t
 ERROR_FRACTION = 0.2  # of the contact time; a contact is no longer resolved
 ROUNDING = 1e-9  # relative; what is within it of a bound is at the bound
 # Height of fall that the impact speed is judged by where no drum states one.
-NOMINAL_FALL = 1.0  # m
+NOMINAL_FALL = 20.0  # diameters
 
 
 class TimeStepError(ValueError):
@@ -42,7 +42,7 @@ def impact_speed(scene: Scene) -> float:
     The largest of √(2 g D) with D the height that a sphere can fall, twice the speed of spheres that are placed, and
     the speed of the walls.
     """
-    fall, turning, reaches = scene.fall_height or NOMINAL_FALL, 0.0, []
+    fall, turning, reaches = scene.fall_height or NOMINAL_FALL * scene.filling.diameter, 0.0, []
     speeds = [math.sqrt(2.0 * scene.gravity_strength * fall), *(2.0 * math.hypot(*v) for v in scene.filling.velocities)]
     for wall in scene.walls:
         motion = scene.motion_of(wall)
@@ -87,6 +87,28 @@ def contact_times(scene: Scene, radius: float | None = None, speed: float | None
     return elastic, damped
 
 
+def step_bound(scene: Scene, radius: float | None = None) -> tuple[float, str]:
+    """What the automatic step may not exceed, s, and which time sets it, in words; ``radius`` as of contact_times."""
+    contact_time, damping_time = contact_times(scene, radius)
+    r = scene.filling.smallest_radius if radius is None else radius
+    rayleigh, modulus = min(
+        (rayleigh_time(r, m.density, m.shear_modulus, m.poisson_ratio), m.youngs_modulus) for m in scene.materials
+    )
+    stiffness, impact = f"at E = {modulus:.3g} Pa", f"an impact at {impact_speed(scene):.3g} m/s"
+    wave = f"{rayleigh:.3g} s that a wave takes around the smallest sphere {stiffness}"
+    return min(
+        (TIME_STEP_FRACTION * rayleigh, f"{TIME_STEP_FRACTION:g} of the {wave}"),
+        (
+            TIME_STEP_FRACTION * contact_time,
+            f"{TIME_STEP_FRACTION:g} of the {contact_time:.3g} s of {impact} {stiffness}",
+        ),
+        (
+            DAMPING_FRACTION * damping_time,
+            f"{DAMPING_FRACTION:g} of the {damping_time:.3g} s in which damping stops {impact}",
+        ),
+    )
+
+
 def choose_time_step(
     scene: Scene, requested: float | None = None, allow_unsafe: bool = False, radius: float | None = None
 ) -> tuple[float, tuple[str, ...]]:
@@ -102,12 +124,8 @@ def choose_time_step(
         ConfigError: a step that is not positive and finite.
         TimeStepError: one beyond 0.2 t_c that is not allowed.
     """
-    contact_time, damping_time = contact_times(scene, radius)
     if requested is None:
-        r = scene.filling.smallest_radius if radius is None else radius
-        rayleigh = min(rayleigh_time(r, m.density, m.shear_modulus, m.poisson_ratio) for m in scene.materials)
-        largest = min(TIME_STEP_FRACTION * min(rayleigh, contact_time), DAMPING_FRACTION * damping_time)
-        return dividing_step(scene.frame_interval, largest), ()
+        return dividing_step(scene.frame_interval, step_bound(scene, radius)[0]), ()
     requested = checked(DemConfig, "time_step", requested)
     step, given, shortened = dividing_step(scene.frame_interval, requested), f"dem.time_step={requested:g} s", ()
     if step < requested * (1.0 - ROUNDING):
@@ -142,5 +160,7 @@ def unresolved(
 
 def dividing_step(interval: float, largest: float) -> float:
     """The largest step ≤ ``largest`` of which ``interval`` is a whole multiple, s."""
-    # The tolerance lets 1e-2 / 2e-4 be 50 steps, not 51. Fifteen digits are one step whatever interval it divides.
-    return float(f"{interval / max(1, math.ceil(interval / largest * (1.0 - ROUNDING))):.15g}")
+    # The tolerance lets 1e-2 / 2e-4 be 50 steps, not 51. Fifteen digits are one step whatever interval it divides;
+    # digits of the mantissa, so that half the interval has half the step, bit for bit.
+    mantissa, exponent = math.frexp(interval / max(1, math.ceil(interval / largest * (1.0 - ROUNDING))))
+    return math.ldexp(float(f"{mantissa:.15g}"), exponent)

@@ -91,7 +91,7 @@ def _moved(
         rows = rows[:1]
     if wall.opens is not None:
         # A clock that was added up may be a rounding error short of the opening.
-        gone = end >= wall.opens - 1e-9 * max(1.0, abs(wall.opens))
+        gone = end >= wall.opens - 1e-9 * max(time_step, abs(wall.opens))
         if gone.any():
             rows = np.array(np.broadcast_to(rows, (len(end), COLUMNS)))
             rows[gone, KIND] = ABSENT

@@ -53,7 +53,7 @@ def _import(chosen: argparse.Namespace) -> None:
     scene = scene if chosen.speed is None else scene.at_speed(chosen.speed)
     found = read_trajectory(chosen.files, chosen.time_step, chosen.type, chosen.trajectory)
     if chosen.start is not None and "time" in found:
-        kept = found["time"] >= chosen.start - 1e-9
+        kept = found["time"] >= chosen.start - 1e-7 * scene.frame_interval
         print(f"{kept.sum()} of {len(kept)} frames are from {chosen.start:g} s on")
         found |= {name: found[name][kept] for name in found if name == "time" or np.ndim(found[name]) > 1}
     options = {name: getattr(chosen, name) for name in ("frame_interval", "packing", "replica", "name")}

@@ -19,7 +19,7 @@ from gran_bench.surrogate.step import minimum_image
 from gran_bench.surrogate.walls import closest_point, frame_walls
 
 HUBER_WIDTH = 0.01  # δ, particle diameters
-CELL = 0.1  # m, edge of the cells of the cross-section in `cell_displacement`
+CELL_DIAMETERS = 2.0  # edge of the cells of the cross-section in `cell_displacement`
 GYRATION = 0.4  # I / m r² of a solid sphere
 SMALLEST_ACCELERATION = 1.0e-9  # d a frame², mean of a sphere: below it a bed counts as free of contact forces
 
@@ -87,7 +87,8 @@ def cell_displacement(ahead: FrameAhead) -> Tensor:
 
     Errors of single spheres average out within a cell; what stays is the error of the flow.
     """
-    place = torch.floor(ahead.target.position[:, (0, 2)] / CELL).long()
+    edge = CELL_DIAMETERS * ahead.scene.filling.diameter
+    place = torch.floor(ahead.target.position[:, (0, 2)] / edge).long()
     place -= place.amin(dim=0)
     cell = place[:, 0] * (place[:, 1].max() + 1) + place[:, 1]
     error = ahead.position_error
@@ -133,8 +134,8 @@ def speed_distribution(ahead: FrameAhead) -> Tensor:
         LossError: a scene without gravity, which has no such speed.
     """
     unit = math.sqrt(_gravity(ahead.scene, "speed_distribution") * ahead.scene.filling.diameter)
-    found, true = lengths(ahead.predicted.velocity), lengths(ahead.target.velocity)
-    return (torch.sort(found).values - torch.sort(true).values).abs().mean() / unit
+    found, true = lengths(ahead.predicted.velocity / unit), lengths(ahead.target.velocity / unit)
+    return (torch.sort(found).values - torch.sort(true).values).abs().mean()
 
 
 def _gravity(scene: Scene, term: str) -> float:
@@ -172,7 +173,7 @@ def contact_overlaps(position: Tensor, scene: Scene, time: float) -> Tensor:
     found = tree_pairs(position.detach().cpu().double().numpy(), diameter, scene.period)
     pairs = torch.from_numpy(np.ascontiguousarray(found)).to(position.device)
     apart = minimum_image(position[pairs[:, 0]] - position[pairs[:, 1]], scene.period)
-    overlaps = [diameter - torch.sqrt(apart.square().sum(dim=1) + 1e-24)]
+    overlaps = [diameter - torch.sqrt(apart.square().sum(dim=1) + (2e-11 * diameter) ** 2)]
     for shape in frame_walls(scene, time).after:
         overlap = radius - closest_point(shape, position)[0]
         overlaps.append(overlap[overlap > 0])

@@ -15,6 +15,8 @@ from gran_bench.state import FloatArray
 
 LEAST_VALID_SHARE = 0.9  # below this share of valid states a figure over a series is undefined
 CONFIDENCE = 0.95
+# Of the time between two states: what a clock may be off by rounding, and by how much two clocks may differ.
+SLACK, APART = 1e-4, 1e-2
 Run = TypeVar("Run")
 
 
@@ -162,7 +164,8 @@ class Series:
 
 def within(time: FloatArray, start: float, end: float) -> NDArray[np.bool_]:
     """``(F,)`` states with start ≤ t < end, forgiving a rounding of the clock."""
-    return (time >= start - 1e-6) & (time < end - 1e-6)
+    slack = SLACK * _interval(time)
+    return (time >= start - slack) & (time < end - slack)
 
 
 def frame_at(time: FloatArray, instant: float) -> int | None:
@@ -170,14 +173,19 @@ def frame_at(time: FloatArray, instant: float) -> int | None:
     if len(time) == 0:
         return None
     nearest = int(np.argmin(np.abs(time - instant)))
-    half = 0.5 * float(time[1] - time[0]) if len(time) > 1 else 1e-6
-    return nearest if abs(float(time[nearest]) - instant) <= half + 1e-6 else None
+    reach = (0.5 + SLACK) * _interval(time)
+    return nearest if abs(float(time[nearest]) - instant) <= reach else None
+
+
+def _interval(time: FloatArray) -> float:
+    """Between the first two states, s; 0 for a single one."""
+    return float(time[1] - time[0]) if len(time) > 1 else 0.0
 
 
 def shared_states(a: FloatArray, b: FloatArray) -> int:
     """How many states two clocks (s) have in common; a `ValueError` where states lie at different times."""
     shared = min(len(a), len(b))
-    apart = ~(np.abs(np.subtract(a[:shared], b[:shared])) <= 1e-4)
+    apart = ~(np.abs(np.subtract(a[:shared], b[:shared])) <= APART * _interval(a if len(a) > 1 else b))
     if apart.any():
         first = int(np.argmax(apart))
         raise ValueError(

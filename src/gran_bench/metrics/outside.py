@@ -9,7 +9,7 @@ from gran_bench.metrics.bed import wall_overlap
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
 
-TOLERATED = 0.005  # m; the DEM's own soft walls let some 3 mm through
+TOLERATED = 0.1  # diameters; the soft walls of the DEM let some 0.06 through
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class FailureCount:
     non_finite_sphere_states: int
     first_non_finite: float | None  # s, time of the first such state
     outside: int  # sphere-states whose centre lies beyond R − r or L/2 − r
-    outside_tolerated: int  # of these, by more than 5 mm
+    outside_tolerated: int  # of these, by more than 0.1 d
     outside_radius: int  # of these, by more than the sphere's radius
     outside_spheres: int  # different spheres that were outside by more than their radius
     farthest: float  # m, largest distance outside; 0 where none was
@@ -50,7 +50,7 @@ class FailureCount:
             f"failures: {self.non_finite_states} of {self.states} states not finite{since}, "
             f"{self.missing_states} missing",
             f"  spheres that reach into a wall: {self.share(self.outside):.3g} % of sphere states{soft}, "
-            f"{self.share(self.outside_tolerated):.3g} % by > {1e3 * TOLERATED:g} mm, {self.outside_radius} by > r "
+            f"{self.share(self.outside_tolerated):.3g} % by > {TOLERATED:g} d, {self.outside_radius} by > r "
             f"({counted(self.outside_spheres, 'sphere')}); deepest {1e3 * self.farthest:.3g} mm",
         )
 
@@ -79,11 +79,12 @@ def count_failures(trajectory: Trajectory, scene: Scene) -> FailureCount:
     finite = np.logical_and.reduce([np.isfinite(part).all(axis=-1) for part in parts if part is not None])
     broken = np.flatnonzero(~finite.all(axis=1))
     radius = trajectory.radius.astype(np.float64)
+    tolerated = TOLERATED * scene.filling.diameter
     counts, farthest, escaped = np.zeros(3, np.int64), 0.0, np.zeros(len(radius), bool)
     for frame in trajectory.position:
         outside = distance_outside(frame.astype(np.float64), radius, scene)
         outside = np.where(np.isfinite(frame).all(axis=-1), outside, -np.inf)
-        counts += [(outside > 0).sum(), (outside > TOLERATED).sum(), (outside > radius).sum()]
+        counts += [(outside > 0).sum(), (outside > tolerated).sum(), (outside > radius).sum()]
         escaped |= outside > radius
         farthest = max(farthest, float(outside.max(initial=0.0)))
     return FailureCount(

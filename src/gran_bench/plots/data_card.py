@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
-from tqdm import tqdm
 
 from gran_bench.config import GenerateConfig
 from gran_bench.dataset import CaseSpec, ensure_cases, half_step, read_case, replicas, rotation_label, split_cases
@@ -15,8 +14,9 @@ from gran_bench.metrics.angle_of_repose import com_angle, surface_angle
 from gran_bench.metrics.comparisons import COMPARISONS, FIGURES, Comparison
 from gran_bench.metrics.measured import Measured, frame_at, mean_of, noise_floor, score
 from gran_bench.metrics.summary import PATTERN_TIME, TrajectorySummary, summarise
-from gran_bench.plots.flow import draw_pattern, fastest, finish_patterns
+from gran_bench.plots.flow import default_title, draw_pattern, fastest, finish_patterns
 from gran_bench.plots.style import BASELINE, DEM, QUIET, SURROGATE, drawing, say
+from gran_bench.progress import Progress
 from gran_bench.scene import Scene, build_scene
 from gran_bench.state import FloatArray, Trajectory
 
@@ -39,9 +39,11 @@ def draw_missing_cards(paths: Sequence[Path], progress: bool = True) -> list[Pat
     """
     figures = [path.parent / "figures" / f"{path.stem}.png" for path in paths]
     missing = [(path, figure) for path, figure in zip(paths, figures, strict=True) if not figure.exists()]
-    for path, figure in tqdm(missing, desc="figures", disable=None if progress and missing else True, leave=False):
+    for path, figure in Progress(missing, desc="figures", unit="figure", show=progress and bool(missing), leave=False):
         case = read_case(path)
-        case_card(case.trajectory, case.scene, figure)
+        packing = case.attributes.get("packing_seed")
+        words = default_title(case.scene) + ("" if packing is None else f", packing {packing}")
+        case_card(case.trajectory, case.scene, figure, words)
     return figures
 
 
@@ -104,7 +106,7 @@ def case_card(trajectory: Trajectory, scene: Scene, path: Path | str, title: str
     norm, instants = Normalize(0.0, fastest([speed])), _instants(scene)
     with drawing(path, 10.0, 7.0) as figure:
         upper, lower = figure.subfigures(2, 1, height_ratios=(1.25, 1.0))
-        figure.suptitle(title or default_title(scene), x=0.01, ha="left", fontsize=12)
+        figure.suptitle(title or default_title(scene))
         panels = upper.subplots(1, len(instants), sharey=True, squeeze=False)[0]
         for axes, time in zip(panels, instants, strict=True):
             frame = frame_at(trajectory.time, time)
@@ -118,14 +120,6 @@ def case_card(trajectory: Trajectory, scene: Scene, path: Path | str, title: str
         _draw_angles(left, trajectory, scene)
         _draw_speeds(right, trajectory.time, speed)
     return Path(path)
-
-
-def default_title(scene: Scene) -> str:
-    """The scene's name, its speed or speeds, how many spheres it has, and their diameter or its ends."""
-    speeds = " → ".join(f"{speed:g}" for speed in dict.fromkeys(scene.rotation.speeds_rpm))
-    ends = dict.fromkeys((scene.filling.smallest_radius, scene.filling.largest_radius))
-    sizes = "–".join(f"{2e3 * radius:.3g}" for radius in ends)
-    return f"{scene.name}, {speeds} rpm, {scene.filling.count} spheres of {sizes} mm"
 
 
 def _instants(scene: Scene) -> list[float]:

@@ -13,8 +13,8 @@ from gran_bench.evaluation.plan import rollout_name
 from gran_bench.metrics.measured import Measured, Series, frame_at
 from gran_bench.metrics.position_error import DIVERGED, divergence_horizon, mean_spread, separation
 from gran_bench.metrics.summary import PATTERN_TIME, STEADY_FROM, TrajectorySummary
-from gran_bench.plots.flow import flow_animation, flow_pattern
-from gran_bench.plots.style import BAND, DEM, SURROGATE, coloured, drawing, mark_place, say, speed_label
+from gran_bench.plots.flow import default_title, flow_animation, flow_pattern
+from gran_bench.plots.style import BAND, DEM, SURROGATE, coloured, drawing, mark_place, say, speed_label, titled
 from gran_bench.state import FloatArray
 
 Candidates = Mapping[str, TrajectorySummary]
@@ -48,15 +48,17 @@ def draw_evaluation(
         name, suffix = rollout_name(holdout_rpm, unseen), "_unseen" if unseen else ""
         case, candidate = evaluation.cases[name], {model_name: evaluation.candidates[packing]}
         runs = {"DEM": case.trajectory, model_name: evaluation.rollouts[name].trajectory}
-        paths.append(flow_pattern(runs, case.scene, folder / f"flow_pattern{suffix}.png"))
-        for draw in (angle_of_repose, speed_distribution, position_error, speed_by_depth, diagnostics):
-            paths.append(draw(candidate, replicas, folder / f"{draw.__name__}{suffix}.png"))
-        if gif and not unseen:
-            paths.append(flow_animation(runs, case.scene, folder / "flow.gif"))
+        with titled(f"{default_title(case.scene)}, {packing} packing"):
+            paths.append(flow_pattern(runs, case.scene, folder / f"flow_pattern{suffix}.png"))
+            for draw in (angle_of_repose, speed_distribution, position_error, speed_by_depth, diagnostics):
+                paths.append(draw(candidate, replicas, folder / f"{draw.__name__}{suffix}.png"))
+            if gif and not unseen:
+                paths.append(flow_animation(runs, case.scene, folder / "flow.gif"))
     rows = evaluation.summary["nearest_case"].values()
     speeds = {rollout_name(row["own_rpm"]): row["own_rpm"] for row in rows}
     distances = {row["own_rpm"]: {speeds[name]: value for name, value in row["w1_m_s"].items()} for row in rows}
-    return [*paths, nearest_cases(distances, folder / "nearest_case.png")]
+    with titled(f"{evaluation.cases[rollout_name(holdout_rpm)].scene.name}, shared packing"):
+        return [*paths, nearest_cases(distances, folder / "nearest_case.png")]
 
 
 def angle_of_repose(candidates: Candidates, replicas: Replicas, path: Path | str) -> Path:
@@ -87,7 +89,7 @@ def diagnostics(candidates: Candidates, replicas: Replicas, path: Path | str) ->
                 axes.set_ylim(bottom=0.0)
         for axes in panels[-1]:
             axes.set_xlabel("time, s")
-        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=4)
     return Path(path)
 
 
@@ -205,7 +207,7 @@ def position_error(candidates: Candidates, replicas: Replicas, path: Path | str)
             drawn.append(error[1:] / diameter)
         if len(replicas) > 1:
             spread = mean_spread([run.position for run in replicas], period)
-            label = "DEM replica to replica (1e-9 m apart)"
+            label = "DEM replica to replica (2e-8 d apart)"
             axes.plot(np.arange(1, frames), spread[1:] / diameter, color=DEM, label=label)
             drawn.append(spread[1:] / diameter)
             horizon = divergence_horizon(spread, diameter)

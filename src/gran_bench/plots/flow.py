@@ -20,13 +20,21 @@ from gran_bench.metrics.angle_of_repose import cross_section_axes
 from gran_bench.metrics.measured import frame_at
 from gran_bench.metrics.speeds import velocities
 from gran_bench.metrics.summary import PATTERN_TIME
-from gran_bench.plots.style import LOOK, QUIET, SPEED_MAP, drawing, run_name, say, speed_label
+from gran_bench.plots.style import LOOK, QUIET, SPEED_MAP, drawing, heading, run_name, say, speed_label
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
 
 MARGIN = 1.06  # of the drum's radius, half the picture's width
 FRAMES_A_SECOND = 20.0  # of the film, which runs in the time of the flow
 LARGEST_FILE = 5_000_000  # bytes; a larger film is made again with fewer frames
+
+
+def default_title(scene: Scene) -> str:
+    """The scene's name, its speed or speeds, how many spheres it has, and their diameter or its ends."""
+    speeds = " → ".join(f"{speed:g}" for speed in dict.fromkeys(scene.rotation.speeds_rpm))
+    ends = dict.fromkeys((scene.filling.smallest_radius, scene.filling.largest_radius))
+    sizes = "–".join(f"{2e3 * radius:.3g}" for radius in ends)
+    return f"{scene.name}, {speeds} rpm, {scene.filling.count} spheres of {sizes} mm"
 
 
 def flow_pattern(runs: Mapping[str, Trajectory], scene: Scene, path: Path | str, time: float = PATTERN_TIME) -> Path:
@@ -47,7 +55,7 @@ def flow_pattern(runs: Mapping[str, Trajectory], scene: Scene, path: Path | str,
                 continue
             draw_pattern(axes, run.position[states[name]], speeds[name], run.radius, scene, norm)
         finish_patterns(figure, panels, norm, speed_label(kind), shrink=0.82)
-        figure.suptitle(f"Flow pattern at {time:g} s, seen along the axis", x=0.01, ha="left", fontsize=12)
+        figure.suptitle(f"flow at {time:g} s, seen along the axis")
     return Path(path)
 
 
@@ -148,12 +156,14 @@ def _frames(runs: Mapping[str, Trajectory], scene: Scene, stride: int) -> Iterat
     palette = Image.new("P", (1, 1))
     palette.putpalette(np.round(255 * np.vstack([colours, colours[:64] * 0.5])[:, :3]).astype(int).ravel().tolist())
     with matplotlib.rc_context(LOOK):
-        figure = Figure(figsize=(3.0 * len(runs), 3.7), dpi=100)
-        canvas, place = FigureCanvasAgg(figure), {"left": 0.01, "right": 0.99, "bottom": 0.16, "top": 0.92}
+        figure = Figure(figsize=(3.0 * len(runs), 3.9), dpi=100)
+        canvas, place = FigureCanvasAgg(figure), {"left": 0.01, "right": 0.99, "bottom": 0.15, "top": 0.87}
         panels = figure.subplots(1, len(runs), squeeze=False, gridspec_kw=place | {"wspace": 0.02})[0]
         scale = figure.add_axes((0.25, 0.13, 0.5, 0.02))
         figure.colorbar(ScalarMappable(norm, SPEED_MAP), cax=scale, orientation="horizontal", label=speed_label(kind))
-        clock = figure.text(0.99, 0.94, "", ha="right")
+        words = heading.get() or default_title(scene)
+        figure.text(0.01, 0.95, words, fontsize=min(10.0, 375.0 * len(runs) / len(words)))
+        clock = figure.text(0.99, 0.89, "", ha="right")
         for frame in range(0, ends, stride):
             clock.set_text(f"{scene.start_time + frame * scene.frame_interval:.2f} s")
             for axes, (name, run) in zip(panels, runs.items(), strict=True):

@@ -21,7 +21,7 @@ def draw_time_to_failure(runs: Mapping[str, Sequence[tuple[float, float, bool]]]
     speeds = sorted({speed for rows in runs.values() for speed, _, _ in rows})
     with drawing(path, 8.4, 4.2) as figure:
         axes = figure.subplots()
-        axes.set_title("rollouts in the paper's drum: simulated time until the first failure")
+        axes.set_title("rollouts: simulated time until the first failure")
         if not any(runs.values()):
             say(axes, "no rollout was run")
             return Path(path)

@@ -33,6 +33,7 @@ LOOK = {
     "figure.dpi": 100.0,
 }
 run_name: ContextVar[str | None] = ContextVar("run_name", default=None)
+heading: ContextVar[str] = ContextVar("heading", default="")
 
 
 @contextmanager
@@ -46,11 +47,24 @@ def drawn_for(name: str) -> Iterator[None]:
 
 
 @contextmanager
+def titled(words: str) -> Iterator[None]:
+    """Let every figure of the block say first what it is of: scene, speed and packing."""
+    token = heading.set(words)
+    try:
+        yield
+    finally:
+        heading.reset(token)
+
+
+@contextmanager
 def drawing(path: Path | str, width: float, height: float) -> Iterator[Figure]:
     """A figure of ``width`` × ``height`` inches that is written to ``path`` (PNG) when the block ends well."""
     with matplotlib.rc_context(LOOK):
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure
+        if words := ": ".join(filter(None, (heading.get(), figure.get_suptitle()))):
+            # Long words shrink to the figure's width.
+            figure.suptitle(words, x=0.01, ha="left", fontsize=min(11.0, 125.0 * width / len(words)))
         name = run_name.get()
         if name is not None:
             # A caption of its own line, so that it covers nothing; long names shrink to the figure's width.

@@ -11,11 +11,7 @@ from matplotlib.ticker import LogLocator
 
 from gran_bench.plots.style import BASELINE, DEM, FURTHER, QUIET, ROUND, SURROGATE, drawing, plain_numbers
 
-KINDS = {
-    "dem": ("DEM", DEM, "o"),
-    "surrogate": ("surrogate", SURROGATE, "D"),
-    "baseline": ("baseline", BASELINE, "^"),
-}
+KINDS = {"dem": ("DEM", DEM, "o"), "surrogate": ("surrogate", SURROGATE, "D"), "baseline": ("baseline", BASELINE, "^")}
 LARGEST_IN_FULL = 1e6  # numbers up to which the measured places are the ticks
 
 
@@ -94,7 +90,7 @@ def time_against_error(
                           linestyle="none", label=label if i == 0 else None)  # fmt: skip
         if not contenders:
             axes.text(0.5, 0.5, "no method was timed and judged", transform=axes.transAxes, ha="center")
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=5)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=5)
         # The names stand in a column, in the order of the errors, each with a line to its mark.
         for place, c in zip(np.linspace(0.03, 0.97, len(contenders)), sorted(contenders, key=height_of), strict=True):
             text = c.name if c.floors is not None else f"{c.name} (failed)"
@@ -161,5 +157,5 @@ def cost_against(
         if places and places[-1] < LARGEST_IN_FULL:
             axes.set_xticks(places)
             plain_numbers(axes.xaxis)
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=2)
     return Path(path)

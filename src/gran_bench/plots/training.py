@@ -19,7 +19,12 @@ PANELS = (
     ("headline/rollout ms per frame", "time for a frame, ms"),
     ("training.steps", "updates in the time given"),
 )
-_SHOWN_ELSEWHERE = ("step", "loss", "learning_rate", "frames_ahead", "gradient_norm", "seconds", "minutes")
+RUN_TIMES = ("headline/rollout ms per frame", "training.steps")  # of the panels; what else ran counts in them
+COST_NOTHING = ("loss", "rollout", "optim", "trainer", "seed")  # sections of the recipe that a frame's time has not
+VALIDATION = "validation_loss"
+_SHOWN_ELSEWHERE = (
+    *("step", "loss", "learning_rate", "frames_ahead", "gradient_norm", "seconds", "minutes", VALIDATION),
+)
 LOG_FROM = 15.0  # largest over smallest figure from which a panel is logarithmic
 CROWDED = 4  # numbers below an axis from which on they would touch
 COLOURS = (SURROGATE, BASELINE, *FURTHER, DEM)
@@ -32,21 +37,30 @@ def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path 
     """Draw one axis of a sweep against errors and time: a point a seed, the means, failed runs at the upper edge.
 
     ``runs`` has a row a run: the swept keys as text, ``status``, and the figures of the panels, NaN where undefined.
-    Values of ``axis`` that are numbers are spaced so, with a line through the means; each combination of the ``others``
+    Values of ``axis`` that are numbers are spaced so, with a line through the means, but for seeds and run times: one
+    seed leads to no other, and other work on the machine is no effect of a choice. Each combination of the ``others``
     has a colour.
     """
     values = list(dict.fromkeys(runs[axis]))
     numbers = pd.to_numeric(pd.Series(values, dtype=object), errors="coerce").tolist()
     as_numbers = all(math.isfinite(number) for number in numbers)
+    as_numbers &= axis != "seed"
     place = dict(zip(values, numbers if as_numbers else range(len(values)), strict=True))
     turned = {} if as_numbers and len(values) <= CROWDED else {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}
     series = list(runs.groupby(list(others), sort=False)) if others else [((), runs)]
     with drawing(path, 13.0, 7.2) as figure:
-        figure.suptitle(title, x=0.01, ha="left", fontsize=10.5)
+        figure.suptitle(title)
         panels = figure.subplots(2, 3).ravel()
         for axes, (name, label) in zip(panels, PANELS, strict=True):
             axes.set(ylabel=label, xlabel=axis)
-            _points(axes, series, axis, name, place, joined=as_numbers)
+            timed, unmoved = name in RUN_TIMES, axis == "seed" or axis.partition(".")[0].lstrip("+") in COST_NOTHING
+            if timed and (axis == "seed" or (unmoved and name == RUN_TIMES[0])):
+                say(axes, f"{axis} has no part in {label.partition(',')[0]}")
+                axes.set_xticks([])
+                continue
+            if timed:
+                axes.set_title("other work on the machine counts", fontsize=8.5, color=QUIET)
+            _points(axes, series, axis, name, place, as_numbers, joined=as_numbers and not timed)
             axes.set_xticks([place[value] for value in values], values, **turned)
             if not as_numbers:
                 axes.set_xlim(-0.5, len(values) - 0.5)
@@ -56,9 +70,11 @@ def sweep_axis(runs: pd.DataFrame, axis: str, others: Sequence[str], path: Path 
     return Path(path)
 
 
-def _points(axes: Axes, series: list, axis: str, name: str, place: dict[str, float], joined: bool) -> None:
+def _points(
+    axes: Axes, series: list, axis: str, name: str, place: dict[str, float], as_numbers: bool, joined: bool
+) -> None:
     """Seeds, means and failures of one panel; series stand beside each other over a name, at a number in its place."""
-    breadth, every = 0.0 if joined else BREADTH / len(series), []
+    breadth, every = 0.0 if as_numbers else BREADTH / len(series), []
     for number, (values, runs) in enumerate(series):
         colour, style = COLOURS[number % len(COLOURS)], number // len(COLOURS) % len(MARKERS)
         label = ", ".join(values if isinstance(values, tuple) else (values,)) or "mean over seeds"
@@ -100,7 +116,7 @@ def loss_curves(losses: pd.DataFrame, path: Path | str) -> Path:
     """
     with drawing(path, 8.8, 4.6) as figure:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1.0))
-        upper.set(title="Training loss", ylabel="loss, dimensionless")
+        upper.set(title="Loss", ylabel="loss, dimensionless")
         lower.set(ylabel="learning rate", xlabel="optimiser steps")
         if losses.empty:
             say(upper, "no losses were logged")
@@ -110,6 +126,9 @@ def loss_curves(losses: pd.DataFrame, path: Path | str) -> Path:
         upper.plot(step, losses["loss"], color=SURROGATE, alpha=0.25, linewidth=0.9)
         label = "loss" if window == 1 else f"loss, running median of {window}"
         upper.plot(step, smooth["loss"], color=SURROGATE, label=label)
+        if VALIDATION in losses:
+            known = losses[VALIDATION].notna()
+            upper.plot(step[known], smooth[VALIDATION][known], color=DEM, linestyle=LINES[1], label="loss, validation")
         terms = [name for name in losses.columns if name not in _SHOWN_ELSEWHERE]
         for name, colour in style.coloured(terms, (BASELINE,)):
             upper.plot(step, smooth[name], color=colour, linewidth=1.1, label=name.removeprefix("term/"))

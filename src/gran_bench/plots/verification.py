@@ -151,7 +151,8 @@ def draw_drum_flow(
                     middle, half = 0.5 * (low + high), 0.5 * (high - low)
                     axes.errorbar(place + 0.3, middle, half, fmt="_", color=colour, capsize=3)
                 axes.set_xticks(range(len(codes)), [code.replace(", ", ",\n") for code in codes])
-                axes.set(xlim=(-0.5, len(codes) - 0.3), ylabel=label, title="" if row else f"{rpm:g} rpm")
+                title = "" if row else f"drum, {rpm:g} rpm; a dot is a packing"
+                axes.set(xlim=(-0.5, len(codes) - 0.3), ylabel=label, title=title)
 
 
 @dataclass(frozen=True)

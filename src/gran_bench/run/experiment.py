@@ -5,6 +5,7 @@ any interruption and a finished run only prints its summary again.
 """
 
 import json
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,60 +16,80 @@ import pandas as pd
 from gran_bench import tracking
 from gran_bench.config import EvaluateConfig, SceneConfig, TrainConfig
 from gran_bench.config.reading import read_config, validate
-from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import Windows, ensure_cases
 from gran_bench.evaluation import evaluate
 from gran_bench.evaluation.plan import Plan
 from gran_bench.files import write_text
 from gran_bench.plots.evaluation import draw_evaluation
-from gran_bench.plots.style import drawn_for
-from gran_bench.plots.training import loss_curves
+from gran_bench.plots.style import drawn_for, titled
+from gran_bench.plots.training import VALIDATION, loss_curves
 from gran_bench.processes import StopRequest, stop_on_signals, tell
 from gran_bench.provenance import provenance
 from gran_bench.provenance.source_digest import model_code
+from gran_bench.run.cost import Cost, data_cost, flow_cost, judging_cost, training_cost
+from gran_bench.run.going_on import go_on, parent_of, updates_ahead
 from gran_bench.run.identity import RunIdentity, hash_of, identify, judged_by, judging_plan, splits, wants_more
+from gran_bench.run.pace import rollout_pace
 from gran_bench.run.record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, training_metrics
-from gran_bench.run.summary import FIGURES, cut_short, record_judgement
+from gran_bench.run.start_from import Start, refuse_unfair, start_of
+from gran_bench.run.summary import FIGURES, cut_short, finished_summary, record_judgement
 from gran_bench.scene import build_scene
-from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card, load_model, save_model
+from gran_bench.surrogate.checkpoint import (
+    CheckpointError,
+    ModelCard,
+    file_digest,
+    load_card,
+    load_model,
+    read_tensors,
+    save_model,
+)
 from gran_bench.surrogate.contact.compiling import compile_kernels, kernels_missing
 from gran_bench.surrogate.step import Surrogate
 from gran_bench.trainer import CHECKPOINT, Trainer, TrainingStopped
-from gran_bench.trainer.start import device_named, make_model, training_windows
+from gran_bench.trainer.start import device_named, make_model, training_windows, validation_windows
+from gran_bench.trainer.validation import Validation
 
 
 def run_experiment(config: TrainConfig) -> dict[str, Any]:
     """Run the experiment that a config describes, or what is left of it; gives the summary, as in ``summary.json``.
+
+    What it will take is told first; with ``dry_run`` that is all, and the summary is empty.
 
     Raises:
         ConfigError: a value that no run can have.
         KeyboardInterrupt: SIGTERM or Ctrl-C; a resumable state is on disk and the MLflow run is KILLED.
     """
     validate(config)
-    scene, clock = build_scene(config.scene), Clock()
-    tell(f"scene {scene.name}: {scene.filling.count} spheres; {scene.needs}")
+    scene, clock, split, start = build_scene(config.scene), Clock(), splits(config), start_of(config)
+    model = make_model(config, scene)
+    if start is not None:
+        tell(f"starts from the weights of {start.name}")
+        for line in start.put_into(model, config):
+            tell(f"warning: {start.given}: {line}")
     with stop_on_signals() as stop:
-        split = splits(config)
-        tell(f"data: {len(split.all)} cases in {Path(config.dataset.root).resolve()}")
+        if experiment_cost(config).tell(config.dry_run):
+            return {}
         with clock.stage("data"):
             ensure_cases(split.all, config.dataset.root, config.dataset.workers)
             windows = training_windows(config, split)
         record, plan = RunRecord(identify(config), config, scene.name, clock), judging_plan(config)
 
         def work(run: tracking.Run) -> dict[str, Any]:
-            model = make_model(config, scene)
-            _compile_ahead(config.model.name)
+            compile_ahead(config.model.name)
             device = next(model.parameters()).device
             tell(f"model {config.model.name}: {model.parameter_count} parameters on {device}")
             with clock.stage("training"):
-                training = train_stage(config, model, windows, record.identity.folder, run, stop)
+                go_on(config, record.identity)
+                seen = validation_windows(config, split)
+                beside = None if seen is None else Validation(model, seen, config.loss)
+                training = train_stage(config, model, windows, record.identity.folder, run, stop, start, beside)
             return judge_stage(record, model, plan, asdict(config.model), training, run)
 
         return record.carry_out(work, lambda finished: wants_more(config, finished["training"]))
 
 
 def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
-    """Roll out and judge a model file, without training; gives the summary.
+    """Roll out and judge a model file, without training; gives the summary, which is empty with ``dry_run``.
 
     Raises:
         CheckpointError: the file is no model.
@@ -80,13 +101,18 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
     model, card = load_model(path, device_named(config.device))
     scene, name = build_scene(read_config(SceneConfig, card.scene)), card.model["name"]
     tell(f"model {name}: {model.parameter_count} parameters from {path}, made for scene {scene.name}")
-    _refuse_unfair(config, card.origin)
-    _compile_ahead(name)
+    refuse_unfair(config, card.origin, "this model")
+    compile_ahead(name)
     plan = Plan(scene, config.dem, config.dataset, config.judge)
     key = hash_of(file_digest(path), judged_by(plan), model_code(name))
     folder = Path(config.tracking.root) / "evaluations" / f"{path.resolve().parent.name}-{key[:8]}"
     identity = RunIdentity(folder, key, judged_by(plan), card.origin["data_digest"])
     record = RunRecord(identity, config, scene.name, Clock())
+    if finished_summary(identity) is None or config.dry_run:
+        cost = flow_cost(scene, config.dem)
+        cost += data_cost(scene, config.dem, plan.cases, config.dataset.root, config.dataset.workers)
+        if (cost + judging_cost(plan, rollout_pace(model, scene))).tell(config.dry_run):
+            return {}
 
     def work(run: tracking.Run) -> dict[str, Any]:
         return judge_stage(record, model, plan, card.model, card.origin, run)
@@ -95,15 +121,39 @@ def run_evaluation(config: EvaluateConfig) -> dict[str, Any]:
         return record.carry_out(work, lambda finished: False)
 
 
-def _compile_ahead(model: str) -> None:
+def experiment_cost(config: TrainConfig) -> Cost:
+    """What is left to do of an experiment, and what it will take."""
+    scene, data, split, plan = build_scene(config.scene), config.dataset, splits(config), judging_plan(config)
+    cost = flow_cost(scene, config.dem)
+    cost += data_cost(scene, config.dem, [*split.all, *plan.cases], data.root, data.workers)
+    done: int | None = 0
+    if all(spec.path(data.root).exists() for spec in split.training):
+        identity = identify(config)
+        training, checkpoint = identity.folder / TRAINING, identity.folder / CHECKPOINT
+        if training.exists() and not wants_more(config, json.loads(training.read_text("utf-8"))):
+            if finished_summary(identity) is not None:
+                return cost
+            done = None
+        elif checkpoint.exists():
+            with suppress(CheckpointError, OSError):  # the training says what is wrong with it
+                done = read_tensors(checkpoint, "cpu")["step"]
+        else:
+            done = updates_ahead(config, identity)
+    compile_ahead(config.model.name)
+    return cost + training_cost(config, plan, done)
+
+
+def compile_ahead(model: str) -> None:
+    """Compile what a model needs and this installation has not, in a process of its own."""
     if kernels_missing(model):
         tell("compiling the kernels of the network (once, a minute or two) …")
         compile_kernels(model)
 
 
 def train_stage(
-    config: TrainConfig, model: Surrogate, windows: Windows, folder: Path, run: tracking.Run, stop: StopRequest
-) -> dict[str, Any]:
+    config: TrainConfig, model: Surrogate, windows: Windows, folder: Path, run: tracking.Run, stop: StopRequest,
+    start: Start | None = None, validation: Validation | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Train, or load what training left, into the model; gives what ``training.json`` says."""
     if (folder / TRAINING).exists():
         training = json.loads((folder / TRAINING).read_text("utf-8"))
@@ -114,6 +164,8 @@ def train_stage(
     log = LossLog(folder / LOSSES)
 
     def keep(metrics: dict[str, float], step: int) -> None:
+        if validation is not None:
+            metrics = metrics | {VALIDATION: validation.loss(int(metrics["frames_ahead"]))}
         log.add(metrics, step)
         run.log_metrics(training_metrics(metrics), step)
 
@@ -141,6 +193,8 @@ def train_stage(
         "packing_seed": config.dataset.packing_seed,
         "data_digest": windows.digest,
         "data_seconds": float(np.nansum([case.attributes["wall_seconds"] for case in windows.cases])),
+        **({} if start is None else start.record(config)),
+        **parent_of(folder),
         **provenance(),
     }
     card = ModelCard(asdict(config.model), asdict(config.boundary), asdict(config.scene), training)
@@ -163,7 +217,9 @@ def judge_stage(
         place = folder / FIGURES
         figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, card["name"])
         if (folder / LOSSES).exists():
-            figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
+            speeds = ", ".join(f"{rpm:g}" for rpm in training["training_speeds_rpm"])
+            with titled(f"{record.scene_name}, trained at {speeds} rpm, packing {training['packing_seed']}"):
+                figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
     summary = {
         "experiment": training["experiment"],
         "provenance": provenance(),
@@ -175,18 +231,3 @@ def judge_stage(
     }
     record_judgement(run, summary, folder, figures)
     return summary
-
-
-def _refuse_unfair(config: EvaluateConfig, origin: dict[str, Any]) -> None:
-    dataset = config.dataset
-    speeds = dataset.validation_speeds_rpm or dataset.holdout_speeds_rpm
-    # The other sense of rotation is the mirror image.
-    seen = [rpm for rpm in origin["training_speeds_rpm"] if abs(rpm) in map(abs, speeds)]
-    if seen:
-        raise ConfigError(
-            f"dataset.holdout_speeds_rpm={speeds}: this model was trained on {seen[0]:g} rpm; judge another speed, "
-            "or choose the dataset= and judge= that it was trained with (dataset=small judge=quick for drum_small)"
-        )
-    if config.judge.unseen_packing and dataset.unseen_packing_seed == origin["packing_seed"]:
-        given = f"dataset.unseen_packing_seed={dataset.unseen_packing_seed}"
-        raise ConfigError(f"{given}: this model was trained on that packing; choose another seed")

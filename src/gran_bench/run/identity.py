@@ -1,4 +1,7 @@
-"""What a run is called and what determines it, known before any of its work is done and without loading PyTorch."""
+"""What a run is called and what determines it, known before any of its work is done.
+
+PyTorch is loaded only where the run starts from weights of another.
+"""
 
 import hashlib
 import json
@@ -29,12 +32,22 @@ class RunIdentity:
 def identify(config: TrainConfig) -> RunIdentity:
     """The identity of the run that a checked config describes; a `DatasetError` where a training case is not there."""
     digest = dataset_digest(spec.path(config.dataset.root) for spec in splits(config).training)
-    key = hash_of(deciding_keys(config), digest, training_code(config.model.name, weighed_terms(config.loss)))
+    key = key_of(config, digest)
     runs = Path(config.tracking.root) / "runs"
     folder = runs / f"{config.tracking.folder or config.experiment}-{key[:8]}"
     if not folder.exists():  # perhaps another command began the run under another name: it goes on there
         folder = next(iter(sorted(runs.glob(f"*-{key[:8]}"))), folder)
     return RunIdentity(folder, key, judged_by(judging_plan(config)), digest)
+
+
+def key_of(config: TrainConfig, data_digest: str) -> str:
+    """Hash of what determines the result of a training on given data."""
+    keys = deciding_keys(config)
+    if config.trainer.start_from is not None:
+        from gran_bench.run.start_from import start_of
+
+        keys["trainer"]["start_from"] = start_of(config).digest  # however they were named
+    return hash_of(keys, data_digest, training_code(config.model.name, weighed_terms(config.loss)))
 
 
 def splits(config: TrainConfig) -> Split:

@@ -19,10 +19,19 @@ from gran_bench.files import locked, write_atomically, write_text
 from gran_bench.processes import tell
 from gran_bench.provenance import command, provenance
 from gran_bench.run.identity import RunIdentity
-from gran_bench.run.summary import FIGURES, finished_summary, params_of, record_judgement, summary_table, write_summary
+from gran_bench.run.summary import (
+    FIGURES,
+    finished_summary,
+    judged_tags,
+    params_of,
+    record_judgement,
+    summary_table,
+    write_summary,
+)
 from gran_bench.surrogate.checkpoint import MODEL
+from gran_bench.tracking.search import CONFIG
 
-TRAINING, LOSSES, CONFIG, CLOCK = "training.json", "losses.csv", "config.json", "clock.json"
+TRAINING, LOSSES, CLOCK = "training.json", "losses.csv", "clock.json"
 TRACKED = "tracked"  # subfolder of the summary that the store gets; the run's own is written when the store is done
 
 
@@ -96,6 +105,8 @@ class RunRecord:
         """Put a run, of which nothing is here but a row of a sweep's table, into a store that does not know it."""
         with self._opened(made) as run:
             run.set_tag("folder", f"made elsewhere; what is here of it: a row in {source}")
+            for name, text in judged_tags(made["judged"], figures[f"{tracking.HEADLINE}requirements failed"]).items():
+                run.set_tag(name, text)
             run.log_metrics(figures, supersede=True)
 
 

@@ -15,8 +15,8 @@ from gran_bench.files import write_text
 from gran_bench.metrics.judgement import shown_multiple
 from gran_bench.metrics.outside import FailureCount, counted
 from gran_bench.run.identity import RunIdentity
+from gran_bench.tracking.search import SUMMARY
 
-SUMMARY = "summary.json"
 FIGURES = "figures"
 FIRST_FIGURES = ("flow_pattern.png", "angle_of_repose.png", "loss.png")  # in the description itself
 
@@ -43,6 +43,12 @@ def finished_summary(identity: RunIdentity) -> dict[str, Any] | None:
 def judged_words(summary: Mapping[str, Any]) -> str:
     """On which speed a run was judged: ``validation, 35 rpm``."""
     return f"{summary['judged_as']}, {summary['judged_rpm']:g} rpm"
+
+
+def judged_tags(judged: str, missed: float) -> dict[str, str]:
+    """A judged run's first columns in the UI, of `judged_words` and how many requirements are not met."""
+    kind, _, speed = judged.rpartition(", ")
+    return {"speed": f"{speed}, {kind}", tracking.VERDICT: "fail" if missed else "pass"}
 
 
 def headline(summary: Mapping[str, Any]) -> dict[str, float]:
@@ -132,6 +138,14 @@ def cut_short(training: Mapping[str, Any]) -> str | None:
     )
 
 
+def descent(training: Mapping[str, Any]) -> str | None:
+    """From which run a training went on, or whose weights it started from; ``training.json`` says it. Else None."""
+    if (parent := training.get("parent_run")) is None:
+        return None
+    steps = training.get("parent_steps")
+    return f"starts from the weights of {parent}" if steps is None else f"goes on from update {steps} of {parent}"
+
+
 def summary_table(summary: Mapping[str, Any]) -> str:
     """The end of the terminal output: requirements met and missed, headline figures, where things are."""
     return "\n".join(_lines(summary))
@@ -142,8 +156,7 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
     yield f"{summary['experiment']}: {summary['model']['name']}, {training['parameters']} parameters"
     minutes = training["seconds"] / 60
     yield f"trained {training['steps']} updates in {minutes:.1f} min (stopped by {training['stopped_by']})"
-    if (cut := cut_short(training)) is not None:
-        yield cut
+    yield from (line for line in (descent(training), cut_short(training)) if line is not None)
     for packing, judged in summary["judged"].items():
         yield from ("", f"{judged_rpm} rpm, {summary['judged_as']}, {packing} packing", _row("", "found", "verdict"))
         for row in judged["requirements"].values():
@@ -248,19 +261,23 @@ def record_judgement(run: tracking.Run, summary: dict[str, Any], folder: Path, f
     kept = list(figures)
     for figure in kept:
         run.log_artifact(figure, FIGURES)
+    for name, text in judged_tags(judged_words(summary), len(missed_requirements(summary))).items():
+        run.set_tag(name, text)
     run.set_tag("model", summary["model"]["name"])
-    run.set_tag("judged", judged_words(summary))
+    if (parent := summary["training"].get("parent_run")) is not None:
+        run.set_tag("parent_run", parent)
     run.set_tag("mlflow.note.content", description(summary, folder, [path.name for path in kept], run.run_id))
 
 
 def description(summary: dict[str, Any], folder: Path, figures: Sequence[str], run_id: str | None) -> str:
     """A run's description in Markdown, with the named figures among the artifacts of a tracked run."""
-    training, found, cut = summary["training"], headline(summary), cut_short(summary["training"])
+    training, found = summary["training"], headline(summary)
+    told = [line for line in (descent(training), cut_short(training)) if line is not None]
     lines = [
         f"**{summary['model']['name']}**, {training['parameters']} parameters, {training['steps']} updates; "
         f"{summary['judged_rpm']:g} rpm, {summary['judged_as']}. **{verdict(summary)}.**",
         "",
-        *([f"**{cut[0].upper()}{cut[1:]}.**", ""] if cut is not None else []),
+        *(line for words in told for line in (f"**{words[0].upper()}{words[1:]}.**", "")),
         "| figure | value |",
         "|---|---:|",
         *(f"| {name} | {found[name]:.4g} |" for name in found),

@@ -146,12 +146,14 @@ class Filling:
     """Spheres on a jittered lattice, the lowest sites first, or where they are placed one by one."""
 
     count: int  # N
-    diameter: float  # d, m
+    diameter: float  # d, m: the length of reference
     lattice_spacing: float = 1.12  # distance of neighbouring sites, in largest diameters
     jitter: float = 0.05  # largest offset from a site along each axis, in largest diameters
-    # root mean square of the speeds; a bed that stays below is at rest (dem/rest.py), m/s.
-    settled_speed: float = 1.0e-3
-    longest_settling: float = 20.0  # s; a bed that is not at rest then is an error
+    # root mean square of the speeds over √(g d); a bed that stays below is at rest (dem/rest.py)
+    settled_froude: float = 1.428e-3
+    settled_speed: float | None = None  # the same in m/s; None: by the Froude number
+    longest_settling_fall_times: float = 280.0  # √(d/g); a bed that is not at rest then is an error
+    longest_settling: float | None = None  # the same in s; None: by the fall times
     settles: bool = True  # whether the spheres fall and come to rest before the scene starts
     sizes: Sizes = field(default_factory=Sizes)  # distribution of the diameters about d
     # share of each of the scene's materials, by number, in random order; empty: all of the first

@@ -125,6 +125,42 @@ class Scene:
         return float(np.linalg.norm(self.gravity))
 
     @property
+    def fall_time(self) -> float:
+        """√(d/g), the time of reference, s.
+
+        Raises:
+            SceneError: a scene without gravity.
+        """
+        return math.sqrt(self.filling.diameter / self._gravity("the time √(d/g)", "filling.longest_settling"))
+
+    @property
+    def settled_speed(self) -> float:
+        """Root mean square of the speeds that a bed at rest stays below, m/s.
+
+        Raises:
+            SceneError: a Froude number in a scene without gravity.
+        """
+        filling = self.filling
+        if filling.settled_speed is not None:
+            return filling.settled_speed
+        return filling.settled_froude * math.sqrt(
+            self._gravity("scene.filling.settled_froude", "filling.settled_speed") * filling.diameter
+        )
+
+    @property
+    def longest_settling(self) -> float:
+        """Time after which a bed that is not at rest is an error, s; raises as :attr:`fall_time` does."""
+        filling = self.filling
+        if filling.longest_settling is not None:
+            return filling.longest_settling
+        return filling.longest_settling_fall_times * self.fall_time
+
+    def _gravity(self, what: str, absolute: str) -> float:
+        if strength := self.gravity_strength:
+            return strength
+        raise SceneError(f"scene.gravity is 0, and {what} is measured with it; give scene.{absolute}")
+
+    @property
     def needs(self) -> Needs:
         """What this scene needs of the physics."""
         kinds = range(len(self.materials))
@@ -231,6 +267,6 @@ class Scene:
                 f"this container has room for {len(sites)}"
             )
         # Lowest first; sites of one height in random order, so that a part-filled top layer is even.
-        order = np.lexsort((rng.random(len(sites)), np.round(sites[:, 2], 9)))
+        order = np.lexsort((rng.random(len(sites)), np.round(sites[:, 2] / filling.spacing, 7)))
         position = sites[order[: filling.count]]
         return position + rng.uniform(-1.0, 1.0, position.shape) * filling.offset

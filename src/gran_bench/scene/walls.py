@@ -128,7 +128,9 @@ def turns_into_itself(wall: Wall, axis: Vector, point: Vector) -> bool:
     """Whether a wall has the same shape after any rotation about an axis through a point."""
     offset = tuple(a - b for a, b in zip(wall.point, point, strict=True))
     aligned = _length_of_cross(axis, wall.direction) < 1e-9
-    return aligned and (isinstance(wall, Plane) or _length_of_cross(offset, axis) < 1e-9)
+    if isinstance(wall, Plane):
+        return aligned
+    return aligned and _length_of_cross(offset, axis) < 1e-9 * max(wall.radius, getattr(wall, "end_radius", 0.0))
 
 
 def _length_of_cross(a: Vector, b: Vector) -> float:

@@ -94,7 +94,7 @@ def seen_of(trajectory: Trajectory, scene: Scene, bed: ParticleState) -> tuple[d
         flags.append(f"{count.non_finite_states} of {count.states} states not finite from {count.first_non_finite:g} s")
     if count.outside_tolerated:
         flags.append(
-            f"{count.share(count.outside_tolerated):.2g} % of sphere states outside by > 5 mm, "
+            f"{count.share(count.outside_tolerated):.2g} % of sphere states outside by > 0.1 d, "
             f"{count.share(count.outside_radius):.2g} % ({counted(count.outside_spheres, 'sphere')}) by > r, "
             f"farthest {1e3 * count.farthest:.3g} mm"
         )

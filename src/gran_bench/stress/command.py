@@ -1,7 +1,9 @@
 """The stress test: which cases, two at a time where they may, each kept as it ends; then table, page and verdict."""
 
+import csv
 import functools
 import hashlib
+import io
 import json
 import os
 import queue
@@ -13,23 +15,25 @@ from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 
-from tqdm import tqdm
-
 from gran_bench.config import StressConfig
 from gran_bench.config.rules import ConfigError
 from gran_bench.files import locked, write_text
 from gran_bench.plots.stability import draw_dem_step, draw_energy_drift, draw_time_to_failure
+from gran_bench.plots.style import titled
 from gran_bench.processes import stop_on_signals, tell
-from gran_bench.provenance import provenance
+from gran_bench.progress import Progress
+from gran_bench.provenance import provenance, read_table
 from gran_bench.provenance.source_digest import source_digest
+from gran_bench.run.cost import PROCESS_BYTES, Cost, makespan
 from gran_bench.shipped import SHIPPED, shipped_model
 from gran_bench.stress.case_list import StressCase, cases_of_file, near_match, shipped_cases
 from gran_bench.stress.expectation import FAILED, Observation
-from gran_bench.stress.page import PAGE, Errand, closing_line, table, write_results
+from gran_bench.stress.page import PAGE, TABLE, Errand, closing_line, table, write_results
 from gran_bench.stress.perform import EXPERIMENTS, model_words, outcome_of, perform
 from gran_bench.surrogate.checkpoint import file_digest
 from gran_bench.workers import Worker, crew
 
+USUAL_SECONDS = 6.0  # of a case, where no earlier page says it
 LOCK = ".lock"  # in the folder of the page
 PART = "part"  # folder of the page of less than the whole list
 KEPT, SHARED = "kept", "beds"
@@ -51,6 +55,8 @@ def run_stress(config: StressConfig) -> list[Errand]:
     folder = Path(config.output) if whole else Path(config.output) / PART
     files = [shipped_model() if file == SHIPPED else Path(file) for file in (config.checkpoint, *config.also)]
     results = errands(cases, files, folder)
+    if stress_cost(results, folder, config).tell(config.dry_run):
+        return []
     # Two at once would empty each other's work folders.
     with stop_on_signals(), locked(folder / LOCK, lambda: _tell_of_another(folder)):
         began = time.perf_counter()
@@ -68,6 +74,18 @@ def run_stress(config: StressConfig) -> list[Errand]:
     if failed:
         raise StressFailed(f"{len(failed)} of {len(results)} expectations are not met: {', '.join(failed)}")
     return results
+
+
+def stress_cost(todo: Sequence[Errand], folder: Path, config: StressConfig) -> Cost:
+    """What is left of a list, and what it will take: as long as it took when the page in its folder was written."""
+    left = [errand for errand in todo if not errand.file.exists()]
+    line = f"stress test: {len(left)} cases to do, {len(todo) - len(left)} kept from an interrupted run; "
+    line += f"{config.workers} at a time, each at most {config.patience:g} s"
+    known = io.StringIO(read_table(folder / TABLE)[1] if (folder / TABLE).exists() else "")
+    seconds = {(row["case"], row["model"]): float(row["seconds"]) for row in csv.DictReader(known)}
+    usual = sum(seconds.values()) / len(seconds) if seconds else USUAL_SECONDS
+    expected = [seconds.get((errand.case.name, errand.model), usual) for errand in left]
+    return Cost([line], {"cases": makespan(expected, config.workers)}, config.workers * PROCESS_BYTES["torch"], 1.0e8)
 
 
 def _tell_of_another(folder: Path) -> None:
@@ -97,7 +115,8 @@ def draw_figures(results: Sequence[Errand], folder: Path) -> None:
     for result in (result for result in results if isinstance(result.outcome, Observation)):
         curves = result.outcome.curves
         if result.case.kind == "step_ladder":
-            draw_dem_step(curves, folder / "dem_step.png")
+            with titled("drum, 30 rpm, one packing"):
+                draw_dem_step(curves, folder / "dem_step.png")
         elif result.case.kind == "energy_drift":
             draw_energy_drift(curves, folder / "energy_drift.png")
         elif result.case.kind in ("model_rollout", "untrained_rollout"):
@@ -107,7 +126,8 @@ def draw_figures(results: Sequence[Errand], folder: Path) -> None:
                 end = curves["speed_rpm"][0], curves["time_to_failure"][0], bool(curves["survived"][0])
                 runs[result.model or f"{values['model']}, untrained"].append(end)
     if runs:
-        draw_time_to_failure(runs, folder / "time_to_failure.png")
+        with titled("drum, one packing"):
+            draw_time_to_failure(runs, folder / "time_to_failure.png")
 
 
 def errands(cases: Sequence[StressCase], checkpoints: Sequence[Path], folder: Path) -> list[Errand]:
@@ -146,8 +166,7 @@ def carry_out(todo: Sequence[Errand], folder: Path, workers: int, patience: floa
         idle.put(worker)
     alone = [errand for errand in todo if EXPERIMENTS[errand.case.kind].alone]
     groups = [[errand for errand in todo if errand not in alone], *([errand] for errand in alone)]
-    # None: silent where stderr is no terminal.
-    bar = tqdm(total=len(todo), unit=" cases", leave=False, disable=None)
+    bar = Progress(total=len(todo), desc="stress", unit="case", leave=False)
     with bar, crew(hands, workers) as threads:
 
         def one(errand: Errand) -> None:

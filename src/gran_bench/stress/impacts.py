@@ -6,6 +6,7 @@ from itertools import product
 import numpy as np
 
 from gran_bench.config import DemConfig
+from gran_bench.dataset.case_spec import replica_nudge
 from gran_bench.dataset.generation import nudged
 from gran_bench.dem.simulate import SimulationError, simulate
 from gran_bench.dem.time_step import contact_times, dividing_step
@@ -116,14 +117,12 @@ def verified(bench: Bench, case: str) -> Observation:
     return Observation({"error_of_tolerance": worst})
 
 
-NUDGE = 1e-9  # m
-
-
 def step_ladder(bench: Bench, steps: list[float], production: float, seconds: float = 2.0) -> Observation:
     """Steps (s) from small to far too large on the paper's drum: error of the centre of mass's angle, and cost.
 
-    The smallest step is the reference; the floor is its error against itself, nudged by 1e-9 m, and what ``production``
-    errs more is beyond it. A step that ends with an error has an infinite one. The drum turns for ``seconds``, 30 rpm.
+    The smallest step is the reference; the floor is its error against itself, nudged as replicas are, and what
+    ``production`` errs more is beyond it. A step that ends with an error has an infinite one. The drum turns for
+    ``seconds``, 30 rpm.
     """
     if production not in steps:
         raise ValueError(f"with.production={production:g} is none of with.steps={steps}; choose one of them")
@@ -136,7 +135,7 @@ def step_ladder(bench: Bench, steps: list[float], production: float, seconds: fl
         found = np.degrees(center_of_mass_angles(result.trajectory.position, result.trajectory.radius, scene))
         return found, 1e3 * result.wall_seconds / (result.trajectory.frame_count - 1), result.warnings
 
-    reference, double = angles(steps[0], bed)[0], angles(steps[0], nudged(bed, NUDGE, 1))[0]
+    reference, double = angles(steps[0], bed)[0], angles(steps[0], nudged(bed, replica_nudge(scene), 1))[0]
     floor, silent = float(np.abs(double - reference).mean()), 0
     errors, costs, flags = [], [], []
     for step in steps:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from gran_bench.config.rules import at_least, check_arguments, checked_value
 from gran_bench.dem.walls import check_walls
+from gran_bench.progress import Progress
 from gran_bench.scene import Scene
 from gran_bench.state import ParticleState, Trajectory
 from gran_bench.surrogate.step import FrameState, Surrogate
@@ -86,7 +86,7 @@ def rollout(
     motion = {name: np.full((frames, state.count, 3), np.nan, np.float32) for name in names}
     seconds, failed_frame = np.full(max(frames - 1, 0), np.nan), None
     model.eval()
-    for k in tqdm(range(frames), desc="rollout", unit="frame", disable=None if progress else True, leave=False):
+    for k in Progress(range(frames), desc="rollout", unit="frame", show=progress, leave=False):
         began = time.perf_counter()
         frame = next(steps)
         if k:

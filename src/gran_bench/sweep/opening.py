@@ -20,9 +20,11 @@ from gran_bench.files import locked
 from gran_bench.processes import stop_on_signals, tell
 from gran_bench.provenance import command, commit
 from gran_bench.provenance.source_digest import judging_code, taken_hashes, training_code
+from gran_bench.run.cost import Cost, data_cost, flow_cost, training_cost
 from gran_bench.run.identity import hash_of, identify, judging_plan, splits, wants_more
 from gran_bench.run.record import Clock, RunRecord
 from gran_bench.run.summary import SUMMARY, broken_rollouts, finished_summary, flat_metrics, judged_words
+from gran_bench.scene import build_scene
 from gran_bench.sweep import runs
 from gran_bench.sweep.runs import SweepFile, SweepJob, SweepRun, read_runs
 from gran_bench.sweep.sweep_report import log_report, report_sweep
@@ -47,10 +49,12 @@ def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
         ConfigError, TrackingError, SweepFileError: two jobs are one run; the store fails; a file is damaged.
     """
     _refuse_twins(planned)
+    _check_starts(planned)
     config: TrackingConfig = planned[0].config.tracking
     folder = Path(config.root).resolve() / runs.SWEEPS / (config.sweep or name)
+    if sweep_cost(planned, folder).tell(planned[0].config.dry_run):
+        raise SystemExit(0)
     with stop_on_signals(), locked(folder / ".lock", lambda: tell(f"another process runs {folder}; waiting for it")):
-        tell(f"sweep of {len(planned)} jobs in {folder}")
         _make_data(planned)
         jobs = tuple(map(_identified, planned))
         key = hash_of("sweep", folder.name)  # all commands of a folder share its table, so they share its parent
@@ -76,6 +80,27 @@ def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
             parent.finish("FINISHED" if len(found) == len(jobs) else "FAILED")
 
 
+def sweep_cost(planned: Sequence[SweepJob], folder: Path) -> Cost:
+    """What the unfinished jobs will take, one after another, if each takes as long as the first of them."""
+    first, specs = planned[0].config, []
+    for job in planned:
+        specs += [*splits(job.config).all, *judging_plan(job.config).cases]
+    cost = flow_cost(build_scene(first.scene), first.dem)
+    cost += data_cost(build_scene(first.scene), first.dem, specs, first.dataset.root, first.dataset.workers)
+    jobs = tuple(map(_identified, planned))
+    done = _finished(folder, jobs)
+    left = [job for number, job in enumerate(jobs) if number not in done]
+    cost.lines.append(f"sweep: {len(planned)} jobs in {folder}, {len(left)} of them to do; the first of these:")
+    if not left:
+        return cost
+    from gran_bench.run.experiment import compile_ahead  # it loads PyTorch
+
+    compile_ahead(left[0].config.model.name)
+    each = training_cost(left[0].config, judging_plan(left[0].config))
+    each.seconds = {name: seconds * len(left) for name, seconds in each.seconds.items()}
+    return cost + each
+
+
 def _refuse_twins(planned: Sequence[SweepJob]) -> None:
     """Refuse two jobs that would train the same weights, before any data is made: one run cannot be two rows."""
     first: dict[str, SweepJob] = {}
@@ -90,6 +115,15 @@ def _refuse_twins(planned: Sequence[SweepJob]) -> None:
                 "sweep a key where it decides them, by a command with tracking.sweep=NAME "
                 "(python -m gran_bench.evaluate judges a model again)"
             )
+
+
+def _check_starts(planned: Sequence[SweepJob]) -> None:
+    """Refuse weights to start from that are not there or do not fit, before any data is made."""
+    for config in (job.config for job in planned if job.config.trainer.start_from is not None):
+        from gran_bench.run.start_from import start_of  # with PyTorch, which other sweeps load while data are made
+        from gran_bench.trainer.start import make_model
+
+        start_of(config).put_into(make_model(config, build_scene(config.scene)), config)
 
 
 def _make_data(jobs: Sequence[SweepJob]) -> None:
@@ -185,7 +219,7 @@ def _budget(job: SweepJob) -> str:
 
 def _row(job: SweepJob, ended: float, facts: Mapping[str, str], **found: Any) -> SweepRun:
     facts = {**facts, "log": job.log_name, "made_with": job.made_with}
-    facts |= {"model": job.config.model.name, "budget": _budget(job)}
+    facts |= {"model": job.config.model.name, "budget": _budget(job), "scene": job.config.scene.name}
     facts = {name: text for name, text in facts.items() if text}
     ended_at = datetime.fromtimestamp(ended, UTC).isoformat(timespec="seconds")
     who = job.run, dict(job.choices), job.seed, job.key, job.judged_by

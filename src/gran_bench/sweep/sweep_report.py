@@ -52,7 +52,9 @@ def report_sweep(folder: Path) -> SweepReport:
     with drawn_for(f"{name}-{sweep.key[:8]}") if sweep else nullcontext():
         for axis, path in zip(axes or [table.SEED], figures, strict=False):
             others = [other for other in axes if other != axis]
-            sweep_axis(frame.astype({axis: str}), axis, others, path, f"{name}: {_judged(runs)}")
+            scenes = sorted({run.facts["scene"] for run in runs if "scene" in run.facts})
+            title = f"{name}: {', '.join([*scenes, _judged(runs)])}, shared packing"
+            sweep_axis(frame.astype({axis: str}), axis, others, path, title)
     best, failed = table.best_choices(runs), [run for run in runs if run.status == FAILED]
     metrics = {f"best/{figure}": float(value) for figure, (_, value) in best.items()} | {
         "sweep/runs finished": float(len(runs) - len(failed)),

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import psutil
 
+from gran_bench.tracking.names import STOPPED, VERDICT
 from gran_bench.tracking.store import Store
 
 PROCESS_TAG = "gran_bench.process"  # that records the run: its machine, its start and its number there
@@ -41,7 +42,7 @@ def close_abandoned(store: Store) -> list[str]:
         gone = process["boot"] != here["boot"] or process["start"] != _start(int(process["pid"]))
         # Its process may have ended it after it was found here, so it is looked at again.
         if gone and store.status_of(run_id) == "RUNNING":
-            store.add_tags(run_id, {ENDED_TAG: GONE})
+            store.add_tags(run_id, {ENDED_TAG: GONE, VERDICT: STOPPED})
             store.client.set_terminated(run_id, "KILLED")
             closed.append(name)
     if closed:

@@ -14,6 +14,8 @@ HEADLINE_FIGURES = (
     *("speed W1 m per s", "speed W1 floors", "position error 10 frames mm", "rollout ms per frame"),
     *("training minutes", "requirements failed", "rollouts failed"),
 )
+VERDICT = "verdict"  # tag, a column of the run table: pass, fail, or what became of a run that was not judged
+STOPPED, FAILED = "stopped: the same command goes on", "failed: see ended_by"
 _SECTION = re.compile(r"[\w.]*\.(?=\w+-)", re.ASCII)
 
 
@@ -37,6 +39,11 @@ def _quoted(value: str) -> str:
     if re.fullmatch(r"[\w./+-]+", value, re.ASCII):
         return value
     return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def three_figures(value: float) -> float:
+    """A number as the run table shows it, which has no rounding of its own."""
+    return float(f"{value:.3g}")
 
 
 def shown_name(name: str) -> str:

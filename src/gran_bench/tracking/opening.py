@@ -10,7 +10,7 @@ from typing import Any
 
 from gran_bench.config import TrackingConfig
 from gran_bench.tracking.abandoned import ENDED_TAG, GONE, PROCESS_TAG, close_abandoned, this_process
-from gran_bench.tracking.names import shown_name
+from gran_bench.tracking.names import FAILED, STOPPED, VERDICT, shown_name
 from gran_bench.tracking.run import Run, send_kept
 from gran_bench.tracking.store import SWEEP_TAG, Store, TrackingError, said_place
 
@@ -50,8 +50,10 @@ def open_run(
             yield run
         except BaseException as error:
             run.set_tag(ENDED_TAG, f"{type(error).__name__}: {error}")
+            stopped = isinstance(error, KeyboardInterrupt)
+            run.set_tag(VERDICT, STOPPED if stopped else FAILED)
             try:
-                run.finish("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED")
+                run.finish("KILLED" if stopped else "FAILED")
             except TrackingError as second:
                 # The first error matters more; the second must not hide it.
                 print(f"warning: {second}", file=sys.stderr)
@@ -74,7 +76,7 @@ def _open(
         else:
             run_id = found.info.run_id
             store.add_tags(run_id, process)
-            store.reopen_run(run_id, shown, without_tag=ENDED_TAG)
+            store.reopen_run(run_id, shown, (ENDED_TAG, VERDICT))
             if parent is not None:
                 store.adopt_run(run_id, parent)
         changed = store.add_params(run_id, params)
@@ -146,7 +148,7 @@ def schedule_children(config: TrackingConfig, parent: str | None, children: Iter
             if child.finished and (run is None or run.info.status != "FINISHED"):
                 missing.add(child.key)
             elif not child.finished and run is not None:
-                store.reopen_run(run.info.run_id, shown, ENDED_TAG, "SCHEDULED")
+                store.reopen_run(run.info.run_id, shown, (ENDED_TAG, VERDICT), "SCHEDULED")
     return missing
 
 
@@ -170,5 +172,5 @@ def end_child(config: TrackingConfig, key: str, why: str) -> None:
         run = store.run_of(key)
         # Another process may have found before that this one's is gone, without knowing why.
         if run and (run.info.status in ("SCHEDULED", "RUNNING") or run.data.tags.get(ENDED_TAG) == GONE):
-            store.add_tags(run.info.run_id, {ENDED_TAG: why})
+            store.add_tags(run.info.run_id, {ENDED_TAG: why, VERDICT: FAILED})
             store.client.set_terminated(run.info.run_id, "FAILED")

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gran_bench.files import write_text
+from gran_bench.tracking.names import HEADLINE, three_figures
 from gran_bench.tracking.store import MetricPoint, Store, TrackingError, legal_name
 
 ENDINGS = ("FINISHED", "FAILED", "KILLED")
@@ -48,13 +49,15 @@ class Run:
 
         In a run that goes on, a step that the store has already is left as it is, so that all that should be there can
         be logged again and fills what a kill has left out. With ``supersede`` a value that differs from the one at the
-        same step takes its place in what the UI shows, not in the history: for figures that were found anew.
+        same step takes its place in what the UI shows, not in the history: for figures that were found anew. Headline
+        figures are rounded to three figures.
         """
         if self._store is None:
             return
         now = int(1000 * time.time())
         for name, value in metrics.items():
-            self._backlog.metrics.append(MetricPoint(legal_name(name), float(value), int(step), now, supersede))
+            shown = three_figures(value) if name.startswith(HEADLINE) else float(value)
+            self._backlog.metrics.append(MetricPoint(legal_name(name), shown, int(step), now, supersede))
         # A store that fails makes each attempt wait: however much has gathered, it is tried again after a while only.
         full = len(self._backlog.metrics) >= FLUSH_METRICS and not self._failing
         if full or time.monotonic() >= self._next_flush:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import gran_bench
+from gran_bench.config.rules import ConfigError
 from gran_bench.tracking.names import shown_name
 from gran_bench.tracking.store import DATABASE, QUIET, TrackingError, database_uri, has_store, server_uri, shown_uri
 
@@ -21,7 +22,7 @@ CLONE = Path(gran_bench.__file__).resolve().parents[2] / "results"  # with the r
 _MOST_RUNS = 50_000  # that MLflow finds at once
 
 
-class RunError(ValueError):
+class RunError(ConfigError):
     """A run that is not there, or not fit for what it is named for; the message names it and the remedy."""
 
 
@@ -30,7 +31,7 @@ def is_run(folder: Path) -> bool:
     return (folder / SUMMARY).is_file() or (folder / CONFIG).is_file()
 
 
-def find_run(word: str, root: Path, cases: Iterable[Path] = ()) -> Path:
+def find_run(word: str, root: Path, cases: Iterable[Path] = (), beginnings: bool = True) -> Path:
     """The folder of the run, or the file of the case, that a word names.
 
     Args:
@@ -38,6 +39,7 @@ def find_run(word: str, root: Path, cases: Iterable[Path] = ()) -> Path:
             or the beginning of one of these.
         root: of the results.
         cases: files that may be meant as well.
+        beginnings: whether the beginning of a name will do; that of an id always does.
 
     Raises:
         RunError: nothing of the name (with names that are near), or several things.
@@ -50,7 +52,8 @@ def find_run(word: str, root: Path, cases: Iterable[Path] = ()) -> Path:
     names = {path: (path.name, shown_name(path.name), path.name.rpartition("-")[2]) for path in runs}
     names |= {path: (path.name, path.stem) for path in cases}
     found = [path for path, its in names.items() if word in its]
-    found = found or [path for path, its in names.items() if any(name.startswith(word) for name in its)]
+    if beginnings and not found:
+        found = [path for path, its in names.items() if any(name.startswith(word) for name in its)]
     if not found and re.fullmatch("[0-9a-f]{4,32}", word):
         here = {path.name: path for path in runs}
         for run in stored_runs(root):

@@ -178,11 +178,28 @@ class Store:
         tags[SWEEP_TAG] = SWEEP_SEPARATOR.join(dict.fromkeys(filter(None, sweeps)))
         self.add_tags(run_id, {name: value for name, value in tags.items() if value and there.get(name) != value})
 
-    def reopen_run(self, run_id: str, name: str, without_tag: str, status: str = "RUNNING") -> None:
-        """Mark a run as running again, or as waiting to, and remove the tag that says how it ended."""
+    def runs_by_key(self) -> dict[str, MlflowRun]:
+        """The latest run of each key."""
+        return {run.data.tags.get(KEY_TAG, ""): run for run in reversed(self._find("", _MOST_RUNS))}
+
+    def add_ended_run(
+        self, name: str, key: str, params: Mapping[str, str], metrics: Mapping[str, float], tags: Mapping[str, str],
+        ended: int, status: str = "FINISHED",
+    ) -> str:  # fmt: skip
+        """Record a run that was made elsewhere and ended at ``ended`` (ms since 1970); returns its id."""
+        from mlflow.entities import Metric, Param
+
+        run_id = self.client.create_run(self.experiment_id, ended, {KEY_TAG: key, **tags}, name).info.run_id
+        values = [Metric(legal_name(figure), value, ended, 0) for figure, value in metrics.items()]
+        self.client.log_batch(run_id, values, [Param(param, value) for param, value in params.items()])
+        self.client.set_terminated(run_id, status, ended)
+        return run_id
+
+    def reopen_run(self, run_id: str, name: str, without: Sequence[str], status: str = "RUNNING") -> None:
+        """Mark a run as running again, or as waiting to, and remove the tags that say how it ended."""
         self.client.update_run(run_id, status=status, name=name)
-        if without_tag in self.client.get_run(run_id).data.tags:
-            self.client.delete_tag(run_id, without_tag)
+        for tag in set(without) & set(self.client.get_run(run_id).data.tags):
+            self.client.delete_tag(run_id, tag)
 
     def _there(self, run_id: str) -> list[MlflowRun]:
         """The run of an id, if it was not deleted."""

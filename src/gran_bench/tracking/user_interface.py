@@ -5,20 +5,29 @@ import socket
 import sys
 import uuid
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 from gran_bench.config import TrackingConfig
 from gran_bench.tracking.abandoned import close_abandoned
 from gran_bench.tracking.names import ui_command
 from gran_bench.tracking.store import QUIET, Store, TrackingError, said_place, server_uri
-from gran_bench.tracking.views import view_path
+from gran_bench.tracking.views import first_page, view_path
 
 HOST = "127.0.0.1"
 SHUTDOWN_SECONDS = 5  # that an answer under way may take after Ctrl-C
 
 
-def ui(root: Path | str, port: int = 5000, experiment: str = TrackingConfig.experiment) -> None:
-    """Serve the MLflow UI on the store under ``root`` until Ctrl-C; a server's own UI is only named."""
+def ui(
+    root: Path | str,
+    port: int = 5000,
+    experiment: str = TrackingConfig.experiment,
+    fill: Callable[[Store], None] | None = None,
+) -> None:
+    """Serve the MLflow UI on the store under ``root`` until Ctrl-C; a server's own UI is only named.
+
+    ``fill`` may add runs to the folder's own store before it is shown.
+    """
     config = TrackingConfig(experiment=experiment, root=str(root))
     if (place := said_place(config)) is not None:
         print(place, file=sys.stderr, flush=True)
@@ -27,17 +36,18 @@ def ui(root: Path | str, port: int = 5000, experiment: str = TrackingConfig.expe
         print("opening the UI takes some seconds", file=sys.stderr, flush=True)
     store = Store(config)
     store.dress_experiment()
+    if fill is not None and store.server is None:
+        fill(store)
     with store.alone():
         elsewhere = close_abandoned(store)
     if elsewhere:
         print(f"left as RUNNING, for only their own machines know: {', '.join(elsewhere)}", file=sys.stderr, flush=True)
-    here = f"http://{HOST}:{port}" if store.server is None else store.shown
-    ready = f"the runs, best first, are at {here}{view_path(store.experiment_id)}"
+    ready = "the runs, best first, are at"
     if store.server is None:
         os.environ.update(server_environment(store))
-        _serve(port, f"{ready} (Ctrl-C ends)")
+        _serve(port, f"{ready} http://{HOST}:{port} (Ctrl-C ends)", store.experiment_id)
     else:  # which has its own UI
-        print(ready, file=sys.stderr, flush=True)
+        print(f"{ready} {store.shown}{view_path(store.experiment_id)}", file=sys.stderr, flush=True)
 
 
 def server_environment(store: Store) -> dict[str, str]:
@@ -64,11 +74,16 @@ def _refuse_taken(port: int, other: str) -> None:
             ) from error
 
 
-def _serve(port: int, ready: str) -> None:
+def _serve(port: int, ready: str, experiment_id: str) -> None:
     import uvicorn
+    from starlette.responses import HTMLResponse
+    from starlette.routing import Route
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of MLflow's own use of other packages
+        from mlflow.server import app as pages
         from mlflow.server.fastapi_app import app
+    page = first_page((Path(pages.static_folder) / "index.html").read_text("utf-8"), experiment_id)
+    app.router.routes.insert(0, Route("/", lambda request: HTMLResponse(page)))
     print(ready, file=sys.stderr, flush=True)
     uvicorn.run(app, host=HOST, port=port, log_level="warning", timeout_graceful_shutdown=SHUTDOWN_SECONDS)

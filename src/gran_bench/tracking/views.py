@@ -8,32 +8,44 @@ reads; a tag that it cannot read it ignores.
 import json
 from typing import Any
 
-from gran_bench.tracking.names import HEADLINE
+from gran_bench.tracking.names import HEADLINE, VERDICT
 
 VIEW = "what-matters"
 VIEW_TAG = f"mlflow.sharedViewState.{VIEW}"
 RUN_NAME, DATASET = "attributes.`Run Name`", "attributes.`Dataset`"  # columns, as the UI names them
-WIDE_NAME, WIDE_FIGURE = 300, 170  # pixels of a column
+SHIPPED_TAG = "shipped"  # of a run that came with the project: where its record is
+# Pixels of a column: the run's name, whole, and any other by the letters of its heading or of its cells.
+WIDE_NAME, WIDE_LETTER, WIDE_EDGE, CELL_LETTERS = 460, 6, 28, {VERDICT: 34, "speed": 22, "model": 30, "scene": 14}
 
-# From left to right in the table.
+# From left to right in the table: what was judged, what came out, what was chosen, what it belongs to.
+FIRST_TAGS = ("scene", "speed", "model", VERDICT)
 COLUMN_METRICS = (
-    *("angle error floors", "com angle error floors", "speed W1 floors", "position error 10 frames mm"),
-    *("rollout ms per frame", "requirements failed", "rollouts failed", "training minutes"),
+    *("angle error floors", "com angle error floors", "speed W1 floors", "rollout ms per frame"),
+    *("requirements failed", "rollouts failed", "position error 10 frames mm", "training minutes"),
 )
-COLUMN_PARAMS = ("model.name", "model.radius", "boundary.kind", "loss terms", "frames ahead", "seed")
-COLUMN_TAGS = ("sweep", "scene", "judged")
+COLUMN_PARAMS = ("model.radius_diameters", "boundary.kind", "loss terms", "frames ahead", "seed")
+LAST_TAGS = ("sweep", SHIPPED_TAG)
 # Axes from left to right: what was chosen, then what came out.
-AXES_PARAMS = ("model.name", "model.radius", "boundary.kind", "loss terms", "frames ahead")
+AXES_PARAMS = ("model.name", "model.radius_diameters", "boundary.kind", "loss terms", "frames ahead")
 ERRORS = ("angle error floors", "com angle error floors", "speed W1 floors")
 CHOICES, TIMES = "choices against error", "error against time"  # sections of the charts
 
 DESCRIPTION = (
     f"**What matters?** The saved view *{VIEW}* (menu Views) shows each run's headline figures, best angle of repose "
     "first; the button with the curve shows its charts: choices against error, error against time. Errors are in "
-    "multiples of the noise floor: 1 is as good as the DEM against itself.\n\n"
+    "multiples of the noise floor: 1 is as good as the DEM against itself. Headline figures are rounded to three "
+    "figures; the run's other metrics are not.\n\n"
     "A run's page shows its figures; each figure carries the name of its run. To compare runs, tick them and choose "
-    "*Compare*. Failures stay in: *requirements failed*, *rollouts failed*."
+    f"*Compare*. Failures stay in: *requirements failed*, *rollouts failed*. A run whose *{VERDICT}* says *stopped* "
+    f"goes on with its command. What came with the project has a tag *{SHIPPED_TAG}*; `tags.{SHIPPED_TAG} IS NULL` in "
+    "the search field leaves it out."
 )
+
+
+def first_page(page: str, experiment_id: str) -> str:
+    """MLflow's page as it opens the saved view where its address names no other place, instead of a welcome."""
+    script = f"if (location.hash.length < 3) location.replace({json.dumps(view_path(experiment_id)[1:])})"
+    return page.replace("<head>", f"<head><script>{script}</script>", 1)
 
 
 def experiment_tags() -> dict[str, str]:
@@ -56,14 +68,20 @@ def view_path(experiment_id: str, charts: bool = False) -> str:
 
 def view_state() -> dict[str, Any]:
     """The state of the run table and of the charts, in the words of the UI."""
-    columns = [f"metrics.`{HEADLINE}{name}`" for name in COLUMN_METRICS]
-    columns += [f"params.`{name}`" for name in COLUMN_PARAMS] + [f"tags.`{name}`" for name in COLUMN_TAGS]
+    groups = (("tags", FIRST_TAGS), ("metrics", [HEADLINE + name for name in COLUMN_METRICS]))
+    groups += (("params", COLUMN_PARAMS), ("tags", LAST_TAGS))
+    headings = {f"{group}.`{name}`": name for group, names in groups for name in names}
+    columns = list(headings)
+    letters = {column: max(len(name), CELL_LETTERS.get(name, 0)) for column, name in headings.items()}
     return {
         **{"searchFilter": "", "orderByKey": f"metrics.`{HEADLINE}angle error floors`", "orderByAsc": True},
         **{"startTime": "ALL", "lifecycleFilter": "Active", "modelVersionFilter": "All Runs", "datasetsFilter": []},
         "selectedColumns": [*columns, DATASET],
         "columnOrder": [RUN_NAME, *columns, DATASET],
-        "columnWidths": {RUN_NAME: WIDE_NAME, **{column: WIDE_FIGURE for column in columns}},
+        "columnWidths": {
+            RUN_NAME: WIDE_NAME,
+            **{column: WIDE_EDGE + WIDE_LETTER * count for column, count in letters.items()},
+        },
         **{"runsExpanded": {}, "runsPinned": [], "runsHidden": [], "runsVisibilityMap": {}},
         "runsHiddenMode": "SHOW_ALL",
         "compareRunCharts": _charts(),

@@ -12,7 +12,13 @@ def training_windows(config: TrainConfig, split: Split) -> Windows:
     """The training side of the data; nothing of the held-out cases is opened."""
     cases = [read_case(spec.path(config.dataset.root)) for spec in split.training]
     trainer = config.trainer
-    return Windows(cases, config.seed, trainer.startup_fraction, trainer.startup_seconds)
+    return Windows(cases, config.seed, trainer.startup_fraction, trainer.startup_fall_times, trainer.startup_seconds)
+
+
+def validation_windows(config: TrainConfig, split: Split) -> Windows | None:
+    """Of the cases that a training is looked at by, which are trained on no more than the held-out ones; or None."""
+    cases = [read_case(spec.path(config.dataset.root)) for spec in split.validation]
+    return Windows(cases, config.seed) if cases else None
 
 
 def make_model(config: TrainConfig, scene: Scene) -> Surrogate:

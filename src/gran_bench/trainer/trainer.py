@@ -20,11 +20,12 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from gran_bench.config import OptimConfig, RolloutConfig, TrainConfig
+from gran_bench.config.choices import given_or
 from gran_bench.dataset import Window, Windows
 from gran_bench.losses import FrameAhead, Target, WindowLoss
+from gran_bench.progress import Progress
 from gran_bench.surrogate.checkpoint import CHECKPOINT, CheckpointError, read_tensors, write_tensors
 from gran_bench.surrogate.step import FrameState, Surrogate
 
@@ -169,19 +170,13 @@ class Trainer:
             count = len(window.position[0])
             window, memory = window.mirrored(), None if memory is None else memory.mirrored(window.scene, count)
         state = self._start(model, window, memory, rng)
-        scene, kind, through_time = window.scene, model.velocity_kind, self.config.rollout.gradient_through_time
         total, terms, gradients = 0.0, {}, [torch.zeros_like(p) for p in self.parameters]
         for k in range(1, frames + 1):
-            start = window.time + (k - 1) * scene.frame_interval
-            before, state = state, model(state, scene, start)
-            truth = (window.position[k], window.velocity_at(k, kind), window.angular_velocity[k])
-            earlier = window.velocity_at(k - 1, kind)
-            target = Target(*map(self._tensor, (*truth, earlier)), float(window.mean_overlap[k]))
-            shares = self.loss.terms(FrameAhead(before, state, target, scene, start), k, frames)
+            state, shares = step_ahead(model, self.loss, window, state, k, frames)
             for name, value in shares.items():
                 terms[name] = terms.get(name, 0.0) + value.item()
             total = total + sum(shares.values())
-            if not through_time or k == frames:
+            if not self.config.rollout.gradient_through_time or k == frames:
                 own = list(model.parameters())
                 found = torch.autograd.grad(total, own, allow_unused=True, materialize_grads=True)
                 gradients = [g + new for g, new in zip(gradients, found, strict=True)]
@@ -197,12 +192,11 @@ class Trainer:
     def _start(self, model: Surrogate, window: Window, memory: Any, rng: np.random.Generator) -> FrameState:
         """The window's first state with training noise, in the model's form."""
         rollout, scene = self.config.rollout, window.scene
-        first = window.position[0], window.velocity_at(0, model.velocity_kind), window.angular_velocity[0]
-        position, velocity, spin = map(self._tensor, first)
-        if rollout.noise > 0:
+        position, velocity, spin = motion_at(model, window, 0)
+        if (size := given_or(rollout.noise_m, rollout.noise_diameters, scene.filling.diameter)) > 0:
 
             def noise() -> Tensor:
-                return self._tensor(rng.standard_normal(window.position[0].shape)) * rollout.noise
+                return like_weights(model, rng.standard_normal(window.position[0].shape)) * size
 
             moved = noise()
             position = position + moved
@@ -212,10 +206,6 @@ class Trainer:
             else:
                 velocity = velocity + moved / scene.frame_interval
         return model.begin(scene, position, velocity, spin, memory=memory)
-
-    def _tensor(self, array: np.ndarray) -> Tensor:
-        like = self.parameters[0]
-        return torch.as_tensor(array).to(device=like.device, dtype=like.dtype)
 
     def update(self, pool: ThreadPoolExecutor) -> dict[str, float]:
         """One optimiser update; returns the mean loss over its windows, its terms, rate and gradient norm.
@@ -288,9 +278,7 @@ class Trainer:
         windows = ThreadPoolExecutor(
             self.workers, thread_name_prefix="windows", initializer=torch.set_num_threads, initargs=(1,)
         )
-        bar = tqdm(
-            total=budget.steps, initial=self.step, desc="training", unit="update", disable=None if progress else True
-        )
+        bar = Progress(total=budget.steps, initial=self.step, desc="training", unit="update", show=progress)
         self.model.train()
         try:
             with windows as pool:
@@ -310,7 +298,7 @@ class Trainer:
                         self.log(metrics | {"seconds": self.seconds}, self.step)
                         if capped and frames and (said := self._cut_ahead(work, (self.spent - before[1]) / frames)):
                             capped = False
-                            with tqdm.external_write_mode():
+                            with Progress.external_write_mode():
                                 self.warn(said)
                     due = budget.checkpoint_steps and self.step % budget.checkpoint_steps == 0
                     stop = self.should_stop()
@@ -337,6 +325,29 @@ class Trainer:
             for (name, _), value in zip(self.model.named_parameters(), self.average, strict=True):
                 state[name] = value.detach().clone()
         return state
+
+
+def like_weights(model: Surrogate, array: np.ndarray) -> Tensor:
+    """An array as a tensor of the model's precision, on its device."""
+    like = next(model.parameters())
+    return torch.as_tensor(array).to(device=like.device, dtype=like.dtype)
+
+
+def motion_at(model: Surrogate, window: Window, k: int) -> tuple[Tensor, ...]:
+    """Position, velocity in the model's sense and spin of frame ``k`` of a window, each ``(N, 3)``."""
+    truth = window.position[k], window.velocity_at(k, model.velocity_kind), window.angular_velocity[k]
+    return tuple(like_weights(model, array) for array in truth)
+
+
+def step_ahead(
+    model: Surrogate, loss: WindowLoss, window: Window, state: FrameState, k: int, frames: int
+) -> tuple[FrameState, dict[str, Tensor]]:
+    """The model's frame ``k`` of ``frames`` ahead, from its frame before, and the loss there by term."""
+    scene, earlier = window.scene, like_weights(model, window.velocity_at(k - 1, model.velocity_kind))
+    start = window.time + (k - 1) * scene.frame_interval
+    after = model(state, scene, start)
+    target = Target(*motion_at(model, window, k), earlier, float(window.mean_overlap[k]))
+    return after, loss.terms(FrameAhead(state, after, target, scene, start), k, frames)
 
 
 def learning_rate(config: OptimConfig, step: int, steps: int) -> float:

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from gran_bench.files import markdown, write_part, write_text
+from gran_bench.progress import Progress
 from gran_bench.provenance import program, provenance, stamp
 from gran_bench.verification import CASES
 from gran_bench.verification.case import Case, Outcome, run_case
@@ -144,8 +144,8 @@ def run(
     try:
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
-        # None: silent where stderr is no terminal.
-        outcomes = [run_case(case) for case in tqdm(chosen, unit=" cases", leave=False, disable=None)]
+        bar = Progress(chosen, desc="verification", unit="case", leave=False)
+        outcomes = [run_case(case) for case in bar]
         print(table(outcomes))
         if folder is not None:
             draw(outcomes, folder)

@@ -11,7 +11,7 @@ from gran_bench.dem.walls import wall_contact
 from gran_bench.neighbors import check_period, list_pairs
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
-from gran_bench.surrogate.contact.constants import MILLIMETRE
+from gran_bench.surrogate.contact.constants import DIAMETER
 from gran_bench.surrogate.walls import FrameWalls, frame_walls
 
 
@@ -24,8 +24,8 @@ class ContactList:
     wall: NDArray[np.int64]  # (W,) index into scene.walls, sorted
     # (W,) of a sphere over a seam the piece of the same surface that the contact answers for too; else the wall itself
     other_piece: NDArray[np.int64]
-    walls: FrameWalls  # of the frame, mm
-    period: float  # mm, along y; 0 where nothing wraps
+    walls: FrameWalls  # of the frame, units
+    period: float  # units, along y; 0 where nothing wraps
     count: int  # N
 
     @property
@@ -53,8 +53,8 @@ def find_contacts(scene: Scene, time: float, position: FloatArray, reach: float,
         ValueError: a period that is shorter than twice the reach.
     """
     check_period(scene.period, reach)
-    walls, count = frame_walls(scene, time), len(position)
-    frame = walls.in_unit(MILLIMETRE), scene.period / MILLIMETRE, count
+    walls, count, unit = frame_walls(scene, time), len(position), scene.filling.diameter / DIAMETER
+    frame = walls.in_unit(unit), scene.period / unit, count
     if not np.isfinite(position).all():
         nothing = np.zeros(0, np.int64)
         return ContactList(np.zeros((0, 2), np.int64), nothing, nothing, nothing, *frame)

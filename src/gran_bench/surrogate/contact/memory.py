@@ -23,7 +23,7 @@ from torch import Tensor
 from gran_bench.dem.walls import wall_contact
 from gran_bench.scene import Rotation, Scene, Translation, Vibration, Wall
 from gran_bench.state import FloatArray
-from gran_bench.surrogate.contact.constants import MILLIMETRE
+from gran_bench.surrogate.contact.constants import DIAMETER
 from gran_bench.surrogate.contact.geometry import ContactList, find_contacts
 from gran_bench.surrogate.contact.kernels.springs import stretch
 from gran_bench.surrogate.walls import frame_walls
@@ -36,7 +36,7 @@ class ContactMemory:
     """The springs of the touching contacts of one instant."""
 
     keys: NDArray[np.int64]  # (C,) increasing, as of ContactList.keys
-    spring: FloatArray  # (C, 3) float32 mm, tangential displacement of the partner's surface against that of i
+    spring: FloatArray  # (C, 3) float32 units, tangential displacement of the partner's surface against that of i
 
     @classmethod
     def empty(cls) -> ContactMemory:
@@ -74,7 +74,7 @@ class ContactMemory:
 
 
 def springs_of(memory: ContactMemory | None, contacts: ContactList) -> Tensor:
-    """The spring of each listed contact, zero where it is new, ``(M + W, 3)`` float32 mm.
+    """The spring of each listed contact, zero where it is new, ``(M + W, 3)`` float32 units.
 
     A contact over a seam goes on with the spring that the sphere had with the other piece of the surface.
     """
@@ -95,12 +95,12 @@ def gather(
     positions: Sequence[FloatArray],
     angular_velocities: Sequence[FloatArray],
 ) -> ContactMemory:
-    """The memory at the end of a frame of contacts with ``springs``, ``(M + W, 3)`` mm, at its start.
+    """The memory at the end of a frame of contacts with ``springs``, ``(M + W, 3)`` units, at its start.
 
     Positions and angular velocities are those at its two ends, ``(N, 3)`` m and rad/s.
     """
-    radius, walls = scene.filling.radius / MILLIMETRE, contacts.walls
-    start, end = (np.asarray(p, np.float32) / np.float32(MILLIMETRE) for p in positions)
+    radius, walls, unit = 0.5 * DIAMETER, contacts.walls, np.float32(scene.filling.diameter / DIAMETER)
+    start, end = (np.asarray(p, np.float32) / unit for p in positions)
     # The spin of the frame is the mean of its ends: the model and the data give both.
     spins = [np.asarray(w, np.float32) for w in angular_velocities]
     spin = (spins[0] + spins[1]) * np.float32(0.5 * radius * scene.frame_interval)
@@ -129,7 +129,7 @@ def follow_memory(
 def _mirror_images(scene: Scene) -> NDArray[np.int64]:
     """Which wall the reflection y → −y lays each wall onto, with its motion: points see the two at one distance."""
     shapes = frame_walls(scene, scene.start_time).before
-    points = np.random.default_rng(0).normal(size=(64, 3))
+    points = 20.0 * scene.filling.diameter * np.random.default_rng(0).normal(size=(64, 3))
     seen, mirrored = ([wall_contact(shape, p)[0] for shape in shapes] for p in (points, FLIP * points))
     images = []
     for index, wall in enumerate(scene.walls):
@@ -138,7 +138,7 @@ def _mirror_images(scene: Scene) -> NDArray[np.int64]:
             other
             for other, candidate in enumerate(scene.walls)
             if (candidate.turns, candidate.motion, candidate.opens) == ways
-            and np.allclose(seen[index], mirrored[other], rtol=0.0, atol=1e-9)
+            and np.allclose(seen[index], mirrored[other], rtol=0.0, atol=2e-8 * scene.filling.diameter)
         ]
         if not alike or not _mirrors_motion(wall):
             raise ValueError(f"wall {index} of scene {scene.name!r} has no mirror image; switch rollout.mirror off")

@@ -6,11 +6,11 @@ import torch
 from torch import Tensor, nn
 
 from gran_bench.config import ContactModelConfig
-from gran_bench.config.choices import PAIR_FADE, check_radius
+from gran_bench.config.choices import PAIR_FADE, check_radius, given_or
 from gran_bench.config.consistency import check_model
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
-from gran_bench.surrogate.contact.constants import MILLIMETRE, RAMP_NODES, WALL_FADE
+from gran_bench.surrogate.contact.constants import DIAMETER, RAMP_NODES, WALL_FADE
 from gran_bench.surrogate.contact.geometry import find_contacts
 from gran_bench.surrogate.contact.kernels.fused import fused_solve
 from gran_bench.surrogate.contact.memory import ContactMemory, follow_memory, gather, springs_of
@@ -22,7 +22,7 @@ class ContactNetwork(Surrogate):
     """A learned solver of contacts, K iterations a frame.
 
     A ballistic guess of the displacement, D = v Δt + g Δt², gives the contacts. In each iteration a perceptron sees a
-    contact's gap, approach, slip, the impulse gathered there and the channels h of its particles, all in mm a frame,
+    contact's gap, approach, slip, the impulse gathered there and the channels h of its particles, all in d/50 a frame,
     and answers with a normal displacement a, a tangential one τ = slip (b/s + 0.3 c) and messages to the channels:
 
         D_i += ½ (τ − a n),  D_j −= ½ (τ − a n),  q_{i,j} += 1.25 σ n × τ,  with q = r ω Δt.
@@ -52,15 +52,20 @@ class ContactNetwork(Surrogate):
     def __init__(self, config: ContactModelConfig, scene: Scene) -> None:
         super().__init__()
         self.config = config
-        self.diameter = scene.filling.diameter / MILLIMETRE
+        self.diameter = DIAMETER
         self.velocity_kind, self.is_instantaneous = config.velocity, config.velocity == "instantaneous"
         self.has_memory = config.memory
         check_model(config)
-        check_radius(config, scene.filling.diameter, scene.period)
-        # Of a pair and of a wall: the gap at which an answer has faded to nothing, and the width of its fading, mm.
-        reach = config.wall_reach / MILLIMETRE
-        of_pair = config.radius / MILLIMETRE - self.diameter, PAIR_FADE * self.diameter
-        self.fades = of_pair, (reach, WALL_FADE * config.wall_reach / MILLIMETRE)
+        d = scene.filling.diameter
+        check_radius(config, d, scene.period)
+        self.unit = d / DIAMETER  # m
+        self.reaches = (  # m
+            given_or(config.radius_m, config.radius_diameters, d),
+            given_or(config.wall_reach_m, config.wall_reach_diameters, d),
+        )
+        # Of a pair and of a wall: the gap at which an answer has faded to nothing, and the width of its fading, units.
+        radius, wall_reach = (reach / self.unit for reach in self.reaches)
+        self.fades = (radius - DIAMETER, PAIR_FADE * DIAMETER), (wall_reach, WALL_FADE * wall_reach)
 
         iterations, hidden, channels = config.iterations, config.hidden, config.channels
         inputs = len(RAMP_NODES) - 1 + 5 + channels + 2 * config.memory
@@ -87,18 +92,18 @@ class ContactNetwork(Surrogate):
         return list(follow_memory(scene, times, positions, angular_velocities)) if self.has_memory else None
 
     def advance(self, state: FrameState, scene: Scene, time: float) -> FrameState:
-        interval = scene.frame_interval
-        to_frame, to_spin = interval / MILLIMETRE, 0.5 * self.diameter * interval
+        interval, unit = scene.frame_interval, self.unit
+        to_frame, to_spin = interval / unit, 0.5 * self.diameter * interval
         gravity = state.velocity.new_tensor(scene.gravity) * interval
-        position, fall = state.position / MILLIMETRE, gravity * to_frame
+        position, fall = state.position / unit, gravity * to_frame
         # The ballistic frame in SI; all that follows is what contacts change of it, and nothing where there are none.
         fallen = state.velocity + gravity
         carried = fallen - 0.5 * gravity if self.is_instantaneous else fallen
         guess, spin = carried * to_frame, state.angular_velocity * to_spin
 
         with torch.no_grad():
-            end = wrap((position + guess) * MILLIMETRE, scene.period).cpu().numpy()
-            contacts = find_contacts(scene, time, end, self.config.radius, self.config.wall_reach)
+            end = wrap((position + guess) * unit, scene.period).cpu().numpy()
+            contacts = find_contacts(scene, time, end, *self.reaches)
         springs = springs_of(state.memory, contacts).to(position) if self.has_memory else None
         nearness = nearest_fade(self, contacts, position + guess)
         on_cpu = position.device.type == "cpu" and position.dtype == torch.float32
@@ -112,7 +117,7 @@ class ContactNetwork(Surrogate):
         else:
             velocity = fallen + moved / to_frame
         after = FrameState(
-            wrap(state.position + (interval * carried + MILLIMETRE * moved), scene.period),
+            wrap(state.position + (interval * carried + unit * moved), scene.period),
             velocity,
             state.angular_velocity + turned / to_spin,
         )

@@ -1,6 +1,6 @@
 """The iterations of a frame of the contact network in plain torch: the readable reference of the fused kernel.
 
-A contact joins particle i to a partner j; the normal n points from i to j. In millimetres and mm per frame.
+A contact joins particle i to a partner j; the normal n points from i to j. In units of d/50.
 """
 
 from dataclasses import dataclass
@@ -29,15 +29,15 @@ def solve_contacts(
 
     Args:
         model: a :class:`~gran_bench.surrogate.contact.network.ContactNetwork`.
-        position: ``(N, 3)`` at the start of the frame, mm.
-        displacement: ``(N, 3)`` ballistic guess D, mm a frame.
-        spin: ``(N, 3)`` q, mm a frame.
-        fall: ``(3,)`` g Δt², mm a frame.
+        position: ``(N, 3)`` at the start of the frame, units.
+        displacement: ``(N, 3)`` ballistic guess D, units a frame.
+        spin: ``(N, 3)`` q, units a frame.
+        fall: ``(3,)`` g Δt², units a frame.
         nearness: ``(N,)`` of :func:`nearest_fade`.
-        springs: ``(M + W, 3)`` mm, of each contact, or None.
+        springs: ``(M + W, 3)`` units, of each contact, or None.
 
     Returns:
-        D and q at the end, and what acts on the velocity alone (translation, spin); each ``(N, 3)`` mm a frame.
+        D and q at the end, and what acts on the velocity alone (translation, spin); each ``(N, 3)`` units a frame.
     """
     groups, width = contact_groups(contacts, position.device), model.config.channels
     channels = position.new_zeros(len(position), width)
@@ -68,7 +68,7 @@ def solve_contacts(
 
 
 def nearest_fade(model: Surrogate, contacts: ContactList, end: Tensor) -> Tensor:
-    """The largest fade among each particle's contacts at the ballistic guess ``end``, ``(N, 3)`` mm; ``(N,)``.
+    """The largest fade among each particle's contacts at the ballistic guess ``end``, ``(N, 3)`` units; ``(N,)``.
 
     1 where a contact is within full reach, 0 without a contact: the share of its answer that a particle may have
     where no contact acts on it directly.
@@ -88,9 +88,9 @@ class Surfaces:
     """What two surfaces do at C contacts."""
 
     normal: Tensor  # (C, 3) unit vectors from i to its partner
-    gap: Tensor  # (C,) mm, negative where they overlap
-    approach: Tensor  # (C,) u_n, mm a frame, positive where they part
-    slip: Tensor  # (C, 3) tangential displacement of the partner's surface against that of i, mm a frame
+    gap: Tensor  # (C,) units, negative where they overlap
+    approach: Tensor  # (C,) u_n, units a frame, positive where they part
+    slip: Tensor  # (C, 3) tangential displacement of the partner's surface against that of i, units a frame
 
 
 @dataclass
@@ -105,7 +105,7 @@ class Group:
     wall: int = -1
 
     def gap(self, end: Tensor, diameter: float) -> Tensor:
-        """Distance of the surfaces, ``(C,)`` mm, with the particles at ``end``, ``(N, 3)`` mm."""
+        """Distance of the surfaces, ``(C,)`` units, with the particles at ``end``, ``(N, 3)`` units."""
         if self.kind == PAIR:
             return torch.linalg.vector_norm(self._apart(end), dim=1) - diameter
         return closest_point(self.contacts.walls.after[self.wall], end[self.first])[0] - 0.5 * diameter
@@ -116,8 +116,8 @@ class Group:
         A wall's point has its exact motion and no spin.
 
         Args:
-            end, displacement, spin: ``(N, 3)`` x + D, D and q = r ω Δt, mm (a frame).
-            diameter: mm.
+            end, displacement, spin: ``(N, 3)`` x + D, D and q = r ω Δt, units (a frame).
+            diameter: units.
         """
         first, second = self.first, self.second
         if self.kind == PAIR:
@@ -162,7 +162,7 @@ def _answer(
 ) -> tuple[tuple[Tensor, ...], Tensor]:
     """What contacts of one kind answer in iteration ``k``, and the running sums of a and b, ``(C, 2)``.
 
-    The answers, mm a frame, are equal and opposite on the two: push τ − a n, turn n × τ, both once more for the
+    The answers, units a frame, are equal and opposite on the two: push τ − a n, turn n × τ, both once more for the
     velocity at the end of the frame alone, and messages to the channels, ``(C, channels)``.
     """
     normal, gap, slip = seen.normal, seen.gap, seen.slip

@@ -2,12 +2,13 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
 
 from gran_bench.config import BoundaryConfig, CconvModelConfig
-from gran_bench.config.choices import check_radius
+from gran_bench.config.choices import check_radius, given_or
 from gran_bench.config.consistency import check_model
 from gran_bench.config.rules import ConfigError
 from gran_bench.scene import Scene
@@ -25,6 +26,7 @@ from gran_bench.surrogate.convolution.neighborhood import (
 from gran_bench.surrogate.step import NewtonSurrogate
 
 _SOLID_FRACTION = 0.58  # of a settled bed; only sets the scale of the first weights
+_FRAMES = 5.0  # velocities count diameters in so many frames: m/s where d = 50 mm and Δt = 10 ms
 _OUTPUT_START = 0.1  # first output weights, of their usual size: an untrained network starts near pure gravity
 
 
@@ -62,8 +64,9 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
     (`neighborhood.nearness`), whatever its linear maps and biases say: a sphere that sees
     nothing flies ballistically.
 
-    Velocities enter in m/s, normals as they are, and outputs count ``output_scale`` metres a frame squared:
-    a = output · output_scale / Δt². The map does not depend on where the scene lies, but it does on its axes.
+    Velocities enter in d per 5 frames (m/s for 50 mm and 10 ms), normals as they are. Outputs count
+    ``output_scale_diameters`` diameters a frame squared: a = output · output_scale d / Δt². The map does not depend on
+    where the scene lies, but it does on its axes.
 
     Args:
         config: widths, kernel, R, update.
@@ -77,18 +80,19 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
     def __init__(self, config: CconvModelConfig, boundary: BoundaryConfig, scene: Scene) -> None:
         super().__init__(config.update)
         check_model(config)
-        check_radius(config, scene.filling.diameter, scene.period)
+        diameter = scene.filling.diameter
+        check_radius(config, diameter, scene.period)
         if boundary.kind not in KINDS:
             raise ConfigError(f"boundary.kind={boundary.kind} is not for {config.name}; choose {' or '.join(KINDS)}")
         self.config, self.boundary = config, boundary
-        self.diameter = diameter = scene.filling.diameter
+        self.diameter, self.radius = diameter, given_or(config.radius_m, config.radius_diameters, diameter)
         if config.kernel == "lattice":
-            self.pair_basis = self.wall_basis = LatticeBasis(config.radius, config.kernel_size)
+            self.pair_basis = self.wall_basis = LatticeBasis(self.radius, config.kernel_size)
         else:
-            self.pair_basis = RadialBasis.around_contact(diameter, config.radius, diameter)
-            self.wall_basis = RadialBasis.around_contact(diameter, config.radius, 0.5 * diameter)
+            self.pair_basis = RadialBasis.around_contact(diameter, self.radius, diameter)
+            self.wall_basis = RadialBasis.around_contact(diameter, self.radius, 0.5 * diameter)
         half = config.width // 2
-        neighbors = 8.0 * _SOLID_FRACTION * (config.radius / diameter) ** 3
+        neighbors = 8.0 * _SOLID_FRACTION * (self.radius / diameter) ** 3
 
         def convolution(width_in: int, basis: KernelBasis, count: float) -> ContinuousConvolution:
             return ContinuousConvolution(width_in, half, basis, config.backend, count)
@@ -101,7 +105,7 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         self.has_walls = boundary.kind != "none" and scene.needs.walls
         if self.has_walls:
             analytic = boundary.kind == "analytic"
-            cap = math.pi * (config.radius**2 - (0.5 * diameter) ** 2)  # what a touching particle sees of a wall
+            cap = math.pi * (self.radius**2 - (0.5 * diameter) ** 2)  # what a touching particle sees of a wall
             seen = 1.0 if analytic else cap / (boundary.spacing * diameter) ** 2
             shape = (3 if boundary.normal else 1) + analytic
             self.wall_linear = nn.Linear(3, half)
@@ -130,10 +134,11 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         return self.accelerations(position, velocity, scene, time)[0]
 
     def accelerations(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> tuple[Tensor, Tensor]:
+        given = velocity
         if self.config.backend == "fused":
             position = position.detach()
         pairs = particle_neighborhood(self.pair_basis, position, scene.period)
-        inputs = velocity
+        inputs = velocity = velocity * self._pace(scene)
         if self.config.constant_input:
             inputs = torch.cat((velocity, torch.ones_like(velocity[:, :1])), dim=1)
         seen = self.pair_input(inputs, pairs) + self.pair_bias
@@ -142,21 +147,32 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
             features = layer(features, pairs)
         output = of_pairs = pairs.nearness(self.diameter)[:, None] * features
         if self.has_walls and scene.walls:
-            wall = self._see_walls(position, velocity, scene, time)
+            wall = self._see_walls(position, given, scene, time)
             if len(wall.near):
-                fade = nearness(wall.distance, 0.5 * self.diameter, self.config.radius)
+                fade = nearness(wall.distance, 0.5 * self.diameter, self.radius)
                 of_wall = fade[:, None] * self._wall_branch(velocity[wall.near], pairs, wall)
                 output = output.index_add(0, wall.near, of_wall)
-        unit = self.config.output_scale / scene.frame_interval**2
+        unit = self.config.output_scale_diameters * self.diameter / scene.frame_interval**2
         return output * unit, of_pairs * unit
 
+    def _pace(self, scene: Scene) -> float:
+        """What turns a velocity, m/s, into the network's unit."""
+        return _FRAMES * scene.frame_interval / self.diameter
+
     def _see_walls(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> WallPairs:
+        """What particles of a velocity, m/s, see of the walls; velocities of walls in the network's unit."""
         if self.boundary.kind == "analytic":
-            return see_contacts(position, velocity, scene, time, self.config.radius)
-        return see_spheres(position, scene, time, self.config.radius, self.boundary.spacing * scene.filling.diameter)
+            seen = see_contacts(position, velocity, scene, time, self.radius)
+        else:
+            seen = self._see_spheres(position, scene, time)
+        pace = self._pace(scene)
+        return replace(seen, velocity=pace * seen.velocity, slip=None if seen.slip is None else pace * seen.slip)
+
+    def _see_spheres(self, position: Tensor, scene: Scene, time: float) -> WallPairs:
+        return see_spheres(position, scene, time, self.radius, self.boundary.spacing * scene.filling.diameter)
 
     def _wall_branch(self, velocity: Tensor, pairs: Neighborhood, wall: WallPairs) -> Tensor:
-        """Output of the wall branch, ``(P, 3)``, from the near particles' velocities ``(P, 3)``."""
+        """Output of the wall branch, ``(P, 3)``, from the near particles' velocities in the network's unit."""
         features, among = self._wall_input(velocity, wall), pairs.restricted(wall.near)
         for layer in self.wall_layers:
             features = layer(features, among)

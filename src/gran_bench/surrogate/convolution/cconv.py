@@ -71,12 +71,7 @@ class ContinuousConvolution(nn.Module):
     """
 
     def __init__(
-        self,
-        channels_in: int,
-        channels_out: int,
-        basis: KernelBasis,
-        backend: str = "fused",
-        neighbors: float = 50.0,
+        self, channels_in: int, channels_out: int, basis: KernelBasis, backend: str = "fused", neighbors: float = 50.0
     ) -> None:
         super().__init__()
         self.backend = checked(CconvModelConfig, "backend", backend)

@@ -24,7 +24,7 @@ from gran_bench.surrogate.walls import SHAPE
 
 SPIN_RESPONSE = np.float32(constants.SPIN_RESPONSE)
 CHANNEL_CLAMP = np.float32(constants.CHANNEL_CLAMP)
-TINY = np.float32(1e-12)  # mm; keeps a division by a distance finite
+TINY = np.float32(1e-12)  # units; keeps a division by a distance finite
 
 # A particle's row: end of the frame y, displacement D, spin q, channels h.
 END, MOVE, TURNED, CHANNEL = 0, 3, 6, 9

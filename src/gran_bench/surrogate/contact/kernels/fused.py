@@ -60,7 +60,7 @@ def _full_weights(model: Surrogate) -> tuple[Tensor, ...]:
 
 
 class _FusedContacts(torch.autograd.Function):
-    """(x, D, q, nearness, weights) → (D, q, extra translation, extra spin), all in mm and mm per frame."""
+    """(x, D, q, nearness, weights) → (D, q, extra translation, extra spin), in d/50 and d/50 a frame."""
 
     @staticmethod
     def forward(ctx, frame, position, displacement, spin, nearness, *weights):

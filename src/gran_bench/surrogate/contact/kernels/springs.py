@@ -42,7 +42,7 @@ def stretch(
     """ξ' of all contacts, pairs first; zero, and ``touches`` False, of those that do not touch at the frame's end.
 
     The first four and ``before`` to ``shift`` are of a :class:`~gran_bench.surrogate.contact.geometry.ContactList`;
-    start, end and spin ``(N, 3)`` positions at the frame's two ends, mm, and q, mm a frame; springs and result ξ, ξ'.
+    start, end and spin ``(N, 3)`` positions at the frame's two ends and q, in d/50; springs and result ξ, ξ'.
     """
     normal, back, motion, turned = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for c in range(len(pairs) + len(near)):
