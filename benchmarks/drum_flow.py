@@ -41,6 +41,7 @@ from drum_flow_page import (
     OURS,
     QUANTITIES,
     SAME_LAW,
+    STEADY_FROM,
     THEIRS,
     Flow,
     columns,
@@ -54,7 +55,6 @@ from gran_bench.dataset.case_file import read_attributes
 from gran_bench.files import locked, write_part
 from gran_bench.metrics.angle_of_repose import center_of_mass_angles
 from gran_bench.metrics.measured import within
-from gran_bench.metrics.summary import STEADY_FROM
 from gran_bench.plots.verification import draw_drum_flow
 from gran_bench.processes import start_program
 from gran_bench.provenance import write_table

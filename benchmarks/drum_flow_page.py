@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from gran_bench.metrics.summary import STEADY_FROM
+from gran_bench.compose import compose
 from gran_bench.provenance import read_table, stamp
 from gran_bench.state import FloatArray
 
@@ -21,6 +21,7 @@ QUANTITIES = (("angle", "centre-of-mass angle", "°", 2), ("speed", "mean speed"
 # What a mean over three packings is held against, in degrees and m/s: an independent code's, found before this one.
 BOUNDS = {30.0: ((34.9, 0.5), (0.612, 0.015)), 20.0: ((32.0, 0.6), (0.447, 0.015))}
 NAME = "drum_flow"
+STEADY_FROM: float = compose("train", ["judge=drum"]).judge.requirements.steady_from  # s
 
 Bounds = dict[float, tuple[tuple[float, float], ...]]  # by speed: (middle, half width) of each quantity
 Flow = dict[int, tuple[float, float]]  # by packing: steady angle in degrees, steady speed in m/s

@@ -10,6 +10,7 @@ from scipy.stats import wasserstein_distance
 from gran_bench.metrics.angle_of_repose import SurfaceLine, surface_lines
 from gran_bench.metrics.speeds import (
     depth_profile,
+    layer_sums,
     sorted_frames,
     velocities,
     wasserstein,
@@ -87,7 +88,7 @@ def test_layers_under_the_surface_have_their_own_speed():
     below = -0.05 - bed @ normal
     velocity = (below - 0.3)[:, None] * uphill  # downhill above, uphill 0.3 m under the top layer
     lines = surface_lines(bed[None], np.full(len(bed), RADIUS), scene)
-    speed, along = depth_profile(bed[None], velocity[None], lines, scene)
+    speed, along = depth_profile(layer_sums(bed[None], velocity[None], lines, scene))
     filled = np.isfinite(along)
     assert filled[:6].all()
     assert not filled[-1]
@@ -101,7 +102,7 @@ def test_a_layer_holds_what_is_near_the_middle_and_the_first_what_lies_on_the_li
     # On the line and half a diameter above it; a diameter and a half above (flying); too far along the surface.
     position = np.array([[[0.0, 0, -0.01], [0.0, 0, 0.025], [0.0, 0, 0.08], [0.31, 0, -0.01]]])
     velocity = np.array([[[-1.0, 0, 0], [-3.0, 0, 0], [-100.0, 0, 0], [-100.0, 0, 0]]])
-    speed, along = depth_profile(position, velocity, [flat], scene)
+    speed, along = depth_profile(layer_sums(position, velocity, [flat], scene))
     assert speed[0] == along[0] == pytest.approx(2.0)
     assert np.isnan(speed[1:]).all()
 
@@ -111,5 +112,5 @@ def test_layers_without_a_valid_surface_are_empty():
     trajectory = flowing(scene, frames=2)
     lines = surface_lines(trajectory.position, trajectory.radius, scene)
     assert not any(line.valid for line in lines)
-    speed, _ = depth_profile(trajectory.position, trajectory.velocity, lines, scene)
+    speed, _ = depth_profile(layer_sums(trajectory.position, trajectory.velocity, lines, scene))
     assert np.isnan(speed).all()

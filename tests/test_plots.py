@@ -102,14 +102,14 @@ def test_without_gravity_the_viewer_still_sees_z_up():
 def test_flow_pattern_says_how_many_spheres_it_cannot_show(tmp_path, texts):
     broken = flowing(SCENE, 2)
     broken.position[10, :3] = np.nan
-    flow_pattern({"DEM": flowing(SCENE, 1), "surrogate": broken}, SCENE, tmp_path / "flow.png")
+    flow_pattern({"DEM": flowing(SCENE, 1), "surrogate": broken}, SCENE, tmp_path / "flow.png", 2.5)
     assert is_png(tmp_path / "flow.png")
     assert "3 spheres not finite or out of sight" in texts
     assert {"DEM", "surrogate", "speed, m/s", "x, m", "height z, m"} <= set(texts)
 
 
 def test_flow_pattern_of_a_run_that_ended_says_so(tmp_path, texts):
-    flow_pattern({"short": flowing(SCENE, 1, frames=4)}, SCENE, tmp_path / "flow.png")
+    flow_pattern({"short": flowing(SCENE, 1, frames=4)}, SCENE, tmp_path / "flow.png", 2.5)
     assert "no state at 2.5 s" in texts
 
 

@@ -50,14 +50,20 @@ def rigid_rotation(scene: Scene, settled: ParticleState) -> Trajectory:
     return _trajectory(settled, time, position, velocity, spin)
 
 
-def neighbouring_speeds(speed_rpm: float, training: Iterable[float]) -> tuple[float, float] | None:
-    """The nearest training speeds below and above a speed, rpm; None where a side has none.
+def adjacent_speeds(speed_rpm: float, training: Iterable[float]) -> list[float]:
+    """The nearest training speeds below and above a speed, rpm, as far as there are such.
 
     Speeds of the other sense of rotation are no neighbours: their flow is a mirror image.
     """
     alike = [rpm for rpm in training if rpm * speed_rpm >= 0.0]
     below, above = [rpm for rpm in alike if rpm < speed_rpm], [rpm for rpm in alike if rpm > speed_rpm]
-    return (max(below), min(above)) if below and above else None
+    return [*([max(below)] if below else []), *([min(above)] if above else [])]
+
+
+def neighbouring_speeds(speed_rpm: float, training: Iterable[float]) -> tuple[float, float] | None:
+    """The `adjacent_speeds` on both sides, rpm; None where a side has none."""
+    found = adjacent_speeds(speed_rpm, training)
+    return (found[0], found[1]) if len(found) == 2 else None
 
 
 def interpolated_statistics(speed_rpm: float, training: Mapping[float, TrajectorySummary]) -> TrajectorySummary:
@@ -91,11 +97,10 @@ def interpolated_statistics(speed_rpm: float, training: Mapping[float, Trajector
             f"{high.sorted_speed.shape}; interpolate between cases of one scene"
         )
     share = 0.0 if above == below else (speed_rpm - below) / (above - below)
-    layers = min(len(low.layer_speed), len(high.layer_speed))
     house = [name for name in low.series if METRICS.owner(name) == HOUSE]  # those of plugins need particles
 
-    def between(name: str, rows: int | None = None) -> FloatArray:
-        one, other = getattr(low, name)[:rows], getattr(high, name)[:rows]
+    def between(name: str) -> FloatArray:
+        one, other = getattr(low, name), getattr(high, name)
         return one + (other - one) * np.asarray(share, one.dtype)
 
     def series(one: Series, other: Series) -> Series:
@@ -107,9 +112,7 @@ def interpolated_statistics(speed_rpm: float, training: Mapping[float, Trajector
         series={name: series(low.series[name], high.series[name]) for name in house},
         sorted_speed=between("sorted_speed"),
         sorted_component=between("sorted_component"),
-        layer_speed=between("layer_speed", layers),
-        layer_velocity=between("layer_velocity", layers),
-        steady_undefined_because=low.steady_undefined_because or high.steady_undefined_because,
+        layers=between("layers"),
         position=None,
         failures=None,
     )

@@ -1,8 +1,6 @@
 """No hidden metre or second: lengths × 1/4, times × 1/2, E × 1/4, with density and gravity as they are, is one flow.
 
-All factors are powers of two, so that every number is the same bits but for a power of two. Still in seconds, and
-so not compared here, is what `metrics.summary` calls steady and the first peak, and the requirements of
-`metrics.judge`; the cases end before.
+All factors are powers of two, so that every number is the same bits but for a power of two.
 """
 
 from dataclasses import replace
@@ -172,16 +170,29 @@ def test_training_and_rollout_are_the_same(name, root, tmp_path):
     same_motion(path.trajectory, path_small.trajectory)
 
 
-def test_the_judges_figures_and_floors_are_the_same():
+def test_the_judges_figures_floors_and_verdicts_are_the_same():
     factors = {"m": LENGTH, "m/s": SPEED, "J": ENERGY, "s": TIME, "deg": 1.0, "-": 1.0}
     overrides = ["scene.filling.count=80", "scene.container.length=0.25", "scene.rotation.times=[0.5]"]
     found = []
-    for scene in scenes("drum_small", [*overrides, "scene.end_time=1.0"]):
+    for scene in scenes("drum_small", [*overrides, "scene.end_time=2.5"]):
         bed = settle(scene, seed=1, dem=DemConfig(threads=1))
         starts = [nudged(bed, factor * replica_nudge(scene), k) for k, factor in enumerate([1, 1, 1, 2**16])]
-        *replicas, other = (simulate(scene, bed, scene.end_time, dem=DemConfig(threads=1)).trajectory for bed in starts)
-        found.append(judge(other, replicas, scene))
+        faster = scene.at_speed(1.5 * scene.rotation.speeds_rpm[0])
+        runs = [(scene, start) for start in starts] + [(faster, bed)]
+        *replicas, other, replay = (
+            simulate(its, start, scene.end_time, dem=DemConfig(threads=1)).trajectory for its, start in runs
+        )
+        found.append(judge(other, replicas, scene, replays={"faster": replay}))
     large, small = found
+    for end in ("steady_from", "peak_before", "pattern_time"):
+        same(getattr(large.phases, end), getattr(small.phases, end), TIME, end)
+    assert large.phases.steady_from > large.phases.pattern_time - 0.4
+    assert {row.key: row.verdict for row in large.requirements} == {row.key: row.verdict for row in small.requirements}
+    assert {row.verdict for row in large.requirements} == {"pass"}
+    for one, other in zip(large.requirements, small.requirements, strict=True):
+        factor = {"noise floors": 1.0, "m/s": SPEED}.get(one.figure.unit, 1.0)
+        same(one.figure.number, other.figure.number, factor, one.key)
+        same(one.bound, other.bound, factor, one.key)
 
     def same_figure(one: Measured, other: Measured, what: str) -> None:
         assert one.defined == other.defined, what

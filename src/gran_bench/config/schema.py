@@ -5,6 +5,7 @@ from __future__ import annotations  # the types of keys are read as words
 from dataclasses import dataclass, field
 
 from gran_bench.config.registry import holds_weights, register_model, register_wall
+from gran_bench.config.requirements import RequirementsConfig
 from gran_bench.config.rules import MISSING, Name, Range, Section, at_least, between, key, one_of, positive
 
 FRACTION, RESTITUTION, SEED = Range(0.0, 1.0), Range(0.0, 1.0, open_low=True), at_least(0)
@@ -289,6 +290,7 @@ class JudgeConfig(Section, place="judge"):
     unseen_packing: bool = True
     short_horizon_starts: int = key(20, at_least(1))  # start frames of the 1, 3, 10 frame position errors
     gif: bool = True
+    requirements: RequirementsConfig = field(default_factory=RequirementsConfig)
 
 
 @dataclass

@@ -12,8 +12,7 @@ from gran_bench.dataset.ensure import ensure_cases
 from gran_bench.dataset.imported import ENGINE, split_cases
 from gran_bench.scene import build_scene
 
-STEADY_AFTER = 2.0  # s after the start of the rotation
-HEAD = ("case", "split", "N", "frames", "step, µs", "steady speed, m/s", "wall time, s", "MB", "file")
+HEAD = ("case", "split", "N", "frames", "step, µs", "late speed, m/s", "wall time, s", "MB", "file")
 
 
 def generate(config: GenerateConfig) -> list[Path]:
@@ -61,12 +60,12 @@ def _files_of_older_code(root: Path | str) -> list[Path]:
 
 
 def _row(spec: CaseSpec, path: Path, side: str) -> tuple[str, ...]:
-    """A case's cells; its steady speed is the mean over spheres and frames, – where the run or the motion has none."""
+    """A case's cells; its late speed is the mean over spheres and the later half of the frames, – without rotation."""
     case = read_case(path)
     scene, motion = case.scene, case.trajectory
-    steady, speed = motion.time >= scene.start_time + STEADY_AFTER - 0.5 * scene.frame_interval, "–"
-    if scene.takes_speeds and steady.any() and case.settled.count:
-        speed = f"{np.linalg.norm(motion.velocity[steady], axis=2).mean(dtype=np.float64):.3f}"
+    late, speed = motion.velocity[motion.frame_count // 2 :], "–"
+    if scene.takes_speeds and case.settled.count:
+        speed = f"{np.linalg.norm(late, axis=2).mean(dtype=np.float64):.3f}"
     step, seconds = case.attributes["time_step"], case.attributes["wall_seconds"]
     numbers = f"{case.settled.count}", f"{motion.frame_count}", f"{1e6 * step:.0f}", speed, f"{seconds:.1f}"
     return rotation_label(spec.scene), side, *numbers, f"{path.stat().st_size / 1e6:.1f}", str(path)

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -52,6 +52,7 @@ def evaluate(
     jobs |= {rollout_name(plan.judged_rpm, unseen): plan.case(plan.judged_rpm, unseen) for unseen in plan.packings}
     cases = {name: read_case(spec.path(plan.dataset.root)) for name, spec in jobs.items()}
     judged, rollouts = cases[rollout_name(plan.judged_rpm)], {}
+    asked = plan.judge.requirements
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # so that a surrogate's time stands beside one core of the DEM
     try:
@@ -63,6 +64,8 @@ def evaluate(
     finally:
         torch.set_num_threads(threads)
     judgements, candidates, doubles = {}, {}, {}
+    replays = {f"{rpm:g} rpm replayed": _summary(plan.case(rpm), plan, model.velocity_kind)
+               for rpm in plan.replayed_rpm}  # fmt: skip
     for unseen in plan.packings:
         packing, name = "unseen" if unseen else "shared", rollout_name(plan.judged_rpm, unseen)
         tell(f"judging {name} against {len(plan.replicas(unseen))} replicas")
@@ -75,12 +78,14 @@ def evaluate(
         if not unseen and not plan.imported:
             beside["half_step"] = plan.finer
         beside = {name: _summary(spec, plan, candidate.velocity_kind) for name, spec in beside.items()}
-        judgements[packing] = judge(candidate, doubles[packing], judged_scene, beside)
+        judgements[packing] = found = judge(candidate, doubles[packing], judged_scene, beside, replays, asked)
+        candidates[packing] = replace(candidate, phases=found.phases)
+        doubles[packing] = [replace(run, phases=found.phases) for run in doubles[packing]]
     summary = {
         "judged_rpm": plan.judged_rpm,
         "judged_as": "validation" if plan.validates else "held out",
         "judged": {packing: judgement.to_dict() for packing, judgement in judgements.items()},
-        "baselines": _baselines(plan, judged, doubles["shared"]),
+        "baselines": _baselines(plan, judged, doubles["shared"], replays),
         "nearest_case": _nearest(plan, rollouts, cases),
         "position_error": _short_horizon(model, judged, plan.judge),
         "rollouts": {name: _rollout_facts(result, cases[name]) for name, result in rollouts.items()},
@@ -128,7 +133,9 @@ def weights_digest(model: Surrogate) -> str:
     return digest.hexdigest()[:16]
 
 
-def _baselines(plan: Plan, case: Case, doubles: list[TrajectorySummary]) -> dict[str, Any]:
+def _baselines(
+    plan: Plan, case: Case, doubles: list[TrajectorySummary], replays: dict[str, TrajectorySummary]
+) -> dict[str, Any]:
     """What costs next to nothing, held against the same replicas: distances by baseline and name."""
     scene, kind = case.scene, doubles[0].velocity_kind
     candidates = {
@@ -137,16 +144,17 @@ def _baselines(plan: Plan, case: Case, doubles: list[TrajectorySummary]) -> dict
     }
     if plan.neighbours_rpm is not None:
         low, high = plan.neighbours_rpm
-        training = {rpm: _summary(plan.case(rpm), plan, kind) for rpm in (low, high)}
         name = f"statistics interpolated between {low:g} and {high:g} rpm"
-        candidates[name] = interpolated_statistics(plan.judged_rpm, training)
-        candidates |= {f"{rpm:g} rpm replayed": training[rpm] for rpm in (low, high)}
+        candidates[name] = interpolated_statistics(
+            plan.judged_rpm, dict(zip(plan.replayed_rpm, replays.values(), strict=True))
+        )
+    candidates |= replays
     step = "" if plan.imported else f"DEM, steps of {1e3 * plan.coarser.dem.time_step:g} ms"
     if step:
         candidates[step] = _summary(plan.coarser, plan, kind)
     table = {}
     for name, candidate in candidates.items():
-        errors = judge(candidate, doubles, scene).to_dict()["errors"]
+        errors = judge(candidate, doubles, scene, asked=plan.judge.requirements).to_dict()["errors"]
         table[name] = {row: errors[row] for row in COMPARED}
     if step:
         table[step]["ms_per_frame"] = _dem_ms_per_frame(read_case(plan.coarser.path(plan.dataset.root)))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from gran_bench.baselines import neighbouring_speeds
+from gran_bench.baselines import adjacent_speeds, neighbouring_speeds
 from gran_bench.config import DatasetConfig, DemConfig, JudgeConfig
 from gran_bench.dataset import CaseSpec, case_at, half_step, imported_replicas, replicas
 from gran_bench.dem.simulate import choose_time_step
@@ -79,10 +79,15 @@ class Plan:
         return neighbouring_speeds(self.judged_rpm, self.dataset.training_speeds_rpm)
 
     @property
+    def replayed_rpm(self) -> list[float]:
+        """The training speeds next to the judged one, on one side or both, whose runs a model must be better than."""
+        return adjacent_speeds(self.judged_rpm, self.dataset.training_speeds_rpm)
+
+    @property
     def cases(self) -> list[CaseSpec]:
         """Every run of the DEM that judging needs."""
         judged = [self.case(self.judged_rpm, unseen) for unseen in (self.packings if self.imported else (False, True))]
-        speeds = [self.case(rpm) for rpm in {*self.speeds_rpm, *(self.neighbours_rpm or ())}]
+        speeds = [self.case(rpm) for rpm in {*self.speeds_rpm, *self.replayed_rpm}]
         doubles = [spec for unseen in self.packings for spec in self.replicas(unseen)]
         return [*speeds, *judged, *doubles, *([] if self.imported else [self.finer, self.coarser])]
 

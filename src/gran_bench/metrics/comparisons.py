@@ -9,7 +9,7 @@ from gran_bench.config.registry import METRICS
 from gran_bench.metrics.measured import LEAST_VALID_SHARE, Measured, Series, frame_at, within
 from gran_bench.metrics.position_error import separation
 from gran_bench.metrics.speeds import wasserstein, wasserstein_series
-from gran_bench.metrics.summary import PATTERN_TIME, PEAK_BEFORE, STEADY_FROM, TrajectorySummary
+from gran_bench.metrics.summary import TrajectorySummary
 
 Measure = Callable[[TrajectorySummary], Measured | Series]
 Between = Callable[[TrajectorySummary, TrajectorySummary], Measured]
@@ -50,20 +50,21 @@ def speed_distance(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
 
 
 def _speed_distance_at_pattern(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
-    frames = [frame_at(run.time, PATTERN_TIME) for run in (a, b)]
+    instant = a.phases.pattern_time
+    frames = [frame_at(run.time, instant) for run in (a, b)]
     if None in frames:
-        return Measured.undefined("m/s", f"no state at {PATTERN_TIME:g} s")
+        return Measured.undefined("m/s", f"no state at {instant:g} s")
     distance = wasserstein(a.sorted_speed[frames[0]], b.sorted_speed[frames[1]])
-    return Measured.of(distance, "m/s", f"velocity is not finite at {PATTERN_TIME:g} s")
+    return Measured.of(distance, "m/s", f"velocity is not finite at {instant:g} s")
 
 
 def _speed_distance_pooled(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
     """Of the finite states of the steady part, which must be nearly all."""
     pooled = []
     for run in (a, b):
-        if run.steady_undefined_because:
-            return Measured.undefined("m/s", run.steady_undefined_because)
-        steady = run.sorted_speed[within(run.time, STEADY_FROM, np.inf)]
+        if run.phases.steady_from is None:
+            return Measured.undefined("m/s", run.phases.not_steady_because)
+        steady = run.sorted_speed[within(run.time, run.phases.steady_from, np.inf)]
         good = np.isfinite(steady).all(axis=1)
         bad = int((~good).sum())
         if bad > (1.0 - LEAST_VALID_SHARE) * len(steady):
@@ -79,10 +80,11 @@ def _component_distance(axis: int) -> Between:
 def _layer_distance(a: TrajectorySummary, b: TrajectorySummary) -> Measured:
     """Mean over the layers that both have of the difference of their mean steady speeds."""
     for run in (a, b):
-        if run.steady_undefined_because:
-            return Measured.undefined("m/s", run.steady_undefined_because)
-    shared = min(len(a.layer_speed), len(b.layer_speed))
-    gap = np.abs(a.layer_speed[:shared] - b.layer_speed[:shared])
+        if run.phases.steady_from is None:
+            return Measured.undefined("m/s", run.phases.not_steady_because)
+    mine, theirs = a.layer_speed, b.layer_speed
+    shared = min(len(mine), len(theirs))
+    gap = np.abs(mine[:shared] - theirs[:shared])
     if not np.isfinite(gap).any():
         return Measured.undefined("m/s", "no layer under a valid surface")
     return Measured(float(np.nanmean(gap)), "m/s", f"{int(np.isfinite(gap).sum())} layers")
@@ -108,20 +110,31 @@ def _series(name: str) -> Measure:
 
 
 def _steady(name: str) -> Measure:
-    """Mean over t ≥ 3.5 s, where the speed is constant there."""
+    """Mean over the steady part."""
 
     def measure(run: TrajectorySummary) -> Measured:
         series = run.series[name]
-        if run.steady_undefined_because and not series.undefined_because:
-            return Measured.undefined(series.unit, run.steady_undefined_because)
-        return series.mean(STEADY_FROM)
+        if run.phases.steady_from is None and not series.undefined_because:
+            return Measured.undefined(series.unit, run.phases.not_steady_because)
+        return series.mean(-np.inf if run.phases.steady_from is None else run.phases.steady_from)
 
     return measure
 
 
-def _peak(name: str, part: int, end: float = PEAK_BEFORE) -> Measure:
-    """Largest value before 3 s (part 0), or when it is (part 1)."""
-    return lambda run: run.series[name].largest(end=end)[part]
+def _peak(name: str, part: int) -> Measure:
+    """Largest value of the first peak (part 0), or when it is (part 1)."""
+
+    def measure(run: TrajectorySummary) -> Measured:
+        series = run.series[name]
+        if run.phases.peak_before is None and not series.undefined_because:
+            return Measured.undefined((series.unit, "s")[part], run.phases.no_peak_because)
+        return series.largest(end=np.inf if run.phases.peak_before is None else run.phases.peak_before)[part]
+
+    return measure
+
+
+def _largest(name: str) -> Measure:
+    return lambda run: run.series[name].largest()[0]
 
 
 def _angles(name: str, label: str) -> tuple[Comparison, ...]:
@@ -149,7 +162,7 @@ COMPARISONS = (
     *(*SURFACE, *CENTER),
     Comparison("center_height", "height of the centre of mass, over the series", "m", _series("center_height")),
     Comparison("speed_w1", "speeds, W1 a frame", "m/s", between=speed_distance),
-    Comparison("speed_w1_pattern", f"speeds at {PATTERN_TIME:g} s, W1", "m/s", between=_speed_distance_at_pattern),
+    Comparison("speed_w1_pattern", "speeds a quarter into the scene, W1", "m/s", between=_speed_distance_at_pattern),
     Comparison("speed_w1_steady", "steady speeds, W1 pooled", "m/s", between=_speed_distance_pooled),
     Comparison("velocity_x_w1", "velocity along x, W1 a frame", "m/s", between=_component_distance(0)),
     Comparison("velocity_y_w1", "velocity along the axis y, W1 a frame", "m/s", between=_component_distance(1)),
@@ -168,8 +181,8 @@ FIGURES = (
     Comparison("translational_energy_steady", "translational energy, steady", "J", _steady("translational_energy")),
     Comparison("rotational_energy_steady", "rotational energy, steady", "J", _steady("rotational_energy")),
     Comparison("overlap_mean", "overlap of pairs, mean", "m", _series("overlap_mean")),
-    Comparison("overlap_max", "overlap of pairs, largest", "m", _peak("overlap_max", 0, np.inf)),
+    Comparison("overlap_max", "overlap of pairs, largest", "m", _largest("overlap_max")),
     Comparison("wall_overlap_mean", "overlap with walls, mean", "m", _series("wall_overlap_mean")),
-    Comparison("wall_overlap_max", "overlap with walls, largest", "m", _peak("wall_overlap_max", 0, np.inf)),
+    Comparison("wall_overlap_max", "overlap with walls, largest", "m", _largest("wall_overlap_max")),
     Comparison("mixing_end", "mixing entropy, steady", "-", _steady("mixing")),
 )

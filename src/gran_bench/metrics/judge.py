@@ -1,27 +1,30 @@
 """The judge: one candidate against the replicas of the DEM, every figure in its unit and in noise floors."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from gran_bench.config import RequirementsConfig
 from gran_bench.config.rules import check_arguments
-from gran_bench.metrics.comparisons import CENTER, COMPARISONS, FIGURES, SURFACE, Comparison, added, speed_distance
-from gran_bench.metrics.judgement import ErrorRow, FigureRow, Judgement, Requirement
+from gran_bench.metrics.comparisons import COMPARISONS, FIGURES, Comparison, added
+from gran_bench.metrics.judgement import ErrorRow, FigureRow, Judgement
 from gran_bench.metrics.measured import Measured, mean_of, noise_floor, prediction_interval, score, shared_states
 from gran_bench.metrics.outside import distance_outside
+from gran_bench.metrics.phases import find_phases
+from gran_bench.metrics.requirements import acceptance
 from gran_bench.metrics.speeds import sorted_frames, speeds, velocities, wasserstein_series
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.scene import Scene
 from gran_bench.state import Trajectory
 
 Run = Trajectory | TrajectorySummary
-STEADY_WITHIN = 3.0  # deg
-PEAK_WITHIN = 10.0  # deg
-SPEED_WITHIN = 0.08  # m/s
 
 
-def judge(candidate: Run, replicas: Sequence[Run], scene: Scene, others: Mapping[str, Run] | None = None) -> Judgement:
+def judge(
+    candidate: Run, replicas: Sequence[Run], scene: Scene, others: Mapping[str, Run] | None = None,
+    replays: Mapping[str, Run] | None = None, asked: RequirementsConfig | None = None,
+) -> Judgement:  # fmt: skip
     """Hold a candidate against the replicas of the DEM.
 
     Velocities are compared by the candidate's definition on both sides. Summaries may be given instead of
@@ -32,18 +35,21 @@ def judge(candidate: Run, replicas: Sequence[Run], scene: Scene, others: Mapping
         replicas: runs of the DEM from one settled state; two or more for a noise floor.
         scene: that all were made for.
         others: further runs of the DEM by name, each a column of its own beside the noise floor.
+        replays: the DEM's runs at the speeds of training, by name, which a model has to be better than.
+        asked: what counts as met; by default so many noise floors of the scene.
 
     Raises:
         ValueError: no replica, or runs that are not of the scene or not comparable.
     """
-    others = {} if others is None else others
+    others, replays, asked = others or {}, replays or {}, asked or RequirementsConfig()
     check_arguments(candidate=(candidate, Run), replicas=(replicas, list[Run]), scene=(scene, Scene))
-    check_arguments(others=(others, Mapping))
-    check_arguments(**{f"others[{name}]": (run, Run) for name, run in others.items()})
+    check_arguments(others=(others, Mapping), replays=(replays, Mapping), asked=(asked, RequirementsConfig))
+    for what, given in (("others", others), ("replays", replays)):
+        check_arguments(**{f"{what}[{name}]": (run, Run) for name, run in given.items()})
     if not replicas:
         raise ValueError("no replica to judge against; make at least one run of the DEM")
     kind = candidate.velocity_kind
-    runs = {"candidate": candidate, **{f"replica {i}": run for i, run in enumerate(replicas)}, **others}
+    runs = {"candidate": candidate, **{f"replica {i}": run for i, run in enumerate(replicas)}, **others, **replays}
     for name, run in runs.items():
         _hold_scene(name, run, scene, is_dem=run is not candidate)
     mine, *theirs = (
@@ -51,16 +57,21 @@ def judge(candidate: Run, replicas: Sequence[Run], scene: Scene, others: Mapping
     )
     for name, summary in zip(runs, (mine, *theirs), strict=True):
         _hold_alike(name, summary, mine)
-    truth, beside = theirs[: len(replicas)], dict(zip(others, theirs[len(replicas) :], strict=True))
+    # One clock for all: a run's own would compare a mean over one span with a mean over another.
+    phases = find_phases([run.series for run in theirs[: len(replicas)]], scene, asked)
+    mine, *theirs = (replace(run, phases=phases) for run in (mine, *theirs))
+    truth, further = theirs[: len(replicas)], dict(zip((*others, *replays), theirs[len(replicas) :], strict=True))
+    beside, again = ({name: further[name] for name in group} for group in (others, replays))
     failures, more = [run.failures for run in truth], added()
     return Judgement(
         errors=[_error_row(row, mine, truth, beside) for row in (*COMPARISONS, *more)],
         figures=[_figure_row(row, mine, truth) for row in (*FIGURES, *more)],
-        requirements=list(acceptance(mine, truth, scene)),
+        requirements=list(acceptance(mine, truth, scene, again, asked)),
         failures=mine.failures,
         dem_outside=None if None in failures else float(np.mean([count.share(count.outside) for count in failures])),
         velocity_kind=kind,
         replicas=len(truth),
+        phases=phases,
     )
 
 
@@ -105,61 +116,6 @@ def _figure_row(row: Comparison, mine: TrajectorySummary, truth: Sequence[Trajec
     mean = mean_of(found, row.unit)
     interval = prediction_interval([figure.number for figure in found]) if mean.defined else None
     return FigureRow(row.key, row.label, row.unit, row.figure(mine), mean, interval)
-
-
-def acceptance(
-    candidate: TrajectorySummary, replicas: Sequence[TrajectorySummary], scene: Scene
-) -> Iterator[Requirement]:
-    """What a surrogate of the drum has to show; a figure that the DEM has and the candidate lacks is a failure.
-
-    No bound is tighter than what a further run of the DEM would keep (95 %), so that a noisy scene is not asked for
-    what its own physics do not have.
-    """
-    if (failures := candidate.failures) is not None:
-        broken = Measured(failures.non_finite_states + failures.missing_states, "states")
-        yield _row("all_finite", "every state there and finite", broken, 0.0)
-        key, label = "none_outside", "no centre more than a radius outside"
-        if any(wall.contains for wall in scene.walls):
-            yield _row(key, label, Measured(failures.outside_radius, "sphere states"), 0.0)
-        else:
-            unknown = Measured(None, "sphere states", "no wall of this scene has a side that is inside")
-            yield Requirement(key, label, unknown, 0.0, "undefined")
-    for (_, steady, peak, _), label in ((SURFACE, "angle of repose"), (CENTER, "centre-of-mass angle")):
-        yield _angle_row(steady, f"{label}, steady", STEADY_WITHIN, candidate, replicas)
-        yield _angle_row(peak, f"{label}, first peak", PEAK_WITHIN, candidate, replicas)
-    # Of each replica from the others, as if it were a candidate.
-    rests = [[*replicas[:k], *replicas[k + 1 :]] for k in range(len(replicas))] if len(replicas) > 1 else []
-    own = [score(speed_distance, one, rest, "m/s") for one, rest in zip(replicas, rests, strict=False)]
-    bound, why = _kept_by_the_dem(SPEED_WITHIN, own, 0.0, "m/s")
-    distance = score(speed_distance, candidate, replicas, "m/s")
-    yield _row("speed_w1", f"speeds, W1 a frame, at most {bound:.3g} m/s", distance, bound, why)
-
-
-def _row(key: str, label: str, figure: Measured, bound: float, why: str = "") -> Requirement:
-    verdict = "pass" if figure.defined and figure.number <= bound else "fail"
-    note = "; ".join(filter(None, (figure.note, why)))
-    return Requirement(key, label, replace(figure, note=note), bound, verdict)
-
-
-def _angle_row(
-    row: Comparison, label: str, asked: float, candidate: TrajectorySummary, replicas: Sequence[TrajectorySummary]
-) -> Requirement:
-    own = [row.figure(replica) for replica in replicas]
-    truth = mean_of(own, "deg")
-    if not truth.defined:
-        return Requirement(row.key, f"{label}, within {asked:g}°", truth, asked, "undefined")
-    bound, why = _kept_by_the_dem(asked, own, truth.number, "deg")
-    return _row(row.key, f"{label}, within {bound:.3g}°", row.figure(candidate).difference(truth), bound, why)
-
-
-def _kept_by_the_dem(asked: float, own: Sequence[Measured], middle: float, unit: str) -> tuple[float, str]:
-    """The bound, and why it is not what is asked: how far from ``middle`` a further run of the DEM may lie."""
-    defined = all(figure.defined for figure in own)
-    interval = prediction_interval([figure.number for figure in own]) if defined else None
-    if interval is None or interval.high - middle <= asked:
-        return asked, ""
-    bound = interval.high - middle
-    return bound, f"not {asked:g} {unit}: runs of the DEM itself scatter more; a further one keeps {bound:.3g} {unit}"
 
 
 def nearest_case(

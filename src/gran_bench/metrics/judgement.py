@@ -8,6 +8,7 @@ import pandas as pd
 
 from gran_bench.metrics.measured import Interval, Measured
 from gran_bench.metrics.outside import FailureCount
+from gran_bench.metrics.phases import Phases
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,7 @@ class Judgement:
     dem_outside: float | None  # share of sphere-states that the replicas, whose walls are soft, have outside, %
     velocity_kind: str  # on both sides
     replicas: int  # how many runs of the DEM it was held against
+    phases: Phases  # when their flow is steady, and when its first peak is over
 
     @property
     def accepted(self) -> bool:
@@ -107,6 +109,7 @@ class Judgement:
         return {
             "velocity_kind": self.velocity_kind,
             "replicas": self.replicas,
+            "phases": self.phases.to_dict(),
             "accepted": self.accepted,
             "requirements": {
                 row.key: _plain(row.label, row.figure) | {"bound": row.bound, "verdict": row.verdict}
@@ -146,7 +149,7 @@ class Judgement:
         if self.failures is not None:
             yield from (*self.failures.lines(self.dem_outside), "")
         passed = sum(row.verdict == "pass" for row in self.requirements)
-        yield f"requirements ({passed} of {len(self.requirements)} pass)"
+        yield f"requirements ({passed} of {len(self.requirements)} pass); the DEM's flow: {self.phases}"
         for row in self.requirements:
             value = f"{_shown(row.figure)} {_unit(row.figure.unit)}"
             yield _with_note(f"  {row.verdict:<10}{row.label:<52}{value}", row.figure.note)

@@ -80,21 +80,19 @@ def wasserstein_series(time_a: FloatArray, a: FloatArray, time_b: FloatArray, b:
     return Series.of_two(time_a, time_b, np.array(value), "m/s", "velocity is not finite, or missing,")
 
 
-def depth_profile(
-    position: FloatArray, velocity: FloatArray, lines: list[SurfaceLine], scene: Scene
-) -> tuple[FloatArray, FloatArray]:
-    """Mean speed, and mean velocity along the surface, in layers of one diameter under it, ``(K,)`` m/s each.
+def layer_sums(position: FloatArray, velocity: FloatArray, lines: list[SurfaceLine], scene: Scene) -> FloatArray:
+    """Spheres, their speeds and their velocities along the surface in layers of one diameter under it, summed.
 
     Only spheres within 0.6 R of the middle of the surface count, so that a layer has one depth. The velocity along
-    the surface is positive uphill, so the flowing layer is negative. Layers run to the drum's wall; one that never
-    held a sphere is NaN. A state without a valid surface is left out. Positions (m) and velocities (m/s) are
-    ``(F, N, 3)`` of a span of time in a drum, with the line of each state.
+    the surface is positive uphill, so the flowing layer is negative. Layers run to the drum's wall. A state without a
+    valid surface is left out: its sums are 0. Positions (m) and velocities (m/s) are ``(F, N, 3)`` in a drum, with
+    the line of each state. Gives ``(3, F, K)``: −, m/s, m/s.
     """
     diameter = scene.filling.diameter
     layers = max(1, round(2.0 * scene.drum_radius / diameter))
     climbing, up = cross_section_axes(scene)
-    count, speed, along = np.zeros((3, layers))
-    for x, v, line in zip(position, velocity, lines, strict=True):
+    sums = np.zeros((3, len(lines), layers))
+    for frame, (x, v, line) in enumerate(zip(position, velocity, lines, strict=True)):
         if not line.valid:
             continue
         direction = climbing * math.cos(line.angle) + up * math.sin(line.angle)
@@ -104,8 +102,17 @@ def depth_profile(
         layer = np.where((layer < 0) & (layer >= -1), 0, layer)
         used = (np.abs(x @ direction) <= HALF_WINDOW * scene.drum_radius) & (layer >= 0) & (layer < layers)
         index = layer[used].astype(np.int64)
-        count += np.bincount(index, minlength=layers)
-        speed += np.bincount(index, np.linalg.norm(v[used], axis=1), minlength=layers)
-        along += np.bincount(index, v[used] @ direction, minlength=layers)
+        sums[0, frame] = np.bincount(index, minlength=layers)
+        sums[1, frame] = np.bincount(index, np.linalg.norm(v[used], axis=1), minlength=layers)
+        sums[2, frame] = np.bincount(index, v[used] @ direction, minlength=layers)
+    return sums
+
+
+def depth_profile(sums: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean speed, and mean velocity along the surface, of `layer_sums` in each layer, ``(K,)`` m/s each.
+
+    A layer that never held a sphere is NaN.
+    """
+    count, speed, along = sums.sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return speed / count, along / count

@@ -10,13 +10,10 @@ from gran_bench.metrics.angle_of_repose import SurfaceAngle
 from gran_bench.metrics.bed import overlap_series
 from gran_bench.metrics.measured import Measured, Series, within
 from gran_bench.metrics.outside import FailureCount, count_failures
-from gran_bench.metrics.speeds import depth_profile, sorted_frames, speeds, velocities
+from gran_bench.metrics.phases import Phases, find_phases
+from gran_bench.metrics.speeds import depth_profile, layer_sums, sorted_frames, speeds, velocities
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
-
-PEAK_BEFORE = 3.0  # s; the first avalanche
-STEADY_FROM = 3.5  # s
-PATTERN_TIME = 2.5  # s; the paper's figures 2 and 3b
 
 
 @dataclass(frozen=True)
@@ -29,23 +26,27 @@ class TrajectorySummary:
     series: dict[str, Series | Measured]
     sorted_speed: FloatArray  # (F, N) float32 m/s, increasing in each state; NaN where a state is not finite
     sorted_component: FloatArray  # (3, F, N) float32 m/s, the components along x, y, z likewise
-    layer_speed: FloatArray  # (K,) m/s, mean over the steady part in layers of d under the surface
-    layer_velocity: FloatArray  # (K,) m/s, the same of the velocity along the surface, positive uphill
-    steady_undefined_because: str  # why there is no steady part; empty where there is one
+    layers: FloatArray  # (3, F, K) `layer_sums` under the surface; no layer where the scene has no drum
+    phases: Phases  # when the flow is steady; of this run, until runs that are compared get those of the DEM
     diameter: float  # d, m
     period: float  # of the y axis, m
     position: FloatArray | None = None  # (F, N, 3) m; None for statistics without particles
     failures: FailureCount | None = None  # None for statistics without particles
 
+    @property
+    def layer_speed(self) -> FloatArray:
+        """``(K,)`` m/s, mean over the steady part in layers of d under the surface; NaN without a steady part."""
+        return self._profile[0]
 
-def why_no_steady_part(scene: Scene, time: FloatArray) -> str:
-    """Why a scene has no steady part: its speed changes after 3.5 s, or it ends before; empty where it has one."""
-    if scene.end_time < STEADY_FROM + 0.5 * scene.frame_interval:
-        return f"the scene ends at {scene.end_time:g} s, before the steady part from {STEADY_FROM:g} s on"
-    knots = [t for t in scene.rotation.times if STEADY_FROM < t < scene.end_time]
-    if len({round(scene.rotation.angular_speed(t), 12) for t in (STEADY_FROM, *knots, scene.end_time)}) > 1:
-        return f"the speed is not constant after {STEADY_FROM:g} s"
-    return "" if within(time, STEADY_FROM, np.inf).any() else f"no state after {STEADY_FROM:g} s"
+    @property
+    def layer_velocity(self) -> FloatArray:
+        """``(K,)`` m/s, the same of the velocity along the surface, positive uphill."""
+        return self._profile[1]
+
+    @property
+    def _profile(self) -> tuple[FloatArray, FloatArray]:
+        start = np.inf if self.phases.steady_from is None else self.phases.steady_from
+        return depth_profile(self.layers[:, within(self.time, start, np.inf)])
 
 
 def summarise(trajectory: Trajectory, scene: Scene, velocity_kind: str | None = None) -> TrajectorySummary:
@@ -62,21 +63,17 @@ def summarise(trajectory: Trajectory, scene: Scene, velocity_kind: str | None = 
     if kind != trajectory.velocity_kind:
         run = replace(run, velocity=velocity, velocity_kind=kind)
     series = {name: _measured(name, run, scene) for name in METRICS}
-    why_not_steady = why_no_steady_part(scene, run.time)
-    surface, layers = series["surface_angle"], np.zeros((2, 0))
+    surface, layers = series["surface_angle"], np.zeros((3, run.frame_count, 0))
     if isinstance(surface, SurfaceAngle):
-        steady = np.flatnonzero(within(run.time, STEADY_FROM, np.inf) & (not why_not_steady))
-        position = run.position[steady].astype(np.float64)
-        layers = depth_profile(position, velocity[steady], [surface.lines[i] for i in steady], scene)
+        layers = layer_sums(run.position.astype(np.float64), velocity, surface.lines, scene)
     return TrajectorySummary(
         time=run.time,
         velocity_kind=kind,
         series=series,
         sorted_speed=sorted_frames(speeds(velocity)),
         sorted_component=np.stack([sorted_frames(velocity[..., axis]) for axis in range(3)]),
-        layer_speed=layers[0],
-        layer_velocity=layers[1],
-        steady_undefined_because=why_not_steady,
+        layers=layers,
+        phases=find_phases([series], scene),
         diameter=scene.filling.diameter,
         period=scene.period,
         position=run.position,

@@ -13,7 +13,8 @@ from gran_bench.dataset import CaseSpec, ensure_cases, half_step, read_case, rep
 from gran_bench.metrics.angle_of_repose import com_angle, surface_angle
 from gran_bench.metrics.comparisons import COMPARISONS, FIGURES, Comparison
 from gran_bench.metrics.measured import Measured, frame_at, mean_of, noise_floor, score
-from gran_bench.metrics.summary import PATTERN_TIME, TrajectorySummary, summarise
+from gran_bench.metrics.phases import PATTERN_AT, find_phases
+from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.plots.flow import default_title, draw_pattern, fastest, finish_patterns
 from gran_bench.plots.style import BASELINE, DEM, QUIET, SURROGATE, drawing, say
 from gran_bench.progress import Progress
@@ -63,8 +64,10 @@ def print_data_card(config: GenerateConfig) -> None:
 
     cases = {rotation_label(spec.scene): summary_of(spec) for spec in split.all}
     print("\n".join(_case_table(cases)), end="\n\n")
-    truth, others = [summary_of(spec) for spec in nudged], [summary_of(spec) for spec in packings]
-    print("\n".join(_floor_table(truth, summary_of(halved), others)))
+    runs = [summary_of(spec) for spec in (*nudged, halved, *packings)]
+    phases = find_phases([run.series for run in runs[: len(nudged)]], judged.scene)
+    *truth, fine, one, other = (replace(run, phases=phases) for run in runs)
+    print("\n".join(_floor_table(truth, fine, [one, other])))
 
 
 def _case_table(cases: dict[str, TrajectorySummary]) -> Iterator[str]:
@@ -123,11 +126,9 @@ def case_card(trajectory: Trajectory, scene: Scene, path: Path | str, title: str
 
 
 def _instants(scene: Scene) -> list[float]:
-    """An early state, that of the paper's figure, and the last; evenly spread where the scene ends before."""
-    if scene.end_time > PATTERN_TIME + 0.5:
-        return [scene.start_time + 0.35, PATTERN_TIME, scene.end_time]
+    """Of the drum: a state of the first avalanche, that of the article's figure, and the last."""
     span = scene.end_time - scene.start_time
-    steps = [round(share * span / scene.frame_interval) for share in (1 / 3, 2 / 3, 1.0)]
+    steps = [round(share * span / scene.frame_interval) for share in (1 / 12, PATTERN_AT, 1.0)]
     return [scene.start_time + step * scene.frame_interval for step in steps]
 
 

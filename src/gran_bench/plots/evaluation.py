@@ -12,7 +12,7 @@ from gran_bench.evaluation import Evaluation
 from gran_bench.evaluation.plan import rollout_name
 from gran_bench.metrics.measured import Measured, Series, frame_at
 from gran_bench.metrics.position_error import DIVERGED, divergence_horizon, mean_spread, separation
-from gran_bench.metrics.summary import PATTERN_TIME, STEADY_FROM, TrajectorySummary
+from gran_bench.metrics.summary import TrajectorySummary
 from gran_bench.plots.flow import default_title, flow_animation, flow_pattern
 from gran_bench.plots.style import BAND, DEM, SURROGATE, coloured, drawing, mark_place, say, speed_label, titled
 from gran_bench.state import FloatArray
@@ -49,7 +49,8 @@ def draw_evaluation(
         case, candidate = evaluation.cases[name], {model_name: evaluation.candidates[packing]}
         runs = {"DEM": case.trajectory, model_name: evaluation.rollouts[name].trajectory}
         with titled(f"{default_title(case.scene)}, {packing} packing"):
-            paths.append(flow_pattern(runs, case.scene, folder / f"flow_pattern{suffix}.png"))
+            instant = replicas[0].phases.pattern_time
+            paths.append(flow_pattern(runs, case.scene, folder / f"flow_pattern{suffix}.png", instant))
             for draw in (angle_of_repose, speed_distribution, position_error, speed_by_depth, diagnostics):
                 paths.append(draw(candidate, replicas, folder / f"{draw.__name__}{suffix}.png"))
             if gif and not unseen:
@@ -71,8 +72,8 @@ def angle_of_repose(candidates: Candidates, replicas: Replicas, path: Path | str
         for axes, (name, title) in zip(panels, ANGLES, strict=True):
             axes.set(title=title, ylabel="angle, °")
             _draw_series(axes, name, candidates, replicas)
-            if not replicas[0].series[name].undefined_because and not replicas[0].steady_undefined_because:
-                mark_place(axes, STEADY_FROM, "steady")
+            if not replicas[0].series[name].undefined_because and replicas[0].phases.steady_from is not None:
+                mark_place(axes, replicas[0].phases.steady_from, "steady")
         if panels[0].get_legend_handles_labels()[0]:
             panels[0].legend(loc="upper right", ncols=1)
         panels[-1].set(xlabel="time, s", xlim=(replicas[0].time[0], replicas[0].time[-1]))
@@ -125,12 +126,12 @@ def shown(series: Series) -> FloatArray:
 
 def speed_by_depth(candidates: Candidates, replicas: Replicas, path: Path | str) -> Path:
     """Draw the steady flow's mean velocity along the surface in layers of one diameter under it."""
-    truth = np.array([run.layer_velocity for run in replicas if np.isfinite(run.layer_velocity).any()])
+    truth = np.array([speed for run in replicas if np.isfinite(speed := run.layer_velocity).any()])
     with drawing(path, 5.2, 4.8) as figure:
         axes = figure.subplots()
         axes.set(xlabel="velocity along the surface, uphill, m/s", ylabel="depth under the surface, d")
         axes.set_title("Steady flow under the surface")
-        refusal = replicas[0].steady_undefined_because
+        refusal = replicas[0].phases.not_steady_because
         if refusal or not len(truth):
             say(axes, f"undefined:\n{refusal or 'no valid surface'}")
             return Path(path)
@@ -143,8 +144,9 @@ def speed_by_depth(candidates: Candidates, replicas: Replicas, path: Path | str)
         axes.plot(values.mean(axis=0), depth, color=DEM, linewidth=1.3, marker="o", markersize=3, label="DEM, mean")
         for (name, run), colour in coloured(candidates.items()):
             found = np.full(len(layers), np.nan)
-            known = layers < len(run.layer_velocity)
-            found[known] = run.layer_velocity[layers[known]]
+            mine = run.layer_velocity
+            known = layers < len(mine)
+            found[known] = mine[layers[known]]
             note = "" if np.isfinite(found).any() else ": no valid surface"
             axes.plot(found, depth, color=colour, marker="o", markersize=3.5, label=name + note)
         axes.axvline(0.0, color="#999999", linewidth=0.8)
@@ -153,10 +155,9 @@ def speed_by_depth(candidates: Candidates, replicas: Replicas, path: Path | str)
     return Path(path)
 
 
-def speed_distribution(
-    candidates: Candidates, replicas: Replicas, path: Path | str, time: float = PATTERN_TIME
-) -> Path:
-    """Draw the share of spheres in classes of 0.1 m/s of speed at one instant in s (paper, Fig. 3b)."""
+def speed_distribution(candidates: Candidates, replicas: Replicas, path: Path | str) -> Path:
+    """Draw the share of spheres in classes of 0.1 m/s of speed at the pattern's instant (paper, Fig. 3b)."""
+    time = replicas[0].phases.pattern_time
     truth = [speed for run in replicas if (speed := _speeds(run, time)) is not None]
     found = {name: _speeds(run, time) for name, run in candidates.items()}
     known = [speed for speed in found.values() if speed is not None]

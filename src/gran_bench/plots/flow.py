@@ -19,7 +19,6 @@ from gran_bench.files import whole_file
 from gran_bench.metrics.angle_of_repose import cross_section_axes
 from gran_bench.metrics.measured import frame_at
 from gran_bench.metrics.speeds import velocities
-from gran_bench.metrics.summary import PATTERN_TIME
 from gran_bench.plots.style import LOOK, QUIET, SPEED_MAP, drawing, heading, run_name, say, speed_label
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
@@ -37,7 +36,7 @@ def default_title(scene: Scene) -> str:
     return f"{scene.name}, {speeds} rpm, {scene.filling.count} spheres of {sizes} mm"
 
 
-def flow_pattern(runs: Mapping[str, Trajectory], scene: Scene, path: Path | str, time: float = PATTERN_TIME) -> Path:
+def flow_pattern(runs: Mapping[str, Trajectory], scene: Scene, path: Path | str, time: float) -> Path:
     """Draw the flow patterns of several runs of a scene, by their names, side by side at ``time`` (s).
 
     There is one scale of speed: of the definition of the runs' own velocities, or of means where they differ.
