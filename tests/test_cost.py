@@ -45,7 +45,7 @@ def test_the_step_says_what_set_it(modulus, frame):
     scene = with_modulus(shipped_scene("drum"), modulus)
     spheres, step = flow_cost(scene, DemConfig()).lines
     assert "3000 spheres of 50 mm, 25 % of the room by volume" in spheres
-    assert f", {frame} for a frame of 0.01 s: the automatic step, 0.093 of the " in step
+    assert f", {frame} for a frame of 0.01 s = 0.14 √(d/g): the automatic step, 0.093 of the " in step
     assert f"s that a wave takes around the smallest sphere at E = {modulus:.3g} Pa" in step
 
 
@@ -56,7 +56,7 @@ def test_a_fast_drum_of_soft_spheres_is_bound_by_its_impacts():
 
 def test_a_step_that_is_asked_for_stands_beside_the_automatic_one():
     step = flow_cost(shipped_scene("drum"), DemConfig(time_step=1.0e-4)).lines[1]
-    assert "100 for a frame of 0.01 s: dem.time_step; 0.000201 s, 0.093 of the" in step
+    assert "100 for a frame of 0.01 s = 0.14 √(d/g): dem.time_step; 0.000201 s, 0.093 of the" in step
 
 
 def test_stiff_spheres_name_the_price_and_what_softer_ones_change():

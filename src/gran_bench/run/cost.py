@@ -88,6 +88,8 @@ def flow_cost(scene: Scene, dem: DemConfig) -> Cost:
     filled = f", {100 * share:.0f} % of the room by volume, without the gaps" * (share > 0)
     why = f"the automatic step, {why}" if dem.time_step is None else f"dem.time_step; {largest:.3g} s, {why}, is safe"
     of_a_frame = f"{round(scene.frame_interval / step)} for a frame of {scene.frame_interval:g} s"
+    if scene.gravity_strength > 0.0 and filling.count:
+        of_a_frame += f" = {scene.frame_interval / math.sqrt(filling.diameter / scene.gravity_strength):.2g} √(d/g)"
     lines = [f"scene {scene.name}: {filling.count} spheres of {size} mm{filled}; {scene.needs}"]
     lines += [f"step: {step:.3g} s, {of_a_frame}: {why}"]
     return Cost(lines, cheaper=softer(scene) if dem.time_step is None else [])
