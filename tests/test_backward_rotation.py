@@ -185,6 +185,20 @@ def test_only_speeds_of_one_sense_are_neighbours(speed, training, expected):
     assert neighbouring_speeds(speed, training) == expected
 
 
+@pytest.mark.parametrize(
+    ("training", "held_out", "rolled_out"),
+    [
+        ([20, 25, 35, 40, 50, 60], 30, [20, 25, 30, 35, 40]),
+        ([10, 30], 20, [10, 20, 30]),
+        ([-20, -40, 20], -30, [-40, -30, -20]),
+        ([20, 25], 30, [20, 25, 30]),
+    ],
+)
+def test_unless_chosen_the_speeds_around_the_judged_one_are_rolled_out(training, held_out, rolled_out):
+    config = train_config(f"dataset.training_speeds_rpm={training}", f"dataset.holdout_speeds_rpm=[{held_out}]")
+    assert Plan(shipped_scene("drum"), config.dem, config.dataset, config.judge).speeds_rpm == rolled_out
+
+
 def test_statistics_are_not_interpolated_between_the_two_senses():
     ends = {rpm: summarise(flowing(drum(end_time=1.6)), drum(end_time=1.6)) for rpm in (-20.0, 40.0)}
     with pytest.raises(ValueError, match="speed_rpm=30 lies outside the training speeds -20, 40"):

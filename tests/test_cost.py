@@ -23,7 +23,7 @@ from gran_bench.config import (
 )
 from gran_bench.dataset import own_case, split_cases
 from gran_bench.progress import Progress
-from gran_bench.run import cost
+from gran_bench.run import cost, experiment
 from gran_bench.run.cost import Cost, data_cost, duration, flow_cost, makespan, softer, work_ahead
 from gran_bench.run.experiment import run_evaluation, run_experiment
 from gran_bench.run.pace import dem_pace, touching_bed
@@ -45,7 +45,7 @@ def test_the_step_says_what_set_it(modulus, frame):
     scene = with_modulus(shipped_scene("drum"), modulus)
     spheres, step = flow_cost(scene, DemConfig()).lines
     assert "3000 spheres of 50 mm, 25 % of the room by volume" in spheres
-    assert f", {frame} for a frame of 0.01 s: the automatic step, 0.093 of the " in step
+    assert f", {frame} for a frame of 0.01 s = 0.14 √(d/g): the automatic step, 0.093 of the " in step
     assert f"s that a wave takes around the smallest sphere at E = {modulus:.3g} Pa" in step
 
 
@@ -56,7 +56,7 @@ def test_a_fast_drum_of_soft_spheres_is_bound_by_its_impacts():
 
 def test_a_step_that_is_asked_for_stands_beside_the_automatic_one():
     step = flow_cost(shipped_scene("drum"), DemConfig(time_step=1.0e-4)).lines[1]
-    assert "100 for a frame of 0.01 s: dem.time_step; 0.000201 s, 0.093 of the" in step
+    assert "100 for a frame of 0.01 s = 0.14 √(d/g): dem.time_step; 0.000201 s, 0.093 of the" in step
 
 
 def test_stiff_spheres_name_the_price_and_what_softer_ones_change():
@@ -91,7 +91,7 @@ def test_data_take_beds_and_cases_at_the_pace_of_the_machine(monkeypatch, tmp_pa
     # steps; each process takes 2.5 s to start.
     assert found.seconds["data"] == pytest.approx(2.5 + 1.6 * 7500 * 3e-4 + 4 * (2.5 + 20_000 * 3e-4))
     assert "7 cases, 0 of them in" in found.lines[0]
-    assert "7 to make, and 1 settled beds, 2 at a time" in found.lines[0]
+    assert "7 to make, and 1 settled bed, 2 at a time" in found.lines[0]
     assert found.disk == pytest.approx(7 * 3000 * 401 * 36, rel=0.05)
     assert found.cheaper == ["dataset.workers=8 would make the same data in about 15 s instead of 40 s"]
     for spec in specs:
@@ -154,6 +154,22 @@ def test_a_dry_run_of_a_training_says_all_and_makes_nothing(empty, capsys):
     assert list(empty.iterdir()) == []
 
 
+def test_a_job_of_a_sweep_does_not_tell_again_what_its_sweep_has_told(empty, capsys, monkeypatch):
+    class Begun(Exception):
+        """The work began."""
+
+    def begin(*_: object) -> None:
+        raise Begun
+
+    monkeypatch.setattr(experiment, "ensure_cases", begin)
+    for parent, told in ((None, True), ("0123", False)):
+        config = checked_config(compose("train", ["+experiment=smoke"]), TrainConfig)
+        config.tracking.parent = parent
+        with pytest.raises(Begun):
+            run_experiment(config)
+        assert ("takes about" in capsys.readouterr().err) == told
+
+
 def test_a_dry_run_of_an_evaluation_makes_nothing(empty, capsys):
     overrides = [f"checkpoint={shipped_model()}", "dry_run=true"]
     config = checked_config(compose("evaluate", overrides), EvaluateConfig)
@@ -203,7 +219,7 @@ def test_a_dry_command_ends_well_and_leaves_no_file(empty, words):
 def test_a_case_of_its_own_motion_counts_as_one(tmp_path):
     scene = shipped_scene("collision")
     found = data_cost(scene, DemConfig(), [own_case(scene, DemConfig(), DatasetConfig())], tmp_path, workers=2)
-    assert found.lines[0].startswith("data: 1 cases, 0 of them")
+    assert found.lines[0].startswith("data: 1 case, 0 of them")
 
 
 # ---- progress --------------------------------------------------------------------------------------------

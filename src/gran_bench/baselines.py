@@ -50,20 +50,20 @@ def rigid_rotation(scene: Scene, settled: ParticleState) -> Trajectory:
     return _trajectory(settled, time, position, velocity, spin)
 
 
-def adjacent_speeds(speed_rpm: float, training: Iterable[float]) -> list[float]:
-    """The nearest training speeds below and above a speed, rpm, as far as there are such.
+def neighbouring_speeds(speed_rpm: float, training: Iterable[float]) -> tuple[float, float] | None:
+    """The nearest training speeds below and above a speed, rpm; None where a side has none."""
+    found = nearest_speeds(speed_rpm, training, 1)
+    return (found[0], found[1]) if len(found) == 2 else None
+
+
+def nearest_speeds(speed_rpm: float, training: Iterable[float], count: int) -> list[float]:
+    """Up to ``count`` training speeds below a speed and as many above, the nearest ones, rpm, in order.
 
     Speeds of the other sense of rotation are no neighbours: their flow is a mirror image.
     """
-    alike = [rpm for rpm in training if rpm * speed_rpm >= 0.0]
+    alike = sorted(rpm for rpm in training if rpm * speed_rpm >= 0.0)
     below, above = [rpm for rpm in alike if rpm < speed_rpm], [rpm for rpm in alike if rpm > speed_rpm]
-    return [*([max(below)] if below else []), *([min(above)] if above else [])]
-
-
-def neighbouring_speeds(speed_rpm: float, training: Iterable[float]) -> tuple[float, float] | None:
-    """The `adjacent_speeds` on both sides, rpm; None where a side has none."""
-    found = adjacent_speeds(speed_rpm, training)
-    return (found[0], found[1]) if len(found) == 2 else None
+    return below[-count:] + above[:count]
 
 
 def interpolated_statistics(speed_rpm: float, training: Mapping[float, TrajectorySummary]) -> TrajectorySummary:

@@ -184,7 +184,7 @@ def _check_judge(config: schema.TrainConfig | schema.EvaluateConfig) -> Iterator
     if len(dataset.holdout_speeds_rpm) != 1:
         yield f"dataset.holdout_speeds_rpm={dataset.holdout_speeds_rpm} is not one speed; one held-out case is judged"
     made = {speed for name in SPLITS for speed in getattr(dataset, name)}
-    for speed in speeds:
+    for speed in speeds or ():
         if speed not in made:
             given = f"judge.speeds_rpm={speeds} has {speed:g} rpm"
             yield f"{given}, which no split of dataset has; choose from {sorted(made)}"

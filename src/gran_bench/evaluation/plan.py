@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass, replace
 
-from gran_bench.baselines import adjacent_speeds, neighbouring_speeds
+from gran_bench.baselines import nearest_speeds, neighbouring_speeds
 from gran_bench.config import DatasetConfig, DemConfig, JudgeConfig
 from gran_bench.dataset import CaseSpec, case_at, half_step, imported_replicas, replicas
 from gran_bench.dem.simulate import choose_time_step
 from gran_bench.scene import Scene
 
+NEIGHBOURS = 2  # training speeds on either side of the judged one that are rolled out where none are chosen
 COARSER = 2.0  # the large step of the DEM as a rival, in production steps
 
 
@@ -39,7 +40,10 @@ class Plan:
     def speeds_rpm(self) -> list[float]:
         """Every speed that is rolled out from the shared packing, rpm."""
         hidden = set(self.dataset.holdout_speeds_rpm) if self.validates else set()
-        return sorted({*self.judge.speeds_rpm, self.judged_rpm} - hidden)
+        chosen = self.judge.speeds_rpm
+        if chosen is None:
+            chosen = nearest_speeds(self.judged_rpm, self.dataset.training_speeds_rpm, NEIGHBOURS)
+        return sorted({*chosen, self.judged_rpm} - hidden)
 
     @property
     def packings(self) -> list[bool]:
@@ -81,7 +85,7 @@ class Plan:
     @property
     def replayed_rpm(self) -> list[float]:
         """The training speeds next to the judged one, on one side or both, whose runs a model must be better than."""
-        return adjacent_speeds(self.judged_rpm, self.dataset.training_speeds_rpm)
+        return nearest_speeds(self.judged_rpm, self.dataset.training_speeds_rpm, 1)
 
     @property
     def cases(self) -> list[CaseSpec]:

@@ -20,6 +20,7 @@ from gran_bench.dataset import CaseSpec, own_case, split_cases
 from gran_bench.dem.simulate import choose_time_step
 from gran_bench.dem.time_step import step_bound
 from gran_bench.evaluation.plan import Plan
+from gran_bench.metrics.outside import counted
 from gran_bench.run.pace import dem_pace, rollout_pace, summary_pace, update_pace
 from gran_bench.scene import Scene, build_scene
 
@@ -84,9 +85,11 @@ def flow_cost(scene: Scene, dem: DemConfig) -> Cost:
     filling, step = scene.filling, choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)[0]
     size = " to ".join(dict.fromkeys(f"{2e3 * r:.3g}" for r in (filling.smallest_radius, filling.largest_radius)))
     share, (largest, why) = filled_share(scene), step_bound(scene)
-    filled = f", {100 * share:.0f} % of the room by volume" * (share > 0)
+    filled = f", {100 * share:.0f} % of the room by volume, without the gaps" * (share > 0)
     why = f"the automatic step, {why}" if dem.time_step is None else f"dem.time_step; {largest:.3g} s, {why}, is safe"
     of_a_frame = f"{round(scene.frame_interval / step)} for a frame of {scene.frame_interval:g} s"
+    if scene.gravity_strength > 0.0 and filling.count:
+        of_a_frame += f" = {scene.frame_interval / math.sqrt(filling.diameter / scene.gravity_strength):.2g} √(d/g)"
     lines = [f"scene {scene.name}: {filling.count} spheres of {size} mm{filled}; {scene.needs}"]
     lines += [f"step: {step:.3g} s, {of_a_frame}: {why}"]
     return Cost(lines, cheaper=softer(scene) if dem.time_step is None else [])
@@ -128,7 +131,7 @@ def data_cost(scene: Scene, dem: DemConfig, specs: Iterable[CaseSpec], root: Pat
     missing = {path: spec for path, spec in cases.items() if not path.exists()}
     beds = {spec.settled_path(root): spec for spec in missing.values()}
     beds = {path: spec for path, spec in beds.items() if not path.exists()}
-    cost = Cost([f"data: {len(cases)} cases, {len(cases) - len(missing)} of them in {Path(root).resolve()}"])
+    cost = Cost([f"data: {counted(len(cases), 'case')}, {len(cases) - len(missing)} of them in {Path(root).resolve()}"])
     if not missing:
         return cost
     pace, frames = dem_pace(scene, replace(dem, time_step=None)), scene.frame_count
@@ -136,7 +139,7 @@ def data_cost(scene: Scene, dem: DemConfig, specs: Iterable[CaseSpec], root: Pat
     lanes = max(1, min(workers, cores))
     settling = [STARTING + pace * _steps(spec, settles=True) for spec in beds.values()]
     moving = [STARTING + pace * _steps(spec, settles=False) for spec in missing.values()]
-    cost.lines[0] += f"; {len(missing)} to make, and {len(beds)} settled beds, {lanes} at a time"
+    cost.lines[0] += f"; {len(missing)} to make, and {counted(len(beds), 'settled bed')}, {lanes} at a time"
     cost.seconds["data"] = makespan(settling, lanes) + makespan(moving, lanes)
     spheres = sum(
         spec.scene.filling.count * (FRAME_BYTES * spec.scene.frame_count + BED_BYTES) for spec in missing.values()
@@ -180,19 +183,22 @@ def training_cost(config: TrainConfig, plan: Plan, done: int | None = 0) -> Cost
     threads = min(config.threads, config.optim.accumulate)
     seconds, words = 60.0 * minutes / threads, f"{minutes:g} minutes of the processor's time"
     if budget.budget == "steps":
-        needed, words = update_pace(config, model, scene) * work_ahead(config.rollout, done, budget.steps), ""
-        seconds, words = min(60.0 * minutes, needed), f"{budget.steps - done} updates" + f" after {done}" * (done > 0)
+        needed = update_pace(config, model, scene) * work_ahead(config.rollout, done, budget.steps)
+        seconds = min(60.0 * minutes, needed)
+        words = counted(budget.steps - done, "update") + f" after {done}" * (done > 0)
         words += f", cut at {minutes:g} minutes (trainer.minutes)" * (seconds < needed)
     ahead = max(config.rollout.frames, config.rollout.final_frames or 0)
-    words += f", each of {config.optim.accumulate} windows of up to {ahead} frames ahead"
-    return Cost([f"training: {name}, {words}, {config.threads} threads"], {"training": seconds}) + cost
+    windows, frames = counted(config.optim.accumulate, "window"), counted(ahead, "frame")
+    words += f", each of {windows} of up to {frames} ahead, {counted(config.threads, 'thread')}"
+    return Cost([f"training: {name}, {words}"], {"training": seconds}) + cost
 
 
 def judging_cost(plan: Plan, frame: float) -> Cost:
     """What rollouts, judgement and figures will take; ``frame`` is the wall time of a frame of the model, s."""
     rollouts, count = len(plan.speeds_rpm) + plan.judge.unseen_packing, plan.scene.frame_count
     frames = rollouts * (count - 1)
-    line = f"judging: {rollouts} rollouts of {count} frames, against {plan.dataset.replicas} replicas of the DEM"
+    line = f"judging: {counted(rollouts, 'rollout')} of {count} frames, against "
+    line += f"{counted(plan.dataset.replicas, 'replica')} of the DEM"
     # Of each packing replicas, rollout and the other packing are summed up; once the finer step and the baselines.
     sums = len(plan.packings) * (plan.dataset.replicas + 2) + 6
     # Errors after 1, 3 and 10 frames come from rollouts of 10 frames.

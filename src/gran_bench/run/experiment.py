@@ -67,7 +67,8 @@ def run_experiment(config: TrainConfig) -> dict[str, Any]:
         for line in start.put_into(model, config):
             tell(f"warning: {start.given}: {line}")
     with stop_on_signals() as stop:
-        if experiment_cost(config).tell(config.dry_run):
+        # A sweep has told the cost of its jobs, and measured it while no other job ran.
+        if config.tracking.parent is None and experiment_cost(config).tell(config.dry_run):
             return {}
         with clock.stage("data"):
             ensure_cases(split.all, config.dataset.root, config.dataset.workers)
