@@ -96,7 +96,7 @@ def test_by_default_each_error_is_held_to_noise_floors(replicas):
     row = next(row for row in wrong.requirements if row.key == "com_angle")
     assert (row.figure.unit, row.bound) == ("noise floors", RequirementsConfig().floors)
     assert row.figure.number == pytest.approx(wrong.error("com_angle").multiple)
-    assert row.label == "centre-of-mass angle, over the series, at most 4 noise floors"
+    assert row.label == "centre-of-mass angle, at most 4 noise floors"
     assert (
         verdicts(judge(rotating_bed(90.0), replicas, SCENE, asked=RequirementsConfig(floors=1e6)))["com_angle"]
         == "pass"
