@@ -8,18 +8,22 @@ from pathlib import Path
 import numpy as np
 from beds import drum, flowing
 
+from gran_bench.config import RequirementsConfig
 from gran_bench.metrics import judge
 from gran_bench.state import Trajectory
 from gran_bench.sweep.runs import FAILED, SweepFile, SweepJob, SweepRun, read_runs, write_runs
 
 SCENE = drum(end_time=1.8)
 ANGLE, ANGLE_FLOORS = "headline/angle error deg", "headline/angle error floors"
+LENIENT = RequirementsConfig(floors=100.0)  # two random flows are no noise floor
 REPLICAS = [flowing(SCENE, seed=1), flowing(SCENE, seed=2)]
 
 
 def summary_of(*runs: Trajectory, failed_frames: tuple[int | None, ...] = (None, None), own: bool = True) -> dict:
     """A summary as the main job writes it, of a rollout from each packing."""
-    judgements = dict(zip(("shared", "unseen"), (judge(run, REPLICAS, SCENE) for run in runs), strict=False))
+    judgements = dict(
+        zip(("shared", "unseen"), (judge(run, REPLICAS, SCENE, asked=LENIENT) for run in runs), strict=False)
+    )
     facts = {"ms_per_frame_median": 2.0, "ms_per_frame_90th": 3.0, "dem_ms_per_frame": 10.0}
     summary = {
         "experiment": "test",

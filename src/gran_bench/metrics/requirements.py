@@ -95,13 +95,14 @@ def _speed_row(asked: float, candidate: TrajectorySummary, replicas: Runs) -> Re
 
 def _floors_row(row: Comparison, asked: float, candidate: TrajectorySummary, replicas: Runs) -> Requirement:
     floor = noise_floor(row.distance, replicas, row.unit)
+    label = row.label.removesuffix(", over the series")
     if not (floor.defined and floor.number):
         unknown = Measured(None, FLOORS, floor.note or "runs of the DEM do not differ in it")
-        return Requirement(row.key, f"{row.label}, at most {asked:g} {FLOORS}", unknown, asked, "undefined")
+        return Requirement(row.key, f"{label}, at most {asked:g} {FLOORS}", unknown, asked, "undefined")
     own = [_in_floors(error, floor) for error in _own_errors(row.distance, replicas, row.unit)]
     bound, why = _kept_by_the_dem(asked, own, 0.0, FLOORS)
     error = _in_floors(score(row.distance, candidate, replicas, row.unit), floor)
-    return _row(row.key, f"{row.label}, at most {bound:.3g} {FLOORS}", error, bound, why)
+    return _row(row.key, f"{label}, at most {bound:.3g} {FLOORS}", error, bound, why)
 
 
 def _in_floors(error: Measured, floor: Measured) -> Measured:
