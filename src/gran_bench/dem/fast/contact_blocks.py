@@ -11,7 +11,7 @@ import numpy as np
 from gran_bench.dem.contact import PREDICTION_FADE
 from gran_bench.dem.fast.rows import BLOCK
 from gran_bench.dem.rolling import CONTACT_INERTIA
-from gran_bench.neighbors.kernel import kernel
+from gran_bench.neighbors.kernel import entry, kernel
 from gran_bench.state import FloatArray
 
 # Columns in groups of four, as rows.py moves them.
@@ -234,9 +234,13 @@ def watch(buffer, size, length, times):
         buffer[PEAK_APPROACH + k] = max(buffer[PEAK_APPROACH + k], buffer[APPROACH + k])
 
 
-def take_peaks(buffer: FloatArray) -> FloatArray:
-    """Largest overlap, m, its share of the mean diameter, and approach, m/s, ``(3,)``; from now on they count anew."""
-    lanes = buffer[PEAK_OVERLAP:].reshape(-1, BLOCK)
-    peaks = lanes.max(axis=1).astype(np.float64)
-    lanes[:] = 0.0
-    return peaks
+@entry
+def take_peaks(buffer, peaks):
+    """Brings to ``peaks``, ``(3,)``, the largest overlap, m, its share of the mean diameter, and approach, m/s.
+
+    From now on the buffer counts anew.
+    """
+    for k, first in enumerate((PEAK_OVERLAP, PEAK_SHARE, PEAK_APPROACH)):
+        for lane in range(first, first + BLOCK):
+            peaks[k] = max(peaks[k], float(buffer[lane]))
+            buffer[lane] = 0.0

@@ -53,10 +53,9 @@ def march(
     begin, end = bounds[chunk], bounds[stop]
     near_i, near_j, near_memory = inner_list[lists.NEAR_I], inner_list[lists.NEAR_J], inner_list[lists.NEAR_MEMORY]
     step, travelled = progress[STEP], told[thread, TRAVELLED]
-    remembered, walls_remembered, pairs = progress[PAIRS], progress[WALLS], progress[PAIRS]
-    if travelled == np.inf:
-        # What the lists brought may lie in any row.
-        remembered, walls_remembered, pairs = np.int64(slot.shape[1]), np.int64(wall_slot.shape[1]), np.int64(1)
+    remembered, walls_remembered = progress[PAIRS], progress[WALLS]
+    # New lists know themselves which row is whose; places in the inner list were of the last ones.
+    pairs = np.int64(1) if travelled == np.inf else progress[PAIRS]
     while True:
         if progress[DUE]:
             old, new = (step - 1) % 2, step % 2
@@ -154,7 +153,7 @@ def _prune_chunks(
         near_start[c - chunk + 1], reach[c] = last, furthest
     for q in range(1, near_start[stop - chunk]):
         touched[near_memory[q]] = q
-    memory[:] = 0  # also of pairs that touched and are out of reach: they forget
+    memory[: start[bounds[stop] - begin]] = 0  # also of pairs that touched and are out of reach: they forget
 
 
 @kernel
