@@ -17,8 +17,9 @@ from gran_bench.dem.walls import SPIN, surface_velocity
 from gran_bench.neighbors import nearest_image, tree_pairs
 from gran_bench.state import ContactHistory, FloatArray, Held, ParticleState
 
-# Of the neighbour list, in diameters of the largest sphere, at most: a tree costs as much as twenty steps of its list.
+# Of the list of pairs, in diameters of the largest sphere, at most. A wider one takes fewer trees and longer steps.
 SKIN = 0.3
+# Indices, distances and directions where there is no wall.
 NOBODY = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3))
 
 

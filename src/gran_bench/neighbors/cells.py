@@ -126,7 +126,7 @@ def find_pairs(sphere, margin, period, begin, stop, order, start, cells, first, 
     """Fills ``first`` and ``second`` of :func:`list_pairs`; returns how many there are, or −1 where they do not fit."""
     # What a cell may meet is copied side by side, once for all its particles, which are each held against it in SIMD.
     shell, who = np.empty((4, len(order) + LANES)), np.empty(len(order) + LANES, np.int64)
-    x, y, z, r = shell
+    x, y, z, r = shell[0], shell[1], shell[2], shell[3]
     runs = np.empty((2, 5), np.int64)
     inverse_period = 1.0 / period if period > 0.0 else 0.0
     found, run_begin, run_end = 0, runs[0], runs[1]

@@ -153,7 +153,7 @@ def _prune_chunks(
         near_start[c - chunk + 1], reach[c] = last, furthest
     for q in range(1, near_start[stop - chunk]):
         touched[near_memory[q]] = q
-    memory[: start[bounds[stop] - begin]] = 0  # also of pairs that touched and are out of reach: they forget
+    memory[: np.int64(start[bounds[stop] - begin])] = 0  # also of pairs that touched and are out of reach: they forget
 
 
 @kernel
