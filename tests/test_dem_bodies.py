@@ -83,3 +83,8 @@ def test_a_block_buffer_holds_the_constants_of_equal_spheres(dtype):
     for first, value in wanted.items():
         assert buffer[first : first + blocks.BLOCK].tolist() == [dtype(value)] * blocks.BLOCK
     assert np.count_nonzero(buffer) == 10 * blocks.BLOCK
+    buffer = blocks.wall_buffer(np.zeros(blocks.BUFFER_SIZE, dtype), 0.03, 7.0, law)
+    wanted |= {blocks.RS: 0.03, blocks.MS: 1 / 7, blocks.INVERSE_MS: 7.0, blocks.INERTIA: 1.4 * 0.03 * 0.03 / 7}
+    del wanted[blocks.REACH], wanted[blocks.SKEW]
+    for first, value in wanted.items():
+        assert buffer[first : first + blocks.BLOCK].tolist() == [dtype(value)] * blocks.BLOCK

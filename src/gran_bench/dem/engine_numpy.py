@@ -74,7 +74,7 @@ class Stretch:
         if held is None:
             self._evaluate(0.0)
         else:
-            self._force, self._torque = held.force, held.torque
+            self._load(held.force, held.torque)
 
     def set_walls(self, walls: FloatArray) -> None:
         """Gives the poses of the steps to come, the first of them of this pause."""
@@ -128,10 +128,14 @@ class Stretch:
 
     def _kick(self) -> None:
         """Half a step of the velocities."""
-        half = 0.5 * self._dt
-        self._gain = half * (self._force / self._mass[:, None] + self._physics.gravity)
         self._velocity += self._gain
-        self._spin += (half / self._inertia)[:, None] * self._torque
+        self._spin += self._spin_gain
+
+    def _load(self, force: FloatArray, torque: FloatArray) -> None:
+        """Forces and torques from now on, and what they give in half a step."""
+        self._force, self._torque, half = force, torque, 0.5 * self._dt
+        self._gain = half * (force / self._mass[:, None] + self._physics.gravity)
+        self._spin_gain = (half / self._inertia)[:, None] * torque
 
     def _list_pairs(self) -> None:
         """Pairs that may touch until a sphere has moved by half the skin, and what they are."""
@@ -170,16 +174,17 @@ class Stretch:
             time_step=duration,
         )
         first, second, of_pairs, count = every.first, pairs.second, slice(len(pairs.first)), len(self._radius)
-        self._force = _sums(first, contact.force, count) - _sums(second, contact.force[of_pairs], count)
-        self._torque = _sums(first, every.arm[:, None] * contact.twist, count)
-        self._torque += _sums(second, pairs.other_arm[:, None] * contact.twist[of_pairs], count)
+        total = _sums(first, contact.force, count) - _sums(second, contact.force[of_pairs], count)
+        torque = _sums(first, every.arm[:, None] * contact.twist, count)
+        torque += _sums(second, pairs.other_arm[:, None] * contact.twist[of_pairs], count)
         kept = None
         if rolling:
             moment, kept = rolling_moment(
                 *moment, every.spin, every.normal, every.overlap, overlap, every.effective_radius,
                 every.effective_inertia, law.effective_modulus, law.rolling_friction, duration,
             )  # fmt: skip
-            self._torque += _sums(first, moment, count) - _sums(second, moment[of_pairs], count)
+            torque += _sums(first, moment, count) - _sums(second, moment[of_pairs], count)
+        self._load(total, torque)
         self._history = ContactHistory(first, every.second, contact.history, every.overlap, kept)
         found = Peaks(
             overlap=float(pairs.overlap.max(initial=0.0)),

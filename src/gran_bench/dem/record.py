@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gran_bench.dem.contact import dot, sphere_mass
+from gran_bench.dem.contact import sphere_mass
 from gran_bench.dem.initial_checks import LARGEST_INITIAL_OVERLAP
 from gran_bench.dem.integrate import Peaks
 from gran_bench.dem.outlet import taking_part
@@ -43,8 +43,8 @@ def contact_diagnostics(
         inside = taking_part(scene, position)
         mass, inertia = mass * inside, inertia * inside
     figures = {
-        "kinetic_energy_translational": 0.5 * float(mass @ dot(velocity, velocity)),
-        "kinetic_energy_rotational": 0.5 * float(inertia @ dot(spin, spin)),
+        "kinetic_energy_translational": 0.5 * float(mass @ np.einsum("nk,nk->n", velocity, velocity)),
+        "kinetic_energy_rotational": 0.5 * float(inertia @ np.einsum("nk,nk->n", spin, spin)),
     }
     for prefix, overlap in zip(("", "wall_"), overlaps, strict=True):
         figures[f"{prefix}overlap_mean"] = float(overlap.mean()) if len(overlap) else 0.0

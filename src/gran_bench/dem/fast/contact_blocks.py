@@ -49,6 +49,13 @@ def block_buffer(buffer: FloatArray, radius: float, inverse_mass: float, law: Fl
     return buffer
 
 
+def wall_buffer(buffer: FloatArray, radius: float, inverse_mass: float, law: FloatArray) -> FloatArray:
+    """The same for contacts of equal spheres with walls."""
+    constants = (radius, 1.0 / inverse_mass, inverse_mass, CONTACT_INERTIA * radius * radius / inverse_mass, *law)
+    buffer.reshape(-1, BLOCK)[RS // BLOCK : ROLLING // BLOCK + 1] = np.array(constants)[:, None]
+    return buffer
+
+
 @kernel
 def fill_law(buffer, lane, law):
     """(4/3 E*, 8 G*, α, μ, μ_r) into one lane."""
@@ -226,21 +233,25 @@ def contact_laws(buffer, size, tangential, rolling, dt):
 
 
 @kernel
-def watch(buffer, size, length, times):
+def watch(buffer, size, length, times, unequal):
     """Keeps the largest overlaps and approaches; ``times`` what the column ``length`` has is the mean diameter."""
     for k in range(size):
         buffer[PEAK_OVERLAP + k] = max(buffer[PEAK_OVERLAP + k], buffer[DELTA + k])
-        buffer[PEAK_SHARE + k] = max(buffer[PEAK_SHARE + k], buffer[DELTA + k] / (times * buffer[length + k]))
         buffer[PEAK_APPROACH + k] = max(buffer[PEAK_APPROACH + k], buffer[APPROACH + k])
+    if unequal:
+        for k in range(size):
+            buffer[PEAK_SHARE + k] = max(buffer[PEAK_SHARE + k], buffer[DELTA + k] / (times * buffer[length + k]))
 
 
 @entry
-def take_peaks(buffer, peaks):
+def take_peaks(buffer, peaks, diameter):
     """Brings to ``peaks``, ``(3,)``, the largest overlap, m, its share of the mean diameter, and approach, m/s.
 
-    From now on the buffer counts anew.
+    From now on the buffer counts anew. A ``diameter``, m, is of equal spheres; where it is 0 the buffer has the share.
     """
     for k, first in enumerate((PEAK_OVERLAP, PEAK_SHARE, PEAK_APPROACH)):
         for lane in range(first, first + BLOCK):
             peaks[k] = max(peaks[k], float(buffer[lane]))
             buffer[lane] = 0.0
+    if diameter > 0.0:
+        peaks[1] = max(peaks[1], peaks[0] / diameter)

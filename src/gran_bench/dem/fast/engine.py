@@ -67,9 +67,11 @@ class Stretch:
         density, fastest = physics.density[material], 0.25 * float(radius.min()) / time_step
         # Contacts of equal spheres share R*, m* and I_r.
         unequal = bool((radius != radius[0]).any() or (density != density[0]).any())
+        several = len(physics.pair_laws) > 1 or bool((physics.wall_laws != physics.wall_laws[:, :1]).any())
+        self._diameter = 0.0 if unequal else 2.0 * float(radius[0])
         self._constants = (
             physics.gravity, physics.period, time_step, fastest * fastest,
-            physics.tangential, physics.rolling, unequal, physics.full_radius,
+            physics.tangential, physics.rolling, unequal, several, physics.full_radius,
         )  # fmt: skip
         self._bounds, self._peaks = chunk_bounds(state.count), np.zeros((2, 3))
         chunks = len(self._bounds) - 1
@@ -231,7 +233,7 @@ class Stretch:
         """Peaks of pairs and walls, ``(2, 3)``, which the buffers of the blocks then begin anew."""
         for lists in self._lists:
             for buffer, peaks in zip((lists.buffer, lists.wall_buffer), self._peaks, strict=True):
-                take_peaks(buffer, peaks)
+                take_peaks(buffer, peaks, self._diameter)
         return self._peaks
 
     def _as_given(self, half: float) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -18,7 +18,7 @@ from collections import namedtuple
 import numpy as np
 
 from gran_bench.dem.fast.bodies import Bodies, Known, zeros
-from gran_bench.dem.fast.contact_blocks import BUFFER_SIZE, block_buffer
+from gran_bench.dem.fast.contact_blocks import BUFFER_SIZE, block_buffer, wall_buffer
 from gran_bench.dem.fast.rows import squared_gap
 from gran_bench.dem.fast.wall_list import list_wall_contacts
 from gran_bench.dem.integrate import Physics
@@ -26,8 +26,9 @@ from gran_bench.dem.walls import PATH
 from gran_bench.neighbors.cells import bin_pairs, find_pairs
 from gran_bench.neighbors.kernel import entry, kernel
 
-# σ, what the inner list reaches beyond touch as a share of the margins.
-INNER_SHARE = 0.2
+# σ, what the inner list reaches beyond touch as a share of the margins: so much, or as far as the fastest goes in some
+# steps; when less than the least is left of the margins, a search is cheaper.
+INNER_SHARE, INNER_STEPS, LEAST_SHARE = 0.2, 4.0, 0.12
 # Margin of what rests, as a share of the fastest's: a hit may set it in motion.
 LEAST_MARGIN = 0.2
 PAIRS_A_PARTICLE = 8  # for which there is room at first
@@ -72,12 +73,15 @@ class Lists(namedtuple("Lists", _FIELDS)):
         spare = np.array((0, count, count + 1, 0), np.uint32)
         inner_list = np.repeat(spare[:, None], rows, axis=1)
         buffers = zeros(2, BUFFER_SIZE, dtype=np.float32 if physics.single_precision else np.float64)
+        (radius, inverse_mass), law = (bodies.sphere[0, 3], bodies.velocity[0, 3]), physics.pair_laws[0, 0]
+        block_buffer(buffers[0], radius, inverse_mass, law)
+        wall_buffer(buffers[1], radius, inverse_mass, physics.wall_laws[0, 0] if walls else law)
         return cls(
             *np.empty((2, rows), np.uint32), np.empty(own + 2, np.uint32), np.empty(rows, np.uint32), *slots[:2],
             *np.empty((3, own * walls + 2), np.uint32), np.empty((stop - chunk) * walls + 1, np.int64), *slots[2:],
             *np.empty((2, count)), *zeros(2, count, 4), inner_list, np.empty((2, rows), np.uint32),
             np.empty((2, wall_rows), np.uint32), np.empty((wall_rows, 4)), np.ones(stop - chunk + 1, np.int64),
-            *(block_buffer(b, bodies.sphere[0, 3], bodies.velocity[0, 3], physics.pair_laws[0, 0]) for b in buffers),
+            *buffers,
         )  # fmt: skip
 
     def with_room(self, pairs: int, walls: int) -> Lists:
@@ -103,13 +107,10 @@ class Lists(namedtuple("Lists", _FIELDS)):
     def touched(self, evaluation: int, pairs: int, walls: int) -> tuple[np.ndarray, np.ndarray]:
         """First and second particle, ``(2, C)``, of what an evaluation found touching, and particle and wall."""
         near, on_walls = self.touching[evaluation % 2, 1:pairs], self.wall_touching[evaluation % 2, 1:walls]
-        found = np.empty((2, pairs - 1), np.int64), np.empty((2, walls - 1), np.int64)
-        for into, lists, places in zip(
-            found, (self.inner_list[NEAR_I : NEAR_J + 1], (self.wall_i, self.wall_w)), (near, on_walls), strict=True
-        ):
-            for row, listed in zip(into, lists, strict=True):
-                row[:] = np.take(listed, places)
-        return found
+        return (
+            listed_at(near, self.inner_list[NEAR_I], self.inner_list[NEAR_J]),
+            listed_at(on_walls, self.wall_i, self.wall_w),
+        )
 
 
 def _longer(array: np.ndarray, length: int, wanted: int) -> np.ndarray:
@@ -145,6 +146,15 @@ def search(
         lists.wall_memory, lists.wall_start, lists.wall_touching[last % 2],
     )  # fmt: skip
     return lists.with_room(0, on_walls)
+
+
+@entry
+def listed_at(places, first, second):
+    """``(2, C)`` of what a list has at some places."""
+    found = np.empty((2, len(places)), np.int64)
+    for c in range(len(places)):
+        found[0, c], found[1, c] = first[places[c]], second[places[c]]
+    return found
 
 
 @entry
