@@ -159,7 +159,8 @@ class Stretch:
         pairs, walls = self._touching_pairs(), self._touching_walls()
         every = Contacts(*map(_joined, zip(pairs, walls, strict=True)))
         law, rolling = ContactLaw.from_constants(every.law), self._physics.rolling
-        force, overlap, *moment = _recall(self._history, every.first, every.second, rolling)
+        names = ("force", "overlap", "rolling_moment")[: 2 + rolling]
+        force, overlap, *moment = _recall(self._history, every.first, every.second, *names)
         contact = contact_force(
             law,
             normal=every.normal,
@@ -262,12 +263,12 @@ def _sums(index: np.ndarray, values: FloatArray, count: int) -> FloatArray:
     return np.stack([np.bincount(index, column, count) for column in values.T]).T
 
 
-def _recall(history: ContactHistory, first: np.ndarray, second: np.ndarray, rolling: bool) -> list[FloatArray]:
-    """Force, overlap and, where it counts, moment that contacts (first, second) remember; zeros where they are new."""
+def _recall(history: ContactHistory, first: np.ndarray, second: np.ndarray, *names: str) -> list[FloatArray]:
+    """What contacts (first, second) remember, by the names of the history; zeros where they are new."""
     # One number for each contact; walls (negative seconds) included.
     keys, old_keys = (a * 2**32 + b for a, b in ((first, second), (history.first, history.second)))
     _, known, old = np.intersect1d(keys, old_keys, assume_unique=True, return_indices=True)
-    row, none = np.full(len(first), -1), np.zeros((1, 3))  # the last row, of zeros
+    row = np.full(len(first), -1)  # the last row, which is zero
     row[known] = old
-    kept = (history.force, none), (history.overlap, none[:, 0]), (history.rolling_moment, none)
-    return [_at(_joined(arrays), row) for arrays in kept[: 2 + rolling]]
+    kept = [getattr(history, name) for name in names]
+    return [_at(_joined((array, np.zeros((1, *array.shape[1:])))), row) for array in kept]

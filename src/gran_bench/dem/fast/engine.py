@@ -29,6 +29,7 @@ from gran_bench.state import FloatArray, Held, ParticleState
 
 # Particles from which on a bed is cut into 2, 4, 8, 16 chunks: each large beside what lies at its rim.
 CHUNK_SIZES = (1500, 8000, 32000, 128000)
+KEPT = ("slot", "moment")  # what lists keep of their contacts
 
 
 def chunk_bounds(count: int) -> np.ndarray:
@@ -172,27 +173,22 @@ class Stretch:
             self._known[thread] = self._lists[thread].touched(last, pairs, walls)
             self._known_at[thread] = last
 
-    def _histories(self) -> tuple[list[FloatArray], ...]:
-        """Slots and moments of the pairs, and of the walls, that the last evaluation found, thread by thread."""
-        last = self._last_evaluation()
+    def _rows(self, name: str) -> list[FloatArray]:
+        """Of each thread, the rows of a history of its lists that the last evaluation wrote."""
+        last, end = self._last_evaluation(), WALLS if name.startswith("wall_") else PAIRS
         # What was known when they began, all threads know.
-        threads, half = 1 if last == self._shared_at else self.threads, last % 2
-        lists, ends = self._lists[:threads], self._progress[:threads]
-        return (
-            [of.slot[half, 1 : end[PAIRS]] for of, end in zip(lists, ends, strict=True)],
-            [of.moment[half, 1 : end[PAIRS]] for of, end in zip(lists, ends, strict=True)],
-            [of.wall_slot[half, 1 : end[WALLS]] for of, end in zip(lists, ends, strict=True)],
-            [of.wall_moment[half, 1 : end[WALLS]] for of, end in zip(lists, ends, strict=True)],
-        )
+        threads = 1 if last == self._shared_at else self.threads
+        return [getattr(self._lists[t], name)[last % 2, 1 : self._progress[t, end]] for t in range(threads)]
 
     def _contacts(self) -> tuple[Known, Known]:
         """Pairs and walls that the last evaluation found touching, by rows."""
-        slots, moments, wall_slots, wall_moments = map(np.concatenate, self._histories())
         for thread in range(self.threads):
             self._note(thread)
         known = self._known[:1] if self._last_evaluation() == self._shared_at else self._known
-        pairs, walls = (np.concatenate(parts, axis=1) for parts in zip(*known, strict=True))
-        return Known(*pairs, slots, moments), Known(*walls, wall_slots, wall_moments)
+        return tuple(
+            Known(*np.concatenate(names, axis=1), *(np.concatenate(self._rows(kind + name)) for name in KEPT))
+            for kind, names in zip(("", "wall_"), zip(*known, strict=True), strict=True)
+        )
 
     def moving(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position, velocity and spin of this pause, ``(N, 3)`` each; or a :class:`Divergence`."""
@@ -203,8 +199,7 @@ class Stretch:
 
     def overlaps(self) -> tuple[FloatArray, FloatArray]:
         """Of the pairs and of the walls that touch, m."""
-        pairs, _, walls, _ = self._histories()
-        return tuple(np.concatenate([slot[:, 3] for slot in slots]) for slots in (pairs, walls))
+        return tuple(np.concatenate([slot[:, 3] for slot in self._rows(name)]) for name in ("slot", "wall_slot"))
 
     def state(self) -> ParticleState:
         """The state of this pause, with its touching contacts and what they remember; or a :class:`Divergence`."""
