@@ -165,7 +165,7 @@ class Run:
     def _begin(self) -> None:
         """A stretch from here on; none where nobody takes part."""
         whole, held, self._begun, self._spent, self._now = self._whole, self._held, self._steps, 0.0, None
-        self._sorted = self._steps
+        self._sorted, self._seen = self._steps, None  # the steps of the last sort, and when peaks were last taken
         self._inside = inside = taking_part(self._scene, whole.position)
         if held is not None and self._steps % self._look_steps:
             self._inside = inside = np.isin(np.arange(whole.count), held.order)  # nobody leaves between two looks
@@ -210,7 +210,8 @@ class Run:
         return whole
 
     def _take_from_stretch(self) -> None:
-        if self._stretch is not None:
+        if self._stretch is not None and self._seen != self._steps:
+            self._seen = self._steps
             self._peaks = Peaks(*map(max, self._peaks, self._stretch.take_peaks()))
 
     def _key(self, state: ParticleState) -> str:

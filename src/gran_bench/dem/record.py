@@ -22,10 +22,10 @@ class SimulationError(RuntimeError):
 
 
 def inertias(scene: Scene, state: ParticleState) -> tuple[FloatArray, FloatArray]:
-    """Mass, kg, and moment of inertia, kg m², of each sphere of a scene, ``(N,)``."""
+    """Mass, kg, and moment of inertia, kg m², of each sphere of a scene, ``(N, 1)``."""
     density = np.array([material.density for material in scene.materials])[state.material]
-    mass = sphere_mass(density, state.radius)
-    return mass, 0.4 * mass * state.radius**2
+    mass = sphere_mass(density, state.radius)[:, None]
+    return mass, 0.4 * mass * state.radius[:, None] ** 2
 
 
 def contact_diagnostics(
@@ -41,10 +41,10 @@ def contact_diagnostics(
     mass, inertia = inertias
     if scene.outlet is not None:
         inside = taking_part(scene, position)
-        mass, inertia = mass * inside, inertia * inside
+        mass, inertia = mass * inside[:, None], inertia * inside[:, None]
     figures = {
-        "kinetic_energy_translational": 0.5 * float(mass @ np.einsum("nk,nk->n", velocity, velocity)),
-        "kinetic_energy_rotational": 0.5 * float(inertia @ np.einsum("nk,nk->n", spin, spin)),
+        "kinetic_energy_translational": 0.5 * float(np.vdot(mass * velocity, velocity)),
+        "kinetic_energy_rotational": 0.5 * float(np.vdot(inertia * spin, spin)),
     }
     for prefix, overlap in zip(("", "wall_"), overlaps, strict=True):
         figures[f"{prefix}overlap_mean"] = float(overlap.mean()) if len(overlap) else 0.0

@@ -118,8 +118,8 @@ def import_arrays(
         beyond[k] = (largest_excess(scene, poses[k], state.position) > radius) & inside
         with np.errstate(divide="ignore", invalid="ignore"):  # two centres in one place have no normal
             overlaps = Stretch(part, physics, 1.0, poses[k : k + 1]).overlaps() if part.count else (np.zeros(0),) * 2
-        moving = state.position, state.velocity, state.angular_velocity
-        figures.append(contact_diagnostics(scene, inertias(scene, state), moving, overlaps))
+        instant = state.position, state.velocity, state.angular_velocity
+        figures.append(contact_diagnostics(scene, inertias(scene, state), instant, overlaps))
     refuse(
         beyond,
         f"its centre outside the walls of scene {scene.name!r} by more than its radius; give the container of the data "

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gran_bench.dem.integrate import into_period
-from gran_bench.neighbors import bin_cells
+from gran_bench.neighbors.cells import bin_cells, extremes
 from gran_bench.neighbors.kernel import entry
 from gran_bench.state import ContactHistory, FloatArray
 
@@ -45,12 +45,22 @@ def contact_history(pairs: Known, walls: Known, name: np.ndarray) -> ContactHist
 
 def renamed(pairs: Known, walls: Known, name: np.ndarray) -> tuple[Known, Known]:
     """Contacts with particle i called ``name[i]``, the lower name of a pair first, so that its memory may turn."""
-    first, second = np.take(name, pairs.first), np.take(name, pairs.second)
-    turn, slot, moment = np.where(second < first, -1.0, 1.0)[:, None], pairs.slot.copy(), pairs.moment.copy()
-    slot[:, :3] *= turn
-    moment[:, :3] *= turn[: len(moment)]
-    pairs = Known(np.minimum(first, second), np.maximum(first, second), slot, moment)
+    pairs = Known(*(array.copy() for array in pairs))
+    rename_pairs(pairs.first, pairs.second, pairs.slot, pairs.moment, name)
     return pairs, walls._replace(first=np.take(name, walls.first))
+
+
+@entry
+def rename_pairs(first, second, slot, moment, name):
+    """Gives pairs their names by ``name`` and turns what they remember, all in place."""
+    for c in range(len(first)):
+        one, other = name[first[c]], name[second[c]]
+        first[c], second[c] = min(one, other), max(one, other)
+        if other < one:
+            for k in range(3):
+                slot[c, k] *= -1.0
+                if len(moment) > 0:
+                    moment[c, k] *= -1.0
 
 
 class Bodies(NamedTuple):
@@ -97,20 +107,42 @@ def sorted_again(bodies: Bodies, period: float) -> tuple[Bodies, np.ndarray]:
     """The bodies in the order that :func:`bodies_in_order` would find now, y in the period; and their rows before."""
     count = len(bodies.order)
     sphere = into_period(np.take(bodies.sphere, bodies.row, axis=0), period)
-    order = _order_in_space(sphere[:, :3], sphere[:, 3], period)
+    order = _order_in_space(sphere, sphere[:, 3], period)
     before = np.append(np.take(bodies.row, order), (count, count + 1))
     rows = zeros(3, count + 2, 4)
     for new, old in zip(rows, bodies[2:5], strict=True):
-        np.take(old, before, axis=0, out=new, mode="clip")
+        take_rows(old, before, new)
     into_period(rows[0, :count], period)
     row = np.empty(count, np.int64)
     row[order] = np.arange(count)
-    return Bodies(order, row, *rows, zeros(count + 2, 4), bodies.material[before]), before[:count]
+    return Bodies(order, row, *rows, bodies.ahead, np.take(bodies.material, before)), before
+
+
+@entry
+def take_rows(old, before, new):
+    """``new`` gets the rows of ``old`` by their numbers ``before``, ``(N + 2, 4)`` each."""
+    for i in range(len(before)):
+        for k in range(4):
+            new[i, k] = old[before[i], k]
+
+
+@entry
+def take_loads(loads, before, bounds):
+    """The same of ``(C, N + 2, 4)`` loads, in place: each row is its own chunk's, before and after."""
+    own = np.empty((len(before), 4))
+    for c in range(len(bounds) - 1):
+        for i in range(bounds[c], bounds[c + 1]):
+            for k in range(4):
+                own[i, k], loads[c, i, k] = loads[c, i, k], 0.0
+    for c in range(len(bounds) - 1):
+        for i in range(bounds[c], bounds[c + 1]):
+            for k in range(4):
+                loads[c, i, k] = own[before[i], k]
 
 
 def _order_in_space(position: FloatArray, radius: FloatArray, period: float) -> np.ndarray:
-    # Column by column: along short rows NumPy's reductions take ten times as long.
-    extent = [float(position[:, k].max() - position[:, k].min()) for k in range(3)]
+    low, high = extremes(position)
+    extent = (high - low).tolist()
     # Slabs across the longest axis meet in the fewest pairs. A periodic axis would make the first meet the last.
     axes = [2, 1, 0] if extent[0] > extent[2] else [0, 1, 2]
     if period == 0.0 and extent[1] > extent[axes[2]]:

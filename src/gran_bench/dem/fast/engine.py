@@ -18,6 +18,7 @@ from gran_bench.dem.fast.bodies import (
     known_contacts,
     renamed,
     sorted_again,
+    take_loads,
     zeros,
 )
 from gran_bench.dem.fast.contact_blocks import take_peaks
@@ -102,18 +103,18 @@ class Stretch:
 
         As good as a stretch from the state and what is held at this pause, and several times as fast.
         """
-        last, contacts, loads = self.bodies, self._contacts(), [self._own(rows) for rows in self._loads]
+        last, contacts = self.bodies, self._contacts()
         self._physics = physics
         self.bodies, before = sorted_again(last, physics.period)
-        self._load(*(np.take(load, before, axis=0) for load in loads))
+        for loads in self._loads:
+            take_loads(loads, before, self._bounds)
         self._begin(renamed(*contacts, np.take(self.bodies.row, last.order)), self._walls.shape[1])
 
     def _load(self, *loads: FloatArray) -> None:
-        """Force and torque of each row, ``(N, ≥ 3)``, to the rows of its own chunk."""
+        """Force and torque of each row, ``(N, 3)``, to the rows of its own chunk."""
         for rows, load in zip(self._loads, loads, strict=True):
-            rows[:] = 0.0
             for chunk, part in enumerate(self._chunks()):
-                rows[chunk, part, :3] = load[part, :3]
+                rows[chunk, part, :3] = load[part]
 
     def _begin(self, known: tuple[Known, Known], walls: int) -> None:
         """Threads that all have ``known``, the contacts that the last evaluation found, and are to search."""
