@@ -15,7 +15,9 @@ def back_from(bodies: Bodies, half: float = 0.0, gravity: float = 0.0) -> tuple[
     count = len(bodies.order)
     bounds, loads = np.array([0, count // 2, count]), np.zeros((2, 2, count + 2, 4))
     loads[:, 0, : count // 2, :3], loads[:, 1, count // 2 : count, :3] = 1.0, 2.0
-    return as_given(bodies.order, bounds, *bodies[2:5], *loads, np.array([0.0, 0.0, -gravity]), half)
+    found = np.empty((3, count, 3))
+    as_given(bodies.order, bounds, *bodies[2:5], *loads, np.array([0.0, 0.0, -gravity]), half, *found)
+    return tuple(found)
 
 
 @pytest.mark.parametrize("count", [1, 2, 57])

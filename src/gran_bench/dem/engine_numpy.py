@@ -15,7 +15,7 @@ from gran_bench.dem.rolling import CONTACT_INERTIA, rolling_moment
 from gran_bench.dem.seams import wall_touching
 from gran_bench.dem.walls import SPIN, surface_velocity
 from gran_bench.neighbors import nearest_image, tree_pairs
-from gran_bench.state import ContactHistory, FloatArray, Held, ParticleState
+from gran_bench.state import ContactHistory, FloatArray, Held, Moving, ParticleState
 
 # Of the list of pairs, in diameters of the largest sphere, at most. A wider one takes fewer trees and longer steps.
 SKIN = 0.3
@@ -98,10 +98,15 @@ class Stretch:
             self._evaluate(self._dt)
             self._kick()
 
-    def moving(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Position, velocity and spin of this pause, ``(N, 3)`` each."""
-        check_finite(self._step, self._position, self._velocity, self._spin)
-        return into_period(self._position.copy(), self._physics.period), self._velocity.copy(), self._spin.copy()
+    def moving(self, into: Moving | None = None) -> Moving:
+        """Position, velocity and spin of this pause, ``(N, 3)`` each, in arrays if given."""
+        moving = self._position, self._velocity, self._spin
+        check_finite(self._step, *moving)
+        into = tuple(np.empty((3, *self._position.shape))) if into is None else into
+        for room, array in zip(into, moving, strict=True):
+            room[:] = array
+        into_period(into[0], self._physics.period)
+        return into
 
     def overlaps(self) -> tuple[FloatArray, FloatArray]:
         """Of the pairs and of the walls that touch, m."""

@@ -18,7 +18,7 @@ from gran_bench.dem.outlet import leaked, part_of, rejoined, taking_part
 from gran_bench.dem.record import FrameRecord, SimulationError
 from gran_bench.dem.walls import PATH, largest_excess, wall_poses
 from gran_bench.scene import Scene
-from gran_bench.state import ContactHistory, Continuation, FloatArray, Held, ParticleState, name_some
+from gran_bench.state import ContactHistory, Continuation, FloatArray, Held, Moving, ParticleState, name_some
 
 # Between two looks at who leaves and who escaped, √(d/g): 10 ms for 50 mm. Where nothing falls, a frame.
 LOOK_FALL_TIMES = 0.14
@@ -92,14 +92,18 @@ class Run:
             if self._steps % self._look_steps == 0:
                 self._look()
 
-    def moving(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Position, velocity and spin now, ``(N, 3)`` each; spheres beyond the outlet keep what they left with."""
+    def moving(self, into: Moving | None = None) -> Moving:
+        """What moves, as it is now, in arrays if given; spheres beyond the outlet keep what they left with."""
         if self._now is None:
             self._now = self._whole.position, self._whole.velocity, self._whole.angular_velocity
             if self._stretch is not None:
+                everybody = self._inside.all()
                 with self._divergence():
-                    part = self._stretch.moving()
-                self._now = part if self._inside.all() else tuple(map(self._among_all, self._now, part))
+                    part = self._stretch.moving(into if everybody else None)
+                self._now = part if everybody else tuple(map(self._among_all, self._now, part))
+        if into is not None and self._now is not into:
+            for room, array in zip(into, self._now, strict=True):
+                room[:] = array
         return self._now
 
     def state(self, time: float) -> ParticleState:
@@ -125,7 +129,8 @@ class Run:
             overlaps = overlap[pairs], overlap[~pairs]
         else:
             overlaps = self._stretch.overlaps()
-        self._record.add(time, self.moving(), overlaps, self.take_peaks())
+        self.moving(self._record.room())
+        self._record.add(time, overlaps, self.take_peaks())
 
     def take_peaks(self) -> Peaks:
         """Largest overlaps and approach since they were last asked for."""

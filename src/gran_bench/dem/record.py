@@ -10,7 +10,7 @@ from gran_bench.dem.integrate import Peaks
 from gran_bench.dem.outlet import taking_part
 from gran_bench.dem.time_step import unresolved
 from gran_bench.scene import Scene
-from gran_bench.state import FloatArray, ParticleState, Trajectory
+from gran_bench.state import FloatArray, Moving, ParticleState, Trajectory
 
 
 class SimulationError(RuntimeError):
@@ -29,8 +29,7 @@ def inertias(scene: Scene, state: ParticleState) -> tuple[FloatArray, FloatArray
 
 
 def contact_diagnostics(
-    scene: Scene, inertias: tuple[FloatArray, FloatArray], moving: tuple[FloatArray, ...],
-    overlaps: tuple[FloatArray, FloatArray],
+    scene: Scene, inertias: tuple[FloatArray, FloatArray], moving: Moving, overlaps: tuple[FloatArray, FloatArray]
 ) -> dict[str, float]:  # fmt: skip
     """Energies and overlaps of an instant: of :func:`inertias`, position, velocity and spin, and what touches, m.
 
@@ -87,15 +86,18 @@ class FrameRecord:
         self.time: list[float] = []
         self.peaks: list[Peaks] = []
 
-    def add(
-        self, time: float, moving: tuple[FloatArray, ...], overlaps: tuple[FloatArray, FloatArray], peaks: Peaks
-    ) -> None:
-        """An instant, and the most of any contact in any step since the last frame (of the first, in itself alone)."""
-        for room, array in zip(self._moving, moving, strict=True):
-            room[len(self.time)] = array
+    def room(self) -> Moving:
+        """Arrays for the next frame."""
+        return tuple(self._moving[:, len(self.time)])
+
+    def add(self, time: float, overlaps: tuple[FloatArray, FloatArray], peaks: Peaks) -> None:
+        """Takes what the room now holds as a frame, s, with the overlaps of its contacts, m.
+
+        Peaks are the most of any contact in any step since the last frame (of the first, in itself alone).
+        """
+        figures = contact_diagnostics(self._scene, self._inertias, self.room(), overlaps)
         self.time.append(time)
         self.peaks.append(peaks)
-        figures = contact_diagnostics(self._scene, self._inertias, moving, overlaps)
         names = ("overlap_peak", "wall_overlap_peak", "overlap_share_peak", "approach_peak")
         self._figures.append(figures | dict(zip(names, peaks, strict=True)))
 

@@ -151,13 +151,12 @@ def _order_in_space(position: FloatArray, radius: FloatArray, period: float) -> 
 
 
 @entry
-def as_given(order, bounds, sphere, velocity, spin, force, torque, gravity, half):
-    """Position, velocity and spin, ``(N, 3)`` each, of the particles in the order in which they were given.
+def as_given(order, bounds, sphere, velocity, spin, force, torque, gravity, half, position, rates, spins):
+    """Fills in position, velocity and spin, ``(N, 3)`` each, of the particles in the order in which they were given.
 
     Where ``half``, s, is not 0, the velocities get what is left of their step, as the kick of `stretch.march` would
     give it; ``force`` and ``torque`` are ``(C, N + 2, 4)``, by chunk.
     """
-    position, rates, spins = np.empty((len(order), 3)), np.empty((len(order), 3)), np.empty((len(order), 3))
     for c in range(len(bounds) - 1):
         for row in range(bounds[c], bounds[c + 1]):
             i = order[row]
@@ -166,7 +165,6 @@ def as_given(order, bounds, sphere, velocity, spin, force, torque, gravity, half
                 if half != 0.0:
                     rates[i, k] += half * (velocity[row, 3] * force[c, row, k] + gravity[k])
                     spins[i, k] += half * (spin[row, 3] * torque[c, row, k])
-    return position, rates, spins
 
 
 def _in_fours(vector: FloatArray, scalar: FloatArray | float) -> FloatArray:

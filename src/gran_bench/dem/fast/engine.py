@@ -26,7 +26,7 @@ from gran_bench.dem.fast.lists import Lists, search
 from gran_bench.dem.fast.stretch import DUE, FIRST_POSE, PAIRS, PAUSE, SEARCH, STEP, TRAVELLED, WALLS, WHOLE, march
 from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, into_period
 from gran_bench.dem.walls import PATH
-from gran_bench.state import FloatArray, Held, ParticleState
+from gran_bench.state import FloatArray, Held, Moving, ParticleState
 
 # Particles from which on a bed is cut into 2, 4, 8, 16 chunks: each large beside what lies at its rim.
 CHUNK_SIZES = (1500, 8000, 32000, 128000)
@@ -191,9 +191,9 @@ class Stretch:
             for kind, names in zip(("", "wall_"), zip(*known, strict=True), strict=True)
         )
 
-    def moving(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Position, velocity and spin of this pause, ``(N, 3)`` each; or a :class:`Divergence`."""
-        moving = self._as_given(0.0 if self._progress[0, WHOLE] else 0.5 * self._time_step)
+    def moving(self, into: Moving | None = None) -> Moving:
+        """Position, velocity and spin of this pause, ``(N, 3)`` each, in arrays if given; or a :class:`Divergence`."""
+        moving = self._as_given(0.0 if self._progress[0, WHOLE] else 0.5 * self._time_step, into)
         check_finite(int(self._progress[0, STEP]), *moving)
         into_period(moving[0], self._physics.period)
         return moving
@@ -232,10 +232,12 @@ class Stretch:
                 take_peaks(buffer, peaks, self._diameter)
         return self._peaks
 
-    def _as_given(self, half: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _as_given(self, half: float, into: Moving | None = None) -> Moving:
         """What moves, in the order in which it was given; velocities have ``half``, s, of their step to come."""
-        bodies = self.bodies
-        return as_given(bodies.order, self._bounds, *bodies[2:5], *self._loads, self._physics.gravity, half)
+        bodies, count = self.bodies, len(self.bodies.order)
+        into = tuple(np.empty((3, count, 3))) if into is None else into
+        as_given(bodies.order, self._bounds, *bodies[2:5], *self._loads, self._physics.gravity, half, *into)
+        return into
 
     def _own(self, rows: FloatArray) -> FloatArray:
         """``(N, 4)`` loads of the particles from the rows of their own chunks."""
