@@ -144,7 +144,10 @@ class Run:
         Raises:
             SimulationError: a centre further than its radius outside the container, or beyond the outlet's rim.
         """
-        scene, moving, gone = self._scene, self.moving(), ()
+        scene, gone = self._scene, ()
+        if not walls and scene.outlet is None:
+            return
+        moving = self.moving()
         if walls:
             poses = wall_poses(scene, self._start, self._time_step, 0, self._steps)[0]
             excess = largest_excess(scene, poses, moving[0])
