@@ -46,6 +46,7 @@ bench: $(READY)
 
 # benchmarks/dem_vs_lammps.py needs LAMMPS; it says how.
 bench-kernels: $(READY)
+	$(BIN)/python benchmarks/dem_frames.py
 	$(BIN)/python benchmarks/dem_skips.py
 	$(BIN)/python benchmarks/dem_scaling.py --counts 300 1000 3000 10000 30000
 	$(BIN)/python benchmarks/contact_network.py

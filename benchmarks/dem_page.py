@@ -12,15 +12,16 @@ from gran_bench.files import write_part
 from gran_bench.provenance import provenance, stamp, write_table
 
 PAGE = "README.md"
-INTERPRETER = "--lammps-python"  # an option whose value is a place on somebody's machine
+# Options whose value is a place on somebody's machine, and what records say.
+INTERPRETERS = {"--lammps-python": "lammps-venv/bin/python", "--beside": "../older/.venv/bin/python"}
 
 
 def made_by_this() -> dict[str, str]:
-    """Where a record of this process comes from, with LAMMPS' interpreter where the benchmarks say that it is made."""
+    """Where a record of this process comes from, with interpreters where the benchmarks say that they are."""
     words = ["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]
     for place, word in enumerate(words[:-1]):
-        if word == INTERPRETER:
-            words[place + 1] = "lammps-venv/bin/python"
+        if word in INTERPRETERS:
+            words[place + 1] = INTERPRETERS[word]
     return provenance() | {"command": " ".join(words)}
 
 

@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 
 from gran_bench.config import ContainerConfig, DemConfig, FillingConfig, MaterialConfig, RotationConfig, SceneConfig
+from gran_bench.dem import engine_numpy
 from gran_bench.dem.fast import engine as engine_numba
+from gran_bench.dem.fast import lists
+from gran_bench.dem.integrate import Physics
 from gran_bench.dem.simulate import settle, simulate
+from gran_bench.dem.walls import wall_poses
 from gran_bench.scene import Disc, Filling, Material, Outlet, Plane, Room, Scene, Sizes, Vibration, build_scene
 from gran_bench.state import ContactHistory, ParticleState
 
@@ -92,6 +96,12 @@ def same(one: ParticleState, other: ParticleState) -> None:
         assert np.array_equal(getattr(one.history, name), getattr(other.history, name)), name
 
 
+def in_order(state: ParticleState) -> ParticleState:
+    history = state.history
+    order = np.lexsort((history.second, history.first))
+    return replace(state, history=ContactHistory(*(array[order] for array in vars(history).values())))
+
+
 @pytest.fixture(params=["numba", "numpy"])
 def dem(request: pytest.FixtureRequest) -> DemConfig:
     """Both engines, at the same step whatever the frames."""
@@ -122,7 +132,7 @@ def test_the_interval_of_frames_changes_no_bit_at_common_times(scene, dem):
 
 
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-@pytest.mark.parametrize("stop", [0.0, 0.001, 0.013, 0.03])
+@pytest.mark.parametrize("stop", [0.0, 0.001, 0.013, 0.03, 0.05])
 def test_a_run_goes_on_from_any_frame_bit_for_bit(scene, stop, dem):
     scene = replace(scene(), frame_interval=0.001)
     state, end = moving(scene), scene.start_time + SPAN
@@ -134,6 +144,58 @@ def test_a_run_goes_on_from_any_frame_bit_for_bit(scene, stop, dem):
     first = round(stop / 0.001)
     for name in FIELDS:
         assert np.array_equal(getattr(rest.trajectory, name), getattr(whole.trajectory, name)[first:]), name
+
+
+@pytest.mark.parametrize("threads", [(1, 1), (3, 1), (2, 3)])
+@pytest.mark.parametrize("scene", [scene for name, scene in SCENES.items() if name != "outlet"])
+def test_sorting_on_the_way_is_a_stretch_from_what_is_there(scene, threads, monkeypatch):
+    monkeypatch.setattr(engine_numba, "CHUNK_SIZES", (30, 60, 1000, 2000))
+    scene, (before, after) = scene(), threads
+    state = moving(scene)
+    physics = replace(Physics.of(scene, float(state.radius.max()), 0.02), threads=before)
+    there = engine_numba.Stretch(state, physics, STEP, wall_poses(scene, state.time, STEP, 90))
+    there.run(40)
+    seen, physics = there.state(), replace(physics, threads=after, skin=0.03)
+    held = there.held()._replace(order=None)
+    anew = engine_numba.Stretch(seen, physics, STEP, wall_poses(scene, state.time, STEP, 50, 40), held)
+    there.sort(physics)
+    same(there.state(), seen)
+    assert there.threads == anew.threads == after
+    for steps in (1, 49):
+        there.run(steps)
+        anew.run(steps)
+        for one, other in zip(there.moving() + there.held()[:3], anew.moving() + anew.held()[:3], strict=True):
+            assert np.array_equal(one, other)
+        same(in_order(there.state()), in_order(anew.state()))
+    assert len(there.state().history) > 5
+
+
+def test_lists_that_need_more_room_on_the_way_get_it(monkeypatch):
+    # Room for no pair at first, and a skin with which each sphere may touch all three walls.
+    scene = rolls()
+    state = moving(scene)
+    physics, poses = Physics.of(scene, 0.025, 0.4), wall_poses(scene, state.time, STEP, 60)
+    plenty = engine_numba.advance(state, physics, STEP, poses)
+    monkeypatch.setattr(lists, "PAIRS_A_PARTICLE", 0)
+    scarce = engine_numba.Stretch(state, replace(physics, skin=0.01), STEP, poses)
+    scarce.run(20)
+    rooms = [len(getattr(scarce._lists[0], name)) for name in ("pair_i", "geometry")]
+    scarce.sort(physics)
+    scarce.run(40)
+    grown = [len(getattr(scarce._lists[0], name)) for name in ("pair_i", "geometry")]
+    assert all(few < many for few, many in zip(rooms, grown, strict=True))
+    assert np.abs(scarce.state().position - plenty.position).max() < 1e-9
+
+
+def test_the_skin_of_the_reference_changes_no_bit_of_it(monkeypatch):
+    scene = drum(periodic=True)
+    state, dem, found = moving(scene), DemConfig(engine="numpy", time_step=STEP), []
+    for skin in (1e-4, engine_numpy.SKIN, 0.7):
+        monkeypatch.setattr(engine_numpy, "SKIN", skin)
+        found.append(simulate(scene, state, scene.start_time + SPAN, dem=dem).final)
+    assert len(found[0].history) > 5
+    same(found[0], found[1])
+    same(found[2], found[1])
 
 
 def test_a_run_that_everybody_has_left_goes_on_without_them(dem):

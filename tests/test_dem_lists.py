@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gran_bench.config import ContainerConfig, FillingConfig, SceneConfig
-from gran_bench.dem.fast.lists import LEAST_MARGIN, sorted_pairs, with_margins
+from gran_bench.dem.fast.lists import LEAST_MARGIN, set_margins, sort_pairs
 from gran_bench.dem.fast.wall_list import list_wall_contacts
 from gran_bench.dem.integrate import LEAST_SKIN_DIAMETERS, SKIN_DIAMETERS, Physics
 from gran_bench.dem.walls import COLUMNS, wall_contact, wall_poses
@@ -24,18 +24,25 @@ def bodies(count: int) -> tuple[np.ndarray, np.ndarray]:
     return sphere, velocity
 
 
+def margins(sphere: np.ndarray, velocity: np.ndarray, skin: float) -> tuple[np.ndarray, ...]:
+    found = np.empty(40), np.empty(40), np.empty((40, 4)), np.empty((40, 4))
+    set_margins(sphere, velocity, skin, *found)
+    return found
+
+
 def test_the_fastest_has_half_the_skin_and_what_rests_a_fifth_of_that():
     sphere, velocity = bodies(40)
     velocity[3] = 0.0
     velocity[-2:] = 1e6  # spare ones do not count
-    margin, inverse_square, reaching = with_margins(sphere, velocity, 0.03)
+    margin, inverse_square, at, reaching = margins(sphere, velocity, 0.03)
     speed = np.linalg.norm(velocity[:-2, :3], axis=1)
     assert margin == pytest.approx(0.015 * (LEAST_MARGIN + (1.0 - LEAST_MARGIN) * speed / speed.max()), rel=1e-14)
     assert margin[3] == 0.015 * LEAST_MARGIN
     assert inverse_square == pytest.approx(margin**-2, rel=1e-14)
+    assert np.array_equal(at, sphere[:-2])
     assert np.array_equal(reaching[:, :3], sphere[:-2, :3])
     assert np.array_equal(reaching[:, 3], sphere[:-2, 3] + margin)
-    margin, *_ = with_margins(sphere, np.zeros_like(velocity), 0.03)
+    margin, *_ = margins(sphere, np.zeros_like(velocity), 0.03)
     assert margin.tolist() == [0.015] * 40
 
 
@@ -46,7 +53,10 @@ def test_pairs_come_in_order_with_the_rows_of_those_that_touched(begin, end):
     pairs = rng.permutation(every[rng.random(len(every)) < 0.2]).astype(np.uint32)
     pairs = pairs[(begin <= pairs[:, 0]) & (pairs[:, 0] < end)]
     known = np.array([*pairs[::3].astype(np.int64), (0, 1), (13, 14)])  # the last may be no pair of this list
-    first, second, start, memory = sorted_pairs(*pairs.T.copy(), begin, end, 30, *known.T.copy())
+    room, start = np.full((3, len(pairs)), 99, np.uint32), np.full(end - begin + 2, 99, np.uint32)
+    first, second, memory = room
+    by_second = np.empty(len(pairs), np.uint32)
+    sort_pairs(*pairs.T.copy(), by_second, begin, 30, *known.T.copy(), first, second, start, memory)
     expected = sorted(map(tuple, pairs.tolist()))
     assert list(zip(first.tolist(), second.tolist(), strict=True)) == expected
     rows = {tuple(pair): row for row, pair in enumerate(known.tolist(), 1)}
@@ -65,9 +75,12 @@ def test_walls_in_reach_come_chunk_by_chunk_and_remember_what_touched(chunk, sto
     (sphere, _), bounds, margin = bodies(200), np.array([0, 90, 200]), np.linspace(0.0, 0.02, 200)
     contacts = [(7, 1), (150, 0), (150, 2), (20, 9)]  # of the last wall nobody knows any more
     path = walls[11:, :, 20].sum(axis=0)
-    wall_i, wall_w, memory, start = list_wall_contacts(
-        sphere, bounds, chunk, stop, walls[10], path, margin, *np.array(contacts).T.copy()
-    )
+    wall_i, wall_w, memory = np.full((3, 200 * 3 + 2), 99, np.uint32)
+    start, touched = np.full((stop - chunk) * 3 + 1, 99), np.full(5, 99, np.uint32)
+    found = list_wall_contacts(
+        sphere, bounds, chunk, stop, walls[10], path, margin, *np.array(contacts).T.copy(),
+        wall_i, wall_w, memory, start, touched,
+    )  # fmt: skip
     assert (path > 0.0).all()
     expected = [
         (i, w)
@@ -76,11 +89,11 @@ def test_walls_in_reach_come_chunk_by_chunk_and_remember_what_touched(chunk, sto
         for i in range(bounds[c], bounds[c + 1])
         if wall_contact(walls[10, w], sphere[i : i + 1, :3])[0][0] - sphere[i, 3] < margin[i] + path[w]
     ]
-    found = len(memory)
     assert list(zip(wall_i[1:found].tolist(), wall_w[1:found].tolist(), strict=True)) == expected
     assert [wall_i[0], wall_w[0], memory[0]] == [200, 0, 0]
     rows = {contact: row for row, contact in enumerate(contacts, 1)}
-    assert memory[1:].tolist() == [rows.get(contact, 0) for contact in expected]
+    assert memory[1:found].tolist() == [rows.get(contact, 0) for contact in expected]
+    assert all(touched[row] == place for place, row in enumerate(memory[1:found].tolist(), 1) if row)
     assert start[0] == 1
     assert start[-1] == found
     assert len(start) == (stop - chunk) * len(scene.walls) + 1
@@ -88,11 +101,13 @@ def test_walls_in_reach_come_chunk_by_chunk_and_remember_what_touched(chunk, sto
 
 def test_without_walls_only_the_spare_place_is_there():
     (sphere, _), nothing = bodies(9), np.zeros(0, np.int64)
-    wall_i, _, memory, start = list_wall_contacts(
-        sphere, np.array([0, 9]), 0, 1, np.zeros((0, COLUMNS)), np.zeros(0), np.ones(9), nothing, nothing
-    )
-    assert wall_i[0] == 9
-    assert (memory.tolist(), start.tolist()) == ([0], [1])
+    wall_i, wall_w, memory = np.full((3, 2), 99, np.uint32)
+    start = np.zeros(1, np.int64)
+    found = list_wall_contacts(
+        sphere, np.array([0, 9]), 0, 1, np.zeros((0, COLUMNS)), np.zeros(0), np.ones(9), nothing, nothing,
+        wall_i, wall_w, memory, start, np.zeros(1, np.uint32),
+    )  # fmt: skip
+    assert (found, wall_i[0], memory[0], start.tolist()) == (1, 9, 0, [1])
 
 
 def test_a_period_too_short_for_the_usual_skin_gets_a_narrower_one_and_is_refused_below_a_least():

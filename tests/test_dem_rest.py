@@ -76,7 +76,8 @@ def rests_at(scene, speed_of, duration=3.0, count=3000, **more):
     rest = Rest(scene)
     for time in np.arange(0.0, duration, rest.look_interval):
         speeds = np.broadcast_to(speed_of(time), count)
-        if rest.look(bed_of(scene, speeds, time, **more)):
+        bed = bed_of(scene, speeds, time, **more)
+        if rest.look(time, bed.position, bed.velocity):
             return time
     return None
 

@@ -121,3 +121,12 @@ def test_a_kick_closes_a_step_and_opens_the_next_as_two_kicks_would(body):
     load[:, 3] = 0.0
     kick(two, load, 3, 0.5, ahead, 0.0)
     assert np.array_equal(two[3, :3], whole)
+
+
+def test_a_drift_moves_a_centre_and_keeps_the_radius(body):
+    drift = njit(lambda sphere, velocity, i, dt: rows.drift_row(sphere, velocity, i, dt))
+    before, velocity = body.copy(), np.arange(40.0).reshape(10, 4)
+    drift(body, velocity, 3, 0.3)
+    assert np.array_equal(body[3, :3], before[3, :3] + 0.3 * velocity[3, :3])
+    assert body[3, 3] == before[3, 3]
+    assert np.array_equal(np.delete(body, 3, axis=0), np.delete(before, 3, axis=0))

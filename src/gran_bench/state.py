@@ -16,6 +16,8 @@ from gran_bench.config.rules import ConfigError, checked_value
 
 FloatArray = NDArray[np.floating]
 
+Moving = tuple[FloatArray, FloatArray, FloatArray]  # (N, 3) position, m, velocity, m/s, and spin, rad/s
+
 VELOCITY_KINDS = ("instantaneous", "mean")
 
 

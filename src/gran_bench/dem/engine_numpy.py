@@ -1,16 +1,46 @@
-"""The reference engine: the laws of the other files, vectorised, one step after the other, to be read and trusted."""
+"""The reference engine: the laws of the other files, vectorised, one step after the other, to be read and trusted.
 
+A step of velocity Verlet is a kick, a drift, the forces of all contacts, and another kick (integrate.py).
+"""
+
+from collections.abc import Iterable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from gran_bench.dem.contact import ContactForce, ContactLaw, contact_force, sphere_mass
+from gran_bench.dem.contact import ContactLaw, contact_force, dot, sphere_mass
 from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, into_period
 from gran_bench.dem.rolling import CONTACT_INERTIA, rolling_moment
 from gran_bench.dem.seams import wall_touching
 from gran_bench.dem.walls import SPIN, surface_velocity
 from gran_bench.neighbors import nearest_image, tree_pairs
-from gran_bench.state import ContactHistory, FloatArray, Held, ParticleState
+from gran_bench.state import ContactHistory, FloatArray, Held, Moving, ParticleState
+
+# Of the list of pairs, in diameters of the largest sphere, at most. A wider one takes fewer trees and longer steps.
+SKIN = 0.3
+# Indices, distances and directions where there is no wall.
+NOBODY = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3))
+
+
+class Contacts(NamedTuple):
+    """What touches, with all that its laws ask for; M contacts."""
+
+    first: np.ndarray  # (M,) particles
+    second: np.ndarray  # (M,) particles, or −1 − w for wall w
+    diameter: FloatArray  # (M,) m, mean of the two; of the sphere at a wall
+    law: FloatArray  # (M, 5) constants
+    effective_radius: FloatArray  # (M,) R*, m
+    effective_mass: FloatArray  # (M,) m*, kg
+    effective_inertia: FloatArray  # (M,) I_r of rolling.py, kg m²
+    normal: FloatArray  # (M, 3) from first to second
+    overlap: FloatArray  # (M,) m
+    velocity: FloatArray  # (M, 3) of the first relative to the second, m/s
+    gain: FloatArray  # (M, 3) what that velocity still gains until the end of the step, m/s
+    spin: FloatArray  # (M, 3) of the first relative to the second, rad/s
+    surface_spin: FloatArray  # (M, 3) Σ arm × ω, with which spins add to the slip, m/s
+    arm: FloatArray  # (M,) lever arm of the first, m
+    other_arm: FloatArray  # (M,) of the second, m
 
 
 def advance(state: ParticleState, physics: Physics, time_step: float, walls: FloatArray) -> ParticleState:
@@ -26,32 +56,41 @@ class Stretch:
     def __init__(
         self, state: ParticleState, physics: Physics, time_step: float, walls: FloatArray, held: Held | None = None
     ) -> None:
+        # Columns lie together in memory: what runs along them is three times as fast as along rows of three.
         self._position, self._velocity, self._spin = (
-            np.array(a, np.float64) for a in (state.position, state.velocity, state.angular_velocity)
+            np.array(a, np.float64, order="F") for a in (state.position, state.velocity, state.angular_velocity)
         )
         check_finite(0, self._position, self._velocity, self._spin)
         self._given, self._physics, self._dt = state, physics, time_step
-        self._radius, self._history = np.asarray(state.radius, np.float64), state.history
+        self._radius = np.asarray(state.radius, np.float64)
         self._mass = sphere_mass(physics.density[state.material], self._radius)
         self._inertia = 0.4 * self._mass * self._radius**2
+        self._about_contact = CONTACT_INERTIA * self._mass * self._radius**2
         # What the velocity still gains until the end of the step, if the acceleration stays.
         self._gain, self._peaks, self._step = np.zeros_like(self._velocity), Peaks(), 0
+        self._history = state.history
         self.set_walls(walls)
+        self._list_pairs()
         if held is None:
             self._evaluate(0.0)
         else:
-            self._force, self._torque = held.force, held.torque
+            self._load(held.force, held.torque)
 
     def set_walls(self, walls: FloatArray) -> None:
         """Gives the poses of the steps to come, the first of them of this pause."""
         self._walls, self._first_pose = walls, self._step
+
+    def sort(self, physics: Physics) -> None:
+        """Brings positions into their period; there is no order to renew."""
+        into_period(self._position, physics.period)
+        self._list_pairs()
 
     def run(self, steps: int) -> None:
         """Goes on, so many steps; a :class:`Divergence` where a speed crosses a quarter of a radius in a step."""
         fastest = 0.25 * self._radius.min() / self._dt
         for _ in range(steps):
             self._kick()
-            wild = np.flatnonzero(~(np.linalg.norm(self._velocity, axis=1) <= fastest))
+            wild = np.flatnonzero(~(dot(self._velocity, self._velocity) <= fastest**2))
             if len(wild):
                 raise Divergence(int(wild[0]), self._step, self._position, self._velocity, self._spin)
             self._position += self._dt * self._velocity
@@ -59,17 +98,29 @@ class Stretch:
             self._evaluate(self._dt)
             self._kick()
 
+    def moving(self, into: Moving | None = None) -> Moving:
+        """Position, velocity and spin of this pause, ``(N, 3)`` each, in arrays if given."""
+        moving = self._position, self._velocity, self._spin
+        check_finite(self._step, *moving)
+        into = tuple(np.empty((3, *self._position.shape))) if into is None else into
+        for room, array in zip(into, moving, strict=True):
+            room[:] = array
+        into_period(into[0], self._physics.period)
+        return into
+
+    def overlaps(self) -> tuple[FloatArray, FloatArray]:
+        """Of the pairs and of the walls that touch, m."""
+        pairs = self._history.second >= 0
+        return self._history.overlap[pairs], self._history.overlap[~pairs]
+
     def state(self) -> ParticleState:
         """The state of this pause, with its touching contacts and what they remember."""
-        check_finite(self._step, self._position, self._velocity, self._spin)
+        position, velocity, spin = self.moving()
+        time = self._given.time + self._step * self._dt
         return replace(
             self._given,
-            position=into_period(self._position.copy(), self._physics.period),
-            velocity=self._velocity.copy(),
-            angular_velocity=self._spin.copy(),
-            time=self._given.time + self._step * self._dt,
-            history=self._history,
-        )
+            position=position, velocity=velocity, angular_velocity=spin, time=time, history=self._history,
+        )  # fmt: skip
 
     def held(self) -> Held:
         """What goes on from this pause beside the state."""
@@ -82,113 +133,147 @@ class Stretch:
 
     def _kick(self) -> None:
         """Half a step of the velocities."""
-        half = 0.5 * self._dt
-        self._gain = half * (self._force / self._mass[:, None] + self._physics.gravity)
         self._velocity += self._gain
-        self._spin += half * self._torque / self._inertia[:, None]
+        self._spin += self._spin_gain
+
+    def _load(self, force: FloatArray, torque: FloatArray) -> None:
+        """Forces and torques from now on, and what they give in half a step."""
+        self._force, self._torque, half = force, torque, 0.5 * self._dt
+        self._gain = half * (force / self._mass[:, None] + self._physics.gravity)
+        self._spin_gain = (half / self._inertia)[:, None] * torque
+
+    def _list_pairs(self) -> None:
+        """Pairs that may touch until a sphere has moved by half the skin, and what they are."""
+        radius, mass, about, physics = self._radius, self._mass, self._about_contact, self._physics
+        diameter, kind = 2.0 * radius.max(), self._given.material
+        self._skin, self._listed_at = min(physics.skin, SKIN * diameter), self._position.copy()
+        i, j = self._pairs = tree_pairs(self._position, diameter + self._skin, physics.period).T.copy()
+        self._pair_sizes = (
+            np.asfortranarray(physics.pair_laws[kind[i], kind[j]]),
+            radius[i] + radius[j],
+            radius[i] * radius[j] / (radius[i] + radius[j]),
+            mass[i] * mass[j] / (mass[i] + mass[j]),
+            about[i] * about[j] / (about[i] + about[j]),
+        )
 
     def _evaluate(self, duration: float) -> None:
         """Forces and torques, and the history, of this instant; slip loads the history for so many s."""
-        self._force, self._torque = np.zeros_like(self._position), np.zeros_like(self._position)
-        walls = self._walls[self._step - self._first_pose]
-        parts = [self._pair_loads(duration)]
-        on_walls, self._history = wall_touching(walls, self._position, self._radius, self._history)
-        parts += [self._wall_loads(w, walls[w], *touching, duration) for w, touching in enumerate(on_walls)]
-        names = ("first", "second", "force", "overlap", "rolling_moment")
-        self._history = ContactHistory(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-    def _pair_loads(self, duration: float) -> ContactHistory:
-        """Adds the loads of all touching pairs; returns what they remember."""
-        radius, mass, velocity, spin, gain = self._radius, self._mass, self._velocity, self._spin, self._gain
-        physics, count = self._physics, len(self._radius)
-        pairs = tree_pairs(self._position, 2.0 * radius.max(), physics.period)
-        offset = nearest_image(self._position[pairs[:, 1]] - self._position[pairs[:, 0]], physics.period)
-        distance = np.linalg.norm(offset, axis=1)
-        touching = distance < radius[pairs[:, 0]] + radius[pairs[:, 1]]
-        i, j = pairs[touching].T
-        offset, distance = offset[touching], distance[touching]
-        # Both lever arms end on the plane of the circle in which the spheres intersect.
-        arm = 0.5 * (distance + (radius[i] ** 2 - radius[j] ** 2) / distance)
-        # Those that slip is measured with; LAMMPS' are longer (contact.py).
-        slip_i, slip_j = (radius[i], radius[j]) if physics.full_radius else (arm, distance - arm)
-        about_contact = CONTACT_INERTIA * mass * radius**2
-        contact, moment, history = self._contacts(
-            i, j, physics.pair_laws[self._given.material[i], self._given.material[j]], "overlap", radius[i] + radius[j],
-            spin[i] - spin[j], about_contact[i] * about_contact[j] / (about_contact[i] + about_contact[j]),
-            normal=offset / distance[:, None],
-            overlap=radius[i] + radius[j] - distance,
-            effective_radius=radius[i] * radius[j] / (radius[i] + radius[j]),
-            effective_mass=mass[i] * mass[j] / (mass[i] + mass[j]),
-            velocity=velocity[i] - velocity[j],
-            velocity_gain=gain[i] - gain[j],
-            surface_spin=slip_i[:, None] * spin[i] + slip_j[:, None] * spin[j],
+        moved = self._position - self._listed_at
+        if 4.0 * dot(moved, moved).max() > self._skin**2:
+            self._list_pairs()
+        pairs, walls = self._touching_pairs(), self._touching_walls()
+        every = Contacts(*map(_joined, zip(pairs, walls, strict=True)))
+        law, rolling = ContactLaw.from_constants(every.law), self._physics.rolling
+        names = ("force", "overlap", "rolling_moment")[: 2 + rolling]
+        force, overlap, *moment = _recall(self._history, every.first, every.second, *names)
+        contact = contact_force(
+            law,
+            normal=every.normal,
+            overlap=every.overlap,
+            effective_radius=every.effective_radius,
+            effective_mass=every.effective_mass,
+            velocity=every.velocity,
+            velocity_gain=every.gain,
+            surface_spin=every.surface_spin,
+            history=force,
+            overlap_before=overlap,
             time_step=duration,
-        )  # fmt: skip
-        self._force += _sums(i, contact.force, count) - _sums(j, contact.force, count)
-        self._torque += _sums(i, arm[:, None] * contact.twist, count)
-        self._torque += _sums(j, (distance - arm)[:, None] * contact.twist, count)
-        if physics.rolling:
-            self._torque += _sums(i, moment, count) - _sums(j, moment, count)
-        return history
+        )
+        first, second, of_pairs, count = every.first, pairs.second, slice(len(pairs.first)), len(self._radius)
+        total = _sums(first, contact.force, count) - _sums(second, contact.force[of_pairs], count)
+        torque = _sums(first, every.arm[:, None] * contact.twist, count)
+        torque += _sums(second, pairs.other_arm[:, None] * contact.twist[of_pairs], count)
+        kept = None
+        if rolling:
+            moment, kept = rolling_moment(
+                *moment, every.spin, every.normal, every.overlap, overlap, every.effective_radius,
+                every.effective_inertia, law.effective_modulus, law.rolling_friction, duration,
+            )  # fmt: skip
+            torque += _sums(first, moment, count) - _sums(second, moment[of_pairs], count)
+        self._load(total, torque)
+        self._history = ContactHistory(first, every.second, contact.history, every.overlap, kept)
+        found = Peaks(
+            overlap=float(pairs.overlap.max(initial=0.0)),
+            wall_overlap=float(walls.overlap.max(initial=0.0)),
+            share=float((every.overlap / every.diameter).max(initial=0.0)),
+            approach=float(dot(every.velocity, every.normal).max(initial=0.0)),
+        )
+        self._peaks = Peaks(*map(max, self._peaks, found))
 
-    def _wall_loads(
-        self, index: int, pose: FloatArray, i: np.ndarray, distance: FloatArray, normal: FloatArray, duration: float
-    ) -> ContactHistory:
-        """Adds the loads of one wall; returns what its contacts remember."""
-        radius, mass, spin, physics = self._radius[i], self._mass[i], self._spin[i], self._physics
-        point = self._position[i] + distance[:, None] * normal
-        arm = (radius if physics.full_radius else distance)[:, None]
-        laws = physics.wall_laws[self._given.material[i], index]
-        contact, moment, history = self._contacts(
-            i, np.full(len(i), -1 - index), laws, "wall_overlap", 2.0 * radius,
-            # What rolls on a turning wall rolls against the wall's own rotation.
-            spin - pose[SPIN], CONTACT_INERTIA * mass * radius**2,
+    def _touching_pairs(self) -> Contacts:
+        """The listed pairs that touch."""
+        i, j = self._pairs
+        offset = nearest_image(_at(self._position, j) - _at(self._position, i), self._physics.period)
+        distance = np.sqrt(dot(offset, offset))
+        near = np.flatnonzero(distance < self._pair_sizes[1])
+        i, j, offset, distance = (_at(array, near) for array in (i, j, offset, distance))
+        law, reach, *effective = (_at(sizes, near) for sizes in self._pair_sizes)
+        # Both lever arms end on the plane of the circle in which the spheres intersect.
+        radius_i, radius_j = _at(self._radius, i), _at(self._radius, j)
+        arm = 0.5 * (distance + (radius_i - radius_j) * reach / distance)
+        # Those that slip is measured with; LAMMPS' are longer (contact.py).
+        slip_i, slip_j = arm, distance - arm
+        if self._physics.full_radius:
+            slip_i, slip_j = radius_i, radius_j
+        spin_i, spin_j = _at(self._spin, i), _at(self._spin, j)
+        return Contacts(
+            i, j, reach, law, *effective,
+            normal=offset / distance[:, None],
+            overlap=reach - distance,
+            velocity=_at(self._velocity, i) - _at(self._velocity, j),
+            gain=_at(self._gain, i) - _at(self._gain, j),
+            spin=spin_i - spin_j,
+            surface_spin=slip_i[:, None] * spin_i + slip_j[:, None] * spin_j,
+            arm=arm,
+            other_arm=distance - arm,
+        )  # fmt: skip
+
+    def _touching_walls(self) -> Contacts:
+        """What touches a wall, wall by wall; the history may go over between pieces of a surface."""
+        poses, physics = self._walls[self._step - self._first_pose], self._physics
+        touching, self._history = wall_touching(poses, self._position, self._radius, self._history)
+        wall = np.repeat(np.arange(len(poses)), [len(i) for i, _, _ in touching])
+        i, distance, normal = map(_joined, zip(*touching, strict=True)) if len(poses) else NOBODY
+        pose, radius, spin = _at(poses, wall), _at(self._radius, i), _at(self._spin, i)
+        velocity = surface_velocity(pose, _at(self._position, i) + distance[:, None] * normal)
+        arm = radius if physics.full_radius else distance
+        return Contacts(
+            i, -1 - wall, 2.0 * radius, physics.wall_laws[self._given.material[i], wall],
+            radius, _at(self._mass, i), _at(self._about_contact, i),
             normal=normal,
             overlap=radius - distance,
-            effective_radius=radius,
-            effective_mass=mass,
-            velocity=self._velocity[i] - surface_velocity(pose, point),
-            velocity_gain=self._gain[i],
-            surface_spin=arm * spin,
-            time_step=duration,
+            velocity=_at(self._velocity, i) - velocity,
+            gain=_at(self._gain, i),
+            # What rolls on a turning wall rolls against the wall's own rotation.
+            spin=spin - pose[:, SPIN],
+            surface_spin=arm[:, None] * spin,
+            arm=arm,
+            other_arm=arm,
         )  # fmt: skip
-        self._force[i] += contact.force
-        self._torque[i] += arm * contact.twist
-        if physics.rolling:
-            self._torque[i] += moment
-        return history
 
-    def _contacts(
-        self, first: np.ndarray, second: np.ndarray, laws: FloatArray, peak: str, diameter: FloatArray,
-        spin: FloatArray, inertia: FloatArray, **given: FloatArray | float,
-    ) -> tuple[ContactForce, FloatArray, ContactHistory]:  # fmt: skip
-        """What contacts of one kind do, by :func:`contact_force`, their rolling moments, and what they remember."""
-        law, old = ContactLaw.from_constants(laws), _recall(self._history, first, second)
-        contact = contact_force(law, history=old.force, overlap_before=old.overlap, **given)
-        overlap, moment, remembered = given["overlap"], old.rolling_moment, old.rolling_moment
-        if len(first):
-            approach = np.einsum("mk,mk->m", given["velocity"], given["normal"]).max()
-            found = Peaks(share=float((overlap / diameter).max()), approach=float(approach))
-            self._peaks = Peaks(*map(max, self._peaks, found._replace(**{peak: float(overlap.max())})))
-        if self._physics.rolling:
-            moment, remembered = rolling_moment(
-                old.rolling_moment, spin, given["normal"], overlap, old.overlap, given["effective_radius"], inertia,
-                law.effective_modulus, law.rolling_friction, given["time_step"],
-            )  # fmt: skip
-        return contact, moment, ContactHistory(first, second, contact.history, overlap, remembered)
+
+def _at(array: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """``array[index]`` of rows, several times as fast."""
+    return np.take(array.T, index, axis=-1).T
+
+
+def _joined(arrays: Iterable[np.ndarray]) -> np.ndarray:
+    """One array of all rows."""
+    return np.concatenate([array.T for array in arrays], axis=-1).T
 
 
 def _sums(index: np.ndarray, values: FloatArray, count: int) -> FloatArray:
     """Sum of the ``(M, 3)`` values of each particle, ``(count, 3)``."""
     # Several times as fast as np.add.at.
-    return np.stack([np.bincount(index, values[:, axis], count) for axis in range(3)], axis=1)
+    return np.stack([np.bincount(index, column, count) for column in values.T]).T
 
 
-def _recall(history: ContactHistory, first: np.ndarray, second: np.ndarray) -> ContactHistory:
-    """What is remembered of each contact (first, second); zeros, and an overlap of 0, where it is new."""
-    force, overlap, moment = np.zeros((len(first), 3)), np.zeros(len(first)), np.zeros((len(first), 3))
+def _recall(history: ContactHistory, first: np.ndarray, second: np.ndarray, *names: str) -> list[FloatArray]:
+    """What contacts (first, second) remember, by the names of the history; zeros where they are new."""
     # One number for each contact; walls (negative seconds) included.
-    keys, old_keys = (a.astype(np.int64) * 2**32 + b for a, b in ((first, second), (history.first, history.second)))
-    _, row, old = np.intersect1d(keys, old_keys, assume_unique=True, return_indices=True)
-    force[row], overlap[row], moment[row] = history.force[old], history.overlap[old], history.rolling_moment[old]
-    return ContactHistory(first, second, force, overlap, moment)
+    keys, old_keys = (a * 2**32 + b for a, b in ((first, second), (history.first, history.second)))
+    _, known, old = np.intersect1d(keys, old_keys, assume_unique=True, return_indices=True)
+    row = np.full(len(first), -1)  # the last row, which is zero
+    row[known] = old
+    kept = [getattr(history, name) for name in names]
+    return [_at(_joined((array, np.zeros((1, *array.shape[1:])))), row) for array in kept]

@@ -16,9 +16,9 @@ from gran_bench.dem.fast.tuning import Tuner
 from gran_bench.dem.integrate import Divergence, Peaks
 from gran_bench.dem.outlet import leaked, part_of, rejoined, taking_part
 from gran_bench.dem.record import FrameRecord, SimulationError
-from gran_bench.dem.walls import largest_excess, wall_poses
+from gran_bench.dem.walls import PATH, largest_excess, wall_poses
 from gran_bench.scene import Scene
-from gran_bench.state import Continuation, FloatArray, Held, ParticleState, name_some
+from gran_bench.state import ContactHistory, Continuation, FloatArray, Held, Moving, ParticleState, name_some
 
 # Between two looks at who leaves and who escaped, √(d/g): 10 ms for 50 mm. Where nothing falls, a frame.
 LOOK_FALL_TIMES = 0.14
@@ -49,12 +49,16 @@ class Run:
         self._engine, self._scene, self._time_step, self._tuner, self._record = engine, scene, time_step, tuner, record
         self._look_steps = steps_between_looks(scene, time_step)
         self._sort_steps = LOOKS_BETWEEN_SORTS * self._look_steps
+        # Lists know the way that walls go for as long as poses are given, which costs where walls go any.
+        one_step = wall_poses(scene, state.time, time_step, 1)
+        self._pose_steps = self._look_steps if one_step[:, :, PATH].any() else self._sort_steps
         # State and what is held of all where the stretch began; the stretch is None where it is still to begin.
         self._whole, self._held, self._stretch = state, None, None
         self._start, self._steps, self._peaks = state.time, 0, Peaks()
         with _compiling_notice():
             # Where the run goes on, this tells what the first frame's contacts do, and nothing else.
             self._begin()
+            self.moving()
         kept = state.continuation
         if kept is not None and kept.key == self._key(state):
             self._take_from_stretch()
@@ -78,8 +82,9 @@ class Run:
                 self._begin()
             elif self._steps == self._posed_until:
                 self._stretch.set_walls(self._poses())
-            some = min(steps, self._to_look() if self._stretch is None else self._posed_until - self._steps)
+            some = min(steps, self._look_steps - self._steps % self._look_steps)
             if self._stretch is not None:
+                some = min(some, self._posed_until - self._steps)
                 with self._divergence():
                     self._stretch.run(some)
             self._steps, steps, self._now = self._steps + some, steps - some, None
@@ -87,14 +92,45 @@ class Run:
             if self._steps % self._look_steps == 0:
                 self._look()
 
-    def state(self) -> ParticleState:
-        """As it is now; spheres beyond the outlet keep the state that they left with."""
-        if self._stretch is None:
-            return self._whole
+    def moving(self, into: Moving | None = None) -> Moving:
+        """What moves, as it is now, in arrays if given; spheres beyond the outlet keep what they left with."""
         if self._now is None:
-            with self._divergence():
-                self._now = rejoined(self._whole, self._inside, self._stretch.state())
+            self._now = self._whole.position, self._whole.velocity, self._whole.angular_velocity
+            if self._stretch is not None:
+                everybody = self._inside.all()
+                with self._divergence():
+                    part = self._stretch.moving(into if everybody else None)
+                self._now = part if everybody else tuple(map(self._among_all, self._now, part))
+        if into is not None and self._now is not into:
+            for room, array in zip(into, self._now, strict=True):
+                room[:] = array
         return self._now
+
+    def state(self, time: float) -> ParticleState:
+        """All that there is now, at a time by the clock of the frames, s, with contacts in order."""
+        state = self._whole
+        if self._stretch is not None:
+            with self._divergence():
+                state = rejoined(state, self._inside, self._stretch.state())
+        history = state.history
+        order = np.lexsort((history.second, history.first))
+        history = ContactHistory(*(array[order] for array in vars(history).values()))
+        return replace(state, time=time, history=history)
+
+    def final(self, time: float) -> ParticleState:
+        """The state with what another run needs to go on from it."""
+        state = self.state(time)
+        return replace(state, continuation=Continuation(self._key(state), self._start, self._steps, self._holds()))
+
+    def record_frame(self, time: float) -> None:
+        """Keeps a frame, at a time by the clock of the frames, s."""
+        if self._stretch is None:
+            overlap, pairs = self._whole.history.overlap, self._whole.history.second >= 0
+            overlaps = overlap[pairs], overlap[~pairs]
+        else:
+            overlaps = self._stretch.overlaps()
+        self.moving(self._record.room())
+        self._record.add(time, overlaps, self.take_peaks())
 
     def take_peaks(self) -> Peaks:
         """Largest overlaps and approach since they were last asked for."""
@@ -102,46 +138,42 @@ class Run:
         peaks, self._peaks = self._peaks, Peaks()
         return peaks
 
-    def continued(self, state: ParticleState) -> ParticleState:
-        """The state, which is the present one, with what another run needs to go on from it."""
-        return replace(state, continuation=Continuation(self._key(state), self._start, self._steps, self._holds()))
-
     def check_escapes(self, walls: bool = True) -> None:
         """Looks whether anybody came through a wall, who would be found at the next look.
 
         Raises:
             SimulationError: a centre further than its radius outside the container, or beyond the outlet's rim.
         """
-        scene, state, gone = self._scene, self.state(), ()
+        scene, gone = self._scene, ()
+        if not walls and scene.outlet is None:
+            return
+        moving = self.moving()
         if walls:
             poses = wall_poses(scene, self._start, self._time_step, 0, self._steps)[0]
-            excess = largest_excess(scene, poses, state.position)
-            gone = np.flatnonzero((excess > state.radius) & self._inside)
+            excess = largest_excess(scene, poses, moving[0])
+            gone = np.flatnonzero((excess > self._whole.radius) & self._inside)
         if len(gone):
             what = f"particle {gone[0]} is {excess[gone[0]]:.3g} m beyond a wall, more than its radius"
-        elif len(gone := leaked(scene, state.position)):
+        elif len(gone := leaked(scene, moving[0])):
             what = f"past the outlet more than {scene.outlet.radius:g} m from its middle, so through a wall"
         else:
             return
         raise SimulationError(
             f"{name_some(gone)} escaped by t = {self.time:.6g} s: {what}; choose a smaller dem.time_step or a "
             "stiffer material",
-            self._record.trajectory((self.time, state.position, state.velocity, state.angular_velocity)),
+            self._record.trajectory((self.time, *moving)),
         )
 
-    def _to_look(self) -> int:
-        """Steps from here to the next look."""
-        return self._look_steps - self._steps % self._look_steps
-
     def _poses(self) -> FloatArray:
-        """Poses from here to the next look, or as many as may be."""
-        steps = min(self._to_look(), MOST_POSES)
+        """Poses from here to the next look or sort, or as many as may be."""
+        steps = min(self._pose_steps - self._steps % self._pose_steps, MOST_POSES)
         self._posed_until = self._steps + steps
         return wall_poses(self._scene, self._start, self._time_step, steps, self._steps)
 
     def _begin(self) -> None:
         """A stretch from here on; none where nobody takes part."""
         whole, held, self._begun, self._spent, self._now = self._whole, self._held, self._steps, 0.0, None
+        self._sorted, self._seen = self._steps, None  # the steps of the last sort, and when peaks were last taken
         self._inside = inside = taking_part(self._scene, whole.position)
         if held is not None and self._steps % self._look_steps:
             self._inside = inside = np.isin(np.arange(whole.count), held.order)  # nobody leaves between two looks
@@ -159,28 +191,35 @@ class Run:
                 self._stretch = self._engine.Stretch(part, self._tuner.physics, self._time_step, poses, held)
 
     def _look(self) -> None:
-        """Who came through a wall, and who has left; after some of the looks a new stretch begins."""
-        state = self.state()
+        """Who came through a wall, and who has left, without whom a new stretch begins; sorts after some looks."""
         self._take_from_stretch()
         # A centre that is beyond a wall by its radius lies in it by its diameter.
         self.check_escapes(walls=self._peaks.share > 0.99)
-        left = np.count_nonzero(taking_part(self._scene, state.position)) < np.count_nonzero(self._inside)
-        if left or self._steps % self._sort_steps == 0:
-            self._held, self._whole, self._stretch = self._holds(), state, None
-            if self._steps - self._begun == self._sort_steps:
-                self._tuner.took(self._spent)
+        if self._steps - self._sorted == self._sort_steps:
+            self._tuner.took(self._spent)
+        if self._scene.outlet is not None and (taking_part(self._scene, self.moving()[0]) < self._inside).any():
+            self._held, self._whole, self._stretch = self._holds(), self.state(self.time), None
+        elif self._steps % self._sort_steps == 0 and self._stretch is not None:
+            self._stretch.sort(self._tuner.physics)
+            self._sorted, self._spent = self._steps, 0.0
 
     def _holds(self) -> Held | None:
         """What goes on beside the state, of all particles."""
         if self._stretch is None:
             return self._held
-        held, whole = self._stretch.held(), np.zeros((3, self._whole.count, 3))
-        whole[0] = self._whole.position
-        whole[:, self._inside] = held[:3]
-        return Held(*whole, np.flatnonzero(self._inside)[held.order])
+        held, none = self._stretch.held(), np.zeros_like(self._whole.position)
+        arrays = map(self._among_all, (self._whole.position, none, none), held[:3])
+        return Held(*arrays, np.flatnonzero(self._inside)[held.order])
+
+    def _among_all(self, whole: FloatArray, part: FloatArray) -> FloatArray:
+        """What those that take part have, beside what the others keep."""
+        whole = whole.copy()
+        whole[self._inside] = part
+        return whole
 
     def _take_from_stretch(self) -> None:
-        if self._stretch is not None:
+        if self._stretch is not None and self._seen != self._steps:
+            self._seen = self._steps
             self._peaks = Peaks(*map(max, self._peaks, self._stretch.take_peaks()))
 
     def _key(self, state: ParticleState) -> str:

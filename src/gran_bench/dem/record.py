@@ -10,7 +10,7 @@ from gran_bench.dem.integrate import Peaks
 from gran_bench.dem.outlet import taking_part
 from gran_bench.dem.time_step import unresolved
 from gran_bench.scene import Scene
-from gran_bench.state import FloatArray, ParticleState, Trajectory
+from gran_bench.state import FloatArray, Moving, ParticleState, Trajectory
 
 
 class SimulationError(RuntimeError):
@@ -21,23 +21,31 @@ class SimulationError(RuntimeError):
         self.trajectory = trajectory
 
 
-def contact_diagnostics(scene: Scene, state: ParticleState) -> dict[str, float]:
-    """Energies and overlaps of a state whose history lists its touching contacts, as an engine leaves it.
+def inertias(scene: Scene, state: ParticleState) -> tuple[FloatArray, FloatArray]:
+    """Mass, kg, and moment of inertia, kg m², of each sphere of a scene, ``(N, 1)``."""
+    density = np.array([material.density for material in scene.materials])[state.material]
+    mass = sphere_mass(density, state.radius)[:, None]
+    return mass, 0.4 * mass * state.radius[:, None] ** 2
+
+
+def contact_diagnostics(
+    scene: Scene, inertias: tuple[FloatArray, FloatArray], moving: Moving, overlaps: tuple[FloatArray, FloatArray]
+) -> dict[str, float]:  # fmt: skip
+    """Energies and overlaps of an instant: of :func:`inertias`, position, velocity and spin, and what touches, m.
 
     ½ Σ m v² and ½ Σ I ω² in J; mean and largest overlap of touching pairs and walls in m, 0 where none touch. In a
     scene with an outlet, the number of spheres that have left, which count in no other figure.
     """
-    inside = taking_part(scene, state.position)
-    mass = sphere_mass(np.array([material.density for material in scene.materials])[state.material], state.radius)
-    mass = np.where(inside, mass, 0.0)
-    inertia = 0.4 * mass * state.radius**2
-    touching_wall = state.history.second < 0
+    position, velocity, spin = moving
+    mass, inertia = inertias
+    if scene.outlet is not None:
+        inside = taking_part(scene, position)
+        mass, inertia = mass * inside[:, None], inertia * inside[:, None]
     figures = {
-        "kinetic_energy_translational": 0.5 * float(mass @ np.square(state.velocity).sum(axis=1)),
-        "kinetic_energy_rotational": 0.5 * float(inertia @ np.square(state.angular_velocity).sum(axis=1)),
+        "kinetic_energy_translational": 0.5 * float(np.vdot(mass * velocity, velocity)),
+        "kinetic_energy_rotational": 0.5 * float(np.vdot(inertia * spin, spin)),
     }
-    for prefix, touching in (("", ~touching_wall), ("wall_", touching_wall)):
-        overlap = state.history.overlap[touching]
+    for prefix, overlap in zip(("", "wall_"), overlaps, strict=True):
         figures[f"{prefix}overlap_mean"] = float(overlap.mean()) if len(overlap) else 0.0
         figures[f"{prefix}overlap_max"] = float(overlap.max(initial=0.0))
         figures[f"{prefix}contact_count"] = float(len(overlap))
@@ -69,28 +77,38 @@ def impact_warnings(
 
 
 class FrameRecord:
-    """Frames and diagnostics as they come."""
+    """Frames and diagnostics as they come, with room for so many and a failed one."""
 
-    def __init__(self, scene: Scene, radius: FloatArray) -> None:
-        self._scene, self._radius = scene, radius
-        self._frames: list[tuple[float, FloatArray, FloatArray, FloatArray]] = []
+    def __init__(self, scene: Scene, state: ParticleState, frames: int = 0) -> None:
+        self._scene, self._radius, self._inertias = scene, state.radius, inertias(scene, state)
+        self._moving = np.empty((3, frames + 1, state.count, 3))
         self._figures: list[dict[str, float]] = []
         self.time: list[float] = []
         self.peaks: list[Peaks] = []
 
-    def add(self, state: ParticleState, peaks: Peaks) -> None:
-        """A state, and the most of any contact in any step since the last frame (of the first, in its state alone)."""
-        self.time.append(state.time)
+    def room(self) -> Moving:
+        """Arrays for the next frame."""
+        return tuple(self._moving[:, len(self.time)])
+
+    def add(self, time: float, overlaps: tuple[FloatArray, FloatArray], peaks: Peaks) -> None:
+        """Takes what the room now holds as a frame, s, with the overlaps of its contacts, m.
+
+        Peaks are the most of any contact in any step since the last frame (of the first, in itself alone).
+        """
+        figures = contact_diagnostics(self._scene, self._inertias, self.room(), overlaps)
+        self.time.append(time)
         self.peaks.append(peaks)
-        self._frames.append((state.time, state.position, state.velocity, state.angular_velocity))
         names = ("overlap_peak", "wall_overlap_peak", "overlap_share_peak", "approach_peak")
-        self._figures.append(contact_diagnostics(self._scene, state) | dict(zip(names, peaks, strict=True)))
+        self._figures.append(figures | dict(zip(names, peaks, strict=True)))
 
     def trajectory(self, *failed: tuple[float, FloatArray, FloatArray, FloatArray]) -> Trajectory:
         """All frames, and a failed one that has no diagnostics."""
-        time, position, velocity, spin = map(np.array, zip(*self._frames, *failed, strict=True))
+        time = self.time.copy()
+        for when, *moving in failed:
+            self._moving[:, len(time)] = moving
+            time.append(when)
         diagnostics = {
             name: np.array([of[name] for of in self._figures] + [np.nan for _ in failed])
             for name in (self._figures or [{}])[0]
         }
-        return Trajectory(time, position, velocity, spin, self._radius, diagnostics=diagnostics)
+        return Trajectory(np.array(time), *self._moving[:, : len(time)], self._radius, diagnostics=diagnostics)

@@ -12,10 +12,11 @@ import math
 
 import numpy as np
 
+from gran_bench.dem.contact import dot
 from gran_bench.dem.outlet import taking_part
 from gran_bench.dem.time_step import NOMINAL_FALL
 from gran_bench.scene import Scene
-from gran_bench.state import ParticleState
+from gran_bench.state import FloatArray
 
 # Of a single sphere's speed to the bed's. At 0.03 m/s a sphere rises by 46 µm; what rolls that slowly in its cage on a
 # floor, without rolling friction, takes tens of seconds to stop.
@@ -36,18 +37,18 @@ class Rest:
         )  # of slowness, s
         self.look_interval = self.window / LOOKS  # longest time between two looks, s
 
-    def look(self, state: ParticleState) -> bool:
-        """Whether the bed has been slow for long enough, as often as it was looked at."""
-        inside = taking_part(self._scene, state.position)
-        speed = np.where(inside, np.linalg.norm(state.velocity, axis=1), 0.0)
+    def look(self, time: float, position: FloatArray, velocity: FloatArray) -> bool:
+        """Whether the bed, which is so at a time, s, has been slow for long enough, as often as it was looked at."""
+        inside = taking_part(self._scene, position)
+        speed = np.where(inside, np.sqrt(dot(velocity, velocity)), 0.0)
         self.speed = math.sqrt(float(np.square(speed).sum()) / max(1, np.count_nonzero(inside)))
         self._fastest, self._fastest_speed = int(speed.argmax()), float(speed.max())
         limit = self._scene.settled_speed
         if self.speed >= limit or self._fastest_speed >= LONE_SPHERE * limit:
             self._slow_since = math.inf
         else:
-            self._slow_since = min(self._slow_since, state.time)
-        return state.time - self._slow_since >= self.window * (1.0 - 1e-9)
+            self._slow_since = min(self._slow_since, time)
+        return time - self._slow_since >= self.window * (1.0 - 1e-9)
 
     def what_moves(self) -> str:
         """The last look in words, and what would help."""

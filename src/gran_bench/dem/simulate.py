@@ -23,7 +23,7 @@ from gran_bench.dem.rest import Rest
 from gran_bench.dem.time_step import choose_time_step, impact_speed, unresolved
 from gran_bench.progress import Progress
 from gran_bench.scene import Scene
-from gran_bench.state import ContactHistory, ParticleState, Trajectory
+from gran_bench.state import ParticleState, Trajectory
 
 ENGINES: dict[str, ModuleType] = {"numba": engine_numba, "numpy": engine_numpy}
 
@@ -81,23 +81,21 @@ def simulate(
         said += unresolved(scene, time_step, given, dem.allow_unsafe_step, smallest, closing)
     substeps, names = round(scene.frame_interval / time_step), ("position", "velocity", "angular_velocity", "radius")
     state = replace(state, **{name: np.array(getattr(state, name), np.float64) for name in names})
-    record = FrameRecord(scene, state.radius)
+    record = FrameRecord(scene, state, len(times) + 1)
     tuner = _tuner(scene, largest, state.count, dem)
     run = Run(ENGINES[dem.engine], state, scene, time_step, tuner, record)
-    state = replace(state, history=run.state().history)  # of the contacts that touch
-    record.add(state, run.take_peaks())
+    run.record_frame(state.time)
     started = clock.perf_counter()
     with _followed(progress, len(times) * substeps, "DEM") as follow:
         for time in times:
             run.advance(substeps)
             # The frame's clock, not the sum of its steps: a restart finds the same number.
-            state = replace(run.state(), time=time)
-            record.add(state, run.take_peaks())
+            run.record_frame(time)
             follow(substeps, time)
     run.check_escapes()
     return SimulationResult(
         trajectory=record.trajectory(),
-        final=run.continued(replace(state, history=_sorted_history(state.history))),
+        final=run.final(record.time[-1]),
         time_step=time_step,
         steps=len(times) * substeps,
         wall_seconds=clock.perf_counter() - started,
@@ -140,26 +138,26 @@ def settle(
     rest = Rest(still)
     substeps = min(steps_between_looks(still, time_step), max(1, round(rest.look_interval / time_step)))
     tuner = _tuner(still, filling.largest_radius, state.count, dem)
-    record = FrameRecord(still, state.radius)  # of no frames but one where it fails
+    record = FrameRecord(still, state)  # of no frames but one where it fails
     run, rests = Run(ENGINES[dem.engine], state, still, time_step, tuner, record), False
     with _followed(progress, None, "settling") as follow:
-        while state.count and (not rests or state.time < scene.start_time - 1e-7 * scene.frame_interval):
-            if not rests and state.time > scene.longest_settling:
+        while state.count and (not rests or run.time < scene.start_time - 1e-7 * scene.frame_interval):
+            if not rests and run.time > scene.longest_settling:
                 raise SimulationError(
                     f"the bed of {scene.name!r} is not at rest after {scene.longest_settling:.4g} s of settling: "
                     f"{rest.what_moves()}",
-                    record.trajectory((state.time, state.position, state.velocity, state.angular_velocity)),
+                    record.trajectory((run.time, *run.moving())),
                 )
             run.advance(substeps)
-            state = replace(run.state(), time=run.time)
-            rests = rest.look(state)
-            follow(substeps, state.time, f", speed {rest.speed:.2g} m/s")
+            rests = rest.look(run.time, *run.moving()[:2])
+            follow(substeps, run.time, f", speed {rest.speed:.2g} m/s")
+    state = run.state(run.time)
     check_initial_state(still, state, remedy=STIFFEN)
     for said in impact_warnings(
         still, filling.smallest_radius, time_step, impact_speed(scene), [run.time], [run.take_peaks()]
     ):
         warn(f"while the bed of {scene.name!r} settled: {said}")
-    return replace(state, time=scene.start_time, history=_sorted_history(state.history))
+    return replace(state, time=scene.start_time)
 
 
 def _tuner(scene: Scene, largest_radius: float, count: int, dem: DemConfig) -> Tuner:
@@ -184,11 +182,6 @@ def _frame_times(scene: Scene, start: float, end: float) -> list[float]:
     on_grid = abs(scene.start_time + passed * interval - start) < 1e-6 * interval
     first, passed = (scene.start_time, passed) if on_grid else (start, 0)
     return [first + (passed + k) * interval for k in range(1, round(exact) + 1)]
-
-
-def _sorted_history(history: ContactHistory) -> ContactHistory:
-    order = np.lexsort((history.second, history.first))
-    return ContactHistory(*(array[order] for array in vars(history).values()))
 
 
 @contextmanager

@@ -15,6 +15,7 @@ A row of a pose table is one wall at one instant, in SI and world coordinates:
 
 import numpy as np
 
+from gran_bench.dem.contact import cross, dot
 from gran_bench.scene import Motion, Plane, Rotation, Scene, Wall
 from gran_bench.scene.walls import any_normal_to, toward_segment, turns_into_itself
 from gran_bench.state import FloatArray
@@ -119,7 +120,7 @@ def wall_contact(pose: FloatArray, position: FloatArray) -> tuple[FloatArray, Fl
     if kind == PLANE:
         return along, np.broadcast_to(-direction, position.shape)
     radial = offset - np.outer(along, direction)
-    reach = np.linalg.norm(radial, axis=1)
+    reach = np.sqrt(dot(radial, radial))
     outward = np.divide(radial, reach[:, None], out=np.zeros_like(radial), where=reach[:, None] > 0)
     if kind == CYLINDER:
         return pose[7] - reach, outward
@@ -131,8 +132,9 @@ def wall_contact(pose: FloatArray, position: FloatArray) -> tuple[FloatArray, Fl
 
 
 def surface_velocity(pose: FloatArray, point: FloatArray) -> FloatArray:
-    """Velocity of a wall's material at points of it, v + ω × (x − c), ``(N, 3)`` m/s; ``pose`` is its row."""
-    return pose[VELOCITY] + np.cross(pose[SPIN], point - pose[REFERENCE])
+    """Velocity of walls' material at points of them, v + ω × (x − c), ``(N, 3)`` m/s; of a row for all, or for each."""
+    arm = point - pose[..., REFERENCE]
+    return pose[..., VELOCITY] + cross(np.broadcast_to(pose[..., SPIN], arm.shape), arm)
 
 
 def largest_excess(scene: Scene, poses: FloatArray, position: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from gran_bench.dem.engine_numpy import Stretch
 from gran_bench.dem.initial_checks import LARGEST_INITIAL_OVERLAP
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.outlet import part_of, taking_part
-from gran_bench.dem.record import contact_diagnostics
+from gran_bench.dem.record import contact_diagnostics, inertias
 from gran_bench.dem.walls import largest_excess, wall_poses
 from gran_bench.neighbors import nearest_image
 from gran_bench.scene import Scene
@@ -117,8 +117,9 @@ def import_arrays(
         part = part_of(state, inside)
         beyond[k] = (largest_excess(scene, poses[k], state.position) > radius) & inside
         with np.errstate(divide="ignore", invalid="ignore"):  # two centres in one place have no normal
-            history = Stretch(part, physics, 1.0, poses[k : k + 1]).state().history if part.count else part.history
-        figures.append(contact_diagnostics(scene, replace(state, history=history)))
+            overlaps = Stretch(part, physics, 1.0, poses[k : k + 1]).overlaps() if part.count else (np.zeros(0),) * 2
+        instant = state.position, state.velocity, state.angular_velocity
+        figures.append(contact_diagnostics(scene, inertias(scene, state), instant, overlaps))
     refuse(
         beyond,
         f"its centre outside the walls of scene {scene.name!r} by more than its radius; give the container of the data "

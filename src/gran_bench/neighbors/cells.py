@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from gran_bench.neighbors.kernel import LANES, clear_lowest, entry, kernel, lowest_lane, near_lanes
+from gran_bench.neighbors.kernel import LANES, WORD, clear_lowest, entry, kernel, lowest_lane, near_lanes
 from gran_bench.neighbors.tree import IndexArray, check_period, wrapped
 from gran_bench.state import FloatArray
 
@@ -43,8 +43,7 @@ def bin_cells(sphere: FloatArray, edge: float, period: float) -> tuple[IndexArra
     Raises:
         ValueError: a coordinate or a size that is not finite, or a reach of nothing.
     """
-    low = [float(sphere[:, axis].min()) for axis in range(3)]
-    high = [float(sphere[:, axis].max()) for axis in range(3)]
+    low, high = extremes(sphere).tolist()
     if period > 0.0:
         high[1] = low[1] + period  # one period holds all, wherever it starts
     span = [top - bottom for top, bottom in zip(high, low, strict=True)]
@@ -65,6 +64,20 @@ def bin_cells(sphere: FloatArray, edge: float, period: float) -> tuple[IndexArra
     start, cells = np.zeros(math.prod(cells) + 2, np.int64), np.array(cells)
     sort_into_cells(sphere, np.array(low), np.array(width), cells, period, cell_of, start, order)
     return order, start[:-1], cell_of, cells
+
+
+@entry
+def extremes(position):
+    """Lowest and highest coordinates, ``(2, 3)``, of ``(N, ≥ 3)``; NaN along an axis where one is not finite."""
+    # NumPy's reductions along short rows, or across them, take ten times as long.
+    found = np.empty((2, 3))
+    for k in range(3):
+        low, high, sound = np.inf, -np.inf, True
+        for i in range(len(position)):
+            sound &= position[i, k] - position[i, k] == 0.0
+            low, high = min(low, position[i, k]), max(high, position[i, k])
+        found[0, k], found[1, k] = (low, high) if sound else (np.nan, np.nan)
+    return found
 
 
 @entry
@@ -98,15 +111,20 @@ def list_pairs(
     Raises:
         ValueError: a coordinate or a size that is not finite, or a reach of nothing.
     """
-    count = len(sphere)
-    if count < 2:
+    binned, stop = bin_pairs(sphere, margin, period), len(sphere) if end < 0 else end
+    if binned is None:
         return np.empty(0, np.uint32), np.empty(0, np.uint32)
-    order, start, _, cells = bin_cells(sphere, 2.0 * float(sphere[:, 3].max()) + margin, period)
-    stop, ranked, runs = count if end < 0 else end, np.empty((4, count + LANES)), np.empty((2, 5), np.int64)
     return _filled(
-        np.uint32, 8 * count + 64,
-        lambda *lists: find_pairs(sphere, margin, period, begin, stop, order, start, cells, *ranked, runs, *lists),
-    )  # fmt: skip
+        np.uint32, 8 * len(sphere) + 64, lambda *lists: find_pairs(sphere, margin, period, begin, stop, *binned, *lists)
+    )
+
+
+def bin_pairs(sphere: FloatArray, margin: float, period: float) -> tuple[IndexArray, IndexArray, IndexArray] | None:
+    """Cells for :func:`find_pairs`: particles by rank, first rank of each cell, numbers of cells; or None: no pairs."""
+    if len(sphere) < 2:
+        return None
+    order, start, _, cells = bin_cells(sphere, 2.0 * float(sphere[:, 3].max()) + margin, period)
+    return order, start, cells
 
 
 def _filled(dtype: type, room: int, fill: Callable[..., int]) -> tuple[np.ndarray, np.ndarray]:
@@ -117,16 +135,12 @@ def _filled(dtype: type, room: int, fill: Callable[..., int]) -> tuple[np.ndarra
 
 
 @entry
-def find_pairs(sphere, margin, period, begin, stop, order, start, cells, x, y, z, r, runs, first, second):
-    """Fills ``first`` and ``second`` of :func:`list_pairs`; returns how many there are, or −1 where they do not fit.
-
-    ``x``, ``y``, ``z``, ``r`` and ``runs`` are scratch: ``(N + LANES,)`` each and ``(2, 5)``.
-    """
-    # In the order of the cells, so that what a cell may meet is a few runs of neighbours in memory, held against one
-    # particle in SIMD. The last lanes of a run may lie beyond the last particle.
-    for rank in range(len(x)):
-        i = order[min(rank, len(order) - 1)]
-        x[rank], y[rank], z[rank], r[rank] = sphere[i, 0], sphere[i, 1], sphere[i, 2], sphere[i, 3]
+def find_pairs(sphere, margin, period, begin, stop, order, start, cells, first, second):
+    """Fills ``first`` and ``second`` of :func:`list_pairs`; returns how many there are, or −1 where they do not fit."""
+    # What a cell may meet is copied side by side, once for all its particles, which are each held against it in SIMD.
+    shell, who = np.empty((4, len(order) + LANES)), np.empty(len(order) + LANES, np.int64)
+    x, y, z, r = shell[0], shell[1], shell[2], shell[3]
+    runs = np.empty((2, 5), np.int64)
     inverse_period = 1.0 / period if period > 0.0 else 0.0
     found, run_begin, run_end = 0, runs[0], runs[1]
     for cell in range(len(start) - 1):
@@ -138,22 +152,30 @@ def find_pairs(sphere, margin, period, begin, stop, order, start, cells, x, y, z
             continue
         if found + own * met >= len(first):
             return -1
-        for a in range(start[cell], start[cell + 1]):
-            i = order[a]
-            for run in range(5):
-                b = a + 1 if run == 0 else run_begin[run]
-                while b < run_end[run]:
-                    hits = near_lanes(x, y, z, r, b, x[a], y[a], z[a], r[a] + margin, period, inverse_period)
-                    while hits != 0:
-                        lane = b + lowest_lane(hits)
-                        if lane >= run_end[run]:
-                            break
-                        j = order[lane]
-                        low = min(i, j)
-                        first[found], second[found] = low, max(i, j)
-                        found += begin <= low < stop
-                        hits = clear_lowest(hits)
-                    b += LANES
+        place = 0
+        for run in range(5):
+            for rank in range(run_begin[run], run_end[run]):
+                i = order[rank]
+                x[place], y[place], z[place], r[place] = sphere[i, 0], sphere[i, 1], sphere[i, 2], sphere[i, 3]
+                who[place] = i
+                place += 1
+        x[place : place + LANES] = np.inf  # the last lanes are near nobody
+        for a in range(own):
+            i = who[a]
+            for b in range(a + 1, place, WORD):
+                hits = np.uint64(0)
+                for lane in range(0, min(WORD, place - b), LANES):
+                    if period > 0.0:
+                        near = near_lanes(x, y, z, r, b + lane, x[a], y[a], z[a], r[a] + margin, period, inverse_period)
+                    else:
+                        near = near_lanes(x, y, z, r, b + lane, x[a], y[a], z[a], r[a] + margin, None, None)
+                    hits |= near << np.uint64(lane)
+                while hits != 0:
+                    j = who[b + lowest_lane(hits)]
+                    low = min(i, j)
+                    first[found], second[found] = low, max(i, j)
+                    found += begin <= low < stop
+                    hits = clear_lowest(hits)
     return found
 
 

@@ -34,7 +34,7 @@ def cached(*rooms: Path, **options) -> Callable[[Callable], Callable]:
 # What Python calls, of the searches and of the fast engine; it lets other threads run meanwhile.
 entry = cached(*(Path(__file__).parents[1] / room for room in ("neighbors", "dem")), nogil=True)
 
-LANES = 8  # candidates that near_lanes holds against one particle
+LANES, WORD = 8, 64  # candidates that near_lanes holds against one particle, and bits of a uint64
 INT64, DOUBLE = ir.IntType(64), ir.DoubleType()
 
 
@@ -99,8 +99,7 @@ def emitted(result: types.Type | Callable[..., types.Type], emitter: type[Emitte
 def near_lanes(e, x, y, z, r, first, xa, ya, za, reach, period, inverse_period):
     """Bit k is set where ‖(x, y, z)[first + k] − (xa, ya, za)‖ < r[first + k] + reach, y to the nearest image.
 
-    The arrays are contiguous float64 with at least ``first + 8`` elements; a period of 0, and an inverse of 0 with it,
-    wraps nothing.
+    The arrays are contiguous float64 with at least ``first + 8`` elements; where the period is None, nothing wraps.
     """
     builder, begin = e.builder, e.cast(first)
     lanes = ir.VectorType(DOUBLE, LANES)
@@ -112,9 +111,11 @@ def near_lanes(e, x, y, z, r, first, xa, ya, za, reach, period, inverse_period):
         return e.spread(e.cast(number, types.float64), LANES)
 
     dx, dy, dz = (builder.fsub(lanes_of(a), all_lanes(b)) for a, b in ((x, xa), (y, ya), (z, za)))
-    rint = cgutils.get_or_insert_function(builder.module, ir.FunctionType(lanes, [lanes]), f"llvm.rint.v{LANES}f64")
-    images = builder.call(rint, [builder.fmul(dy, all_lanes(inverse_period))])
-    dy = builder.fsub(dy, builder.fmul(all_lanes(period), images))
+    if not isinstance(period.kind, types.NoneType):
+        name = f"llvm.rint.v{LANES}f64"
+        rint = cgutils.get_or_insert_function(builder.module, ir.FunctionType(lanes, [lanes]), name)
+        images = builder.call(rint, [builder.fmul(dy, all_lanes(inverse_period))])
+        dy = builder.fsub(dy, builder.fmul(all_lanes(period), images))
     closer = builder.fadd(lanes_of(r), all_lanes(reach))
     squared = builder.fadd(builder.fadd(builder.fmul(dx, dx), builder.fmul(dy, dy)), builder.fmul(dz, dz))
     near = builder.fcmp_ordered("<", squared, builder.fmul(closer, closer))

@@ -26,9 +26,11 @@ def tree_pairs(position: FloatArray, reach: float, period: float = 0.0) -> Index
     tree = cKDTree(wrapped(position, period), boxsize=(0.0, period, 0.0) if period else None)
     pairs = tree.query_pairs(reach, output_type="ndarray").astype(np.int64)
     # The tree counts a distance equal to the reach in; a neighbour list means closer.
-    offset = nearest_image(position[pairs[:, 1]] - position[pairs[:, 0]], period)
-    pairs = pairs[np.einsum("mk,mk->m", offset, offset) < reach**2]
-    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    first, second = pairs.T
+    offset = nearest_image(np.take(position, second, axis=0) - np.take(position, first, axis=0), period)
+    near = np.flatnonzero(np.einsum("mk,mk->m", offset, offset) < reach**2)
+    in_order = near[np.argsort((first * len(position) + second)[near])]
+    return np.take(pairs, in_order, axis=0)
 
 
 def nearest_image(offset: FloatArray, period: float) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 from gran_bench.dem.contact import PREDICTION_FADE
 from gran_bench.dem.fast.rows import BLOCK
 from gran_bench.dem.rolling import CONTACT_INERTIA
-from gran_bench.neighbors.kernel import kernel
+from gran_bench.neighbors.kernel import entry, kernel
 from gran_bench.state import FloatArray
 
 # Columns in groups of four, as rows.py moves them.
@@ -46,6 +46,13 @@ def block_buffer(buffer: FloatArray, radius: float, inverse_mass: float, law: Fl
     masses, effective_radius = (1.0 / (2.0 * inverse_mass), 2.0 * inverse_mass), radius * radius / (2.0 * radius)
     constants = np.array((2.0 * radius, 0.0, effective_radius, *masses, inertia, *law))
     buffer.reshape(-1, BLOCK)[REACH // BLOCK : ROLLING // BLOCK + 1] = constants[:, None]
+    return buffer
+
+
+def wall_buffer(buffer: FloatArray, radius: float, inverse_mass: float, law: FloatArray) -> FloatArray:
+    """The same for contacts of equal spheres with walls."""
+    constants = (radius, 1.0 / inverse_mass, inverse_mass, CONTACT_INERTIA * radius * radius / inverse_mass, *law)
+    buffer.reshape(-1, BLOCK)[RS // BLOCK : ROLLING // BLOCK + 1] = np.array(constants)[:, None]
     return buffer
 
 
@@ -226,17 +233,25 @@ def contact_laws(buffer, size, tangential, rolling, dt):
 
 
 @kernel
-def watch(buffer, size, length, times):
+def watch(buffer, size, length, times, unequal):
     """Keeps the largest overlaps and approaches; ``times`` what the column ``length`` has is the mean diameter."""
     for k in range(size):
         buffer[PEAK_OVERLAP + k] = max(buffer[PEAK_OVERLAP + k], buffer[DELTA + k])
-        buffer[PEAK_SHARE + k] = max(buffer[PEAK_SHARE + k], buffer[DELTA + k] / (times * buffer[length + k]))
         buffer[PEAK_APPROACH + k] = max(buffer[PEAK_APPROACH + k], buffer[APPROACH + k])
+    if unequal:
+        for k in range(size):
+            buffer[PEAK_SHARE + k] = max(buffer[PEAK_SHARE + k], buffer[DELTA + k] / (times * buffer[length + k]))
 
 
-def take_peaks(buffer: FloatArray) -> FloatArray:
-    """Largest overlap, m, its share of the mean diameter, and approach, m/s, ``(3,)``; from now on they count anew."""
-    lanes = buffer[PEAK_OVERLAP:].reshape(-1, BLOCK)
-    peaks = lanes.max(axis=1).astype(np.float64)
-    lanes[:] = 0.0
-    return peaks
+@entry
+def take_peaks(buffer, peaks, diameter):
+    """Brings to ``peaks``, ``(3,)``, the largest overlap, m, its share of the mean diameter, and approach, m/s.
+
+    From now on the buffer counts anew. A ``diameter``, m, is of equal spheres; where it is 0 the buffer has the share.
+    """
+    for k, first in enumerate((PEAK_OVERLAP, PEAK_SHARE, PEAK_APPROACH)):
+        for lane in range(first, first + BLOCK):
+            peaks[k] = max(peaks[k], float(buffer[lane]))
+            buffer[lane] = 0.0
+    if diameter > 0.0:
+        peaks[1] = max(peaks[1], peaks[0] / diameter)

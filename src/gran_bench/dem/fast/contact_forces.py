@@ -71,7 +71,7 @@ def pair_forces(
         if tangential:
             slip_spins(buffer, size, unequal, full_radius)
         contact_laws(buffer, size, tangential, rolling, dt)
-        watch(buffer, size, block.REACH, buffer.dtype.type(1.0))
+        watch(buffer, size, block.REACH, buffer.dtype.type(1.0), unequal)
         torques(buffer, size, unequal)
         for k in range(0, size, 4):
             q = rows.four_from(active, first + k)
@@ -92,7 +92,8 @@ def pair_forces(
 @kernel
 def wall_forces(
     sphere, velocity, spin, ahead, material, force, torque, wall_i, wall_w, memory, start, touched, remembered, active,
-    contacts, geometry, old_slot, slot, old_moment, moment, buffer, laws, walls, tangential, rolling, full_radius, dt,
+    contacts, geometry, old_slot, slot, old_moment, moment, buffer, laws, walls, tangential, rolling, unequal, several,
+    full_radius, dt,
 ):  # fmt: skip
     """As :func:`pair_forces` of the touching walls of a chunk, whose contacts with each wall begin at ``start``;
     ``geometry`` gets direction and distance of the touching ones.
@@ -142,13 +143,16 @@ def wall_forces(
             buffer[block.VX + k] -= walls[w, 11] + (w1 * cz - w2 * cy)
             buffer[block.VY + k] -= walls[w, 12] + (w2 * cx - w0 * cz)
             buffer[block.VZ + k] -= walls[w, 13] + (w0 * cy - w1 * cx)
-            buffer[block.DELTA + k], buffer[block.RS + k] = r - distance, r
+            buffer[block.DELTA + k] = r - distance
             buffer[block.ARM_1 + k] = r if full_radius else distance
-            buffer[block.MS + k], buffer[block.INVERSE_MS + k] = 1.0 / inverse_mass, inverse_mass
-            buffer[block.INERTIA + k] = CONTACT_INERTIA * r * r / inverse_mass
+            if unequal:
+                buffer[block.RS + k] = r
+                buffer[block.MS + k], buffer[block.INVERSE_MS + k] = 1.0 / inverse_mass, inverse_mass
+                buffer[block.INERTIA + k] = CONTACT_INERTIA * r * r / inverse_mass
             ax, ay, az = buffer[block.AX + k], buffer[block.AY + k], buffer[block.AZ + k]
             buffer[block.GAIN + k] = nx * ax + ny * ay + nz * az
-            fill_law(buffer, k, laws[material[i], w])
+            if several:
+                fill_law(buffer, k, laws[material[i], w])
             if rolling:
                 # What rolls on a turning wall rolls against the wall's own rotation.
                 buffer[block.PX + k] = buffer[block.WX + k] - w0
@@ -158,7 +162,7 @@ def wall_forces(
         if tangential:
             slip_spins(buffer, size, False, False)
         contact_laws(buffer, size, tangential, rolling, dt)
-        watch(buffer, filled, block.RS, buffer.dtype.type(2.0))  # the lanes beyond hold nothing
+        watch(buffer, filled, block.RS, buffer.dtype.type(2.0), unequal)  # the lanes beyond hold nothing
         torques(buffer, size, False)
         for k in range(0, size, 4):
             body, new = rows.four_of(wall_i, rows.four_from(active, first + k)), rows.four_on(first + k)

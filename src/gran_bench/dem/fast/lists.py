@@ -10,137 +10,182 @@ has the row of its pair's last touch, and the list of those that touched says wh
 where row r is not place q's, q remembers nothing.
 """
 
+from __future__ import annotations
+
 import math
 from collections import namedtuple
 
 import numpy as np
 
-from gran_bench.dem.fast.bodies import Bodies, Known
-from gran_bench.dem.fast.contact_blocks import BUFFER_SIZE, block_buffer
+from gran_bench.dem.fast.bodies import Bodies, Known, zeros
+from gran_bench.dem.fast.contact_blocks import BUFFER_SIZE, block_buffer, wall_buffer
 from gran_bench.dem.fast.rows import squared_gap
 from gran_bench.dem.fast.wall_list import list_wall_contacts
 from gran_bench.dem.integrate import Physics
 from gran_bench.dem.walls import PATH
-from gran_bench.neighbors import list_pairs
+from gran_bench.neighbors.cells import bin_pairs, find_pairs
 from gran_bench.neighbors.kernel import entry, kernel
-from gran_bench.state import FloatArray
 
-# σ, what the inner list reaches beyond touch as a share of the margins.
-INNER_SHARE = 0.2
+# σ, what the inner list reaches beyond touch as a share of the margins: so much, or as far as the fastest goes in some
+# steps; when less than the least is left of the margins, a search is cheaper.
+INNER_SHARE, INNER_STEPS, LEAST_SHARE = 0.2, 4.0, 0.12
 # Margin of what rests, as a share of the fastest's: a hit may set it in motion.
 LEAST_MARGIN = 0.2
+PAIRS_A_PARTICLE = 8  # for which there is room at first
 # Rows of a thread's inner list: place of each pair in the outer one, its particles, its row of history.
 NEAR, NEAR_I, NEAR_J, NEAR_MEMORY = range(4)
 _FIELDS = (
     "pair_i pair_j start memory slot moment wall_i wall_w wall_memory wall_start wall_slot wall_moment margin "
     "inverse_square searched_at pruned_at inner_list touching wall_touching geometry near_start buffer wall_buffer"
 )
+# What grows with the pairs and with the wall contacts.
+_PAIR_ROOM = ("slot", "moment", "pair_i", "pair_j", "memory", "inner_list", "touching")
+_WALL_ROOM = ("wall_slot", "wall_moment", "wall_touching", "geometry")
 
 
 class Lists(namedtuple("Lists", _FIELDS)):
     """Pairs and walls that a thread's spheres may touch, and what they remember, as `stretch.march` takes them.
 
+    All is room that searches fill again and again, for at least M pairs and walls.
+
     Attributes:
-        pair_i, pair_j, memory: ``(M,)`` pairs in the order of (first, second), first < second; row of history, or 0.
+        pair_i, pair_j, memory: ``(≥ M,)`` pairs in the order of (first, second), first < second; row of history, or 0.
         start: ``(n + 2,)`` place of the first pair of each of n firsts, and of the end of the last.
         slot, moment: ``(2, ≥ M + 5, 4)`` histories of even and odd evaluations: elastic tangential force and overlap,
-            rolling moment (one row where there is no rolling).
-        wall_i, wall_w, wall_memory: ``(≥ M + 1,)`` particle and wall, ``(M + 1,)`` row of history of each wall contact;
-            place 0 is spare.
+            rolling moment (one row where there is no rolling); row 0 is zero.
+        wall_i, wall_w, wall_memory: ``(n W + 2,)`` particle, wall and row of history of each wall contact; place 0 is
+            spare.
         wall_start: ``(chunks W + 1,)`` place of the first contact of each chunk and wall.
         wall_slot, wall_moment: as of the pairs.
         margin, inverse_square: ``(N,)`` how far each particle may move until new lists are needed, m, and 1/m².
-        searched_at, pruned_at: ``(N, 4)`` rows of the positions that the lists were made for, and room for others.
-        inner_list: ``(4, ≥ M + 2)`` room, but for place 0, which is the spare pair.
-        touching, wall_touching: ``(2, ≥ M + 5)`` room for the places of touching pairs and walls in even and odd
-            evaluations; those of walls that remember something are there.
-        geometry, near_start, buffer, wall_buffer: ``(≥ M + 5, 4)`` room, ``(chunks + 1,)`` ones, `block_buffer`.
+        searched_at, pruned_at: ``(N, 4)`` rows of the positions that the lists were made for.
+        inner_list: ``(4, ≥ M + 5)``; place 0 is the spare pair.
+        touching, wall_touching: ``(2, ≥ M + 5)`` places of touching pairs and walls in even and odd evaluations.
+        geometry, near_start, buffer, wall_buffer: ``(≥ M + 5, 4)``, ``(chunks + 1,)``, `block_buffer`.
     """
 
-    def known(self, half: int, pairs: int, walls: int) -> tuple[Known, Known]:
-        """What the even or the odd evaluation found touching, so many pairs and walls less one, and its memory."""
-        near, on_walls = self.touching[half, 1:pairs], self.wall_touching[half, 1:walls]
-        first, second = self.inner_list[NEAR_I][near], self.inner_list[NEAR_J][near]
-        particle, wall = self.wall_i[on_walls], self.wall_w[on_walls]
-        return (
-            Known(first.astype(np.int64), second.astype(np.int64), self.slot[half, 1:pairs],
-                  self.moment[half, 1:pairs]),
-            Known(particle.astype(np.int64), wall.astype(np.int64), self.wall_slot[half, 1:walls],
-                  self.wall_moment[half, 1:walls]),
+    @classmethod
+    def of(cls, bodies: Bodies, bounds: np.ndarray, chunk: int, stop: int, walls: int, physics: Physics) -> Lists:
+        """Room for the particles of ``chunk … stop − 1`` and so many walls, and nothing in it."""
+        count, own, rolling = len(bodies.sphere) - 2, int(bounds[stop] - bounds[chunk]), physics.rolling
+        rows, wall_rows = PAIRS_A_PARTICLE * own + 64, own + 64
+        slots = [zeros(2, n, 4) for n in (rows, rows if rolling else 1, wall_rows, wall_rows if rolling else 1)]
+        spare = np.array((0, count, count + 1, 0), np.uint32)
+        inner_list = np.repeat(spare[:, None], rows, axis=1)
+        buffers = zeros(2, BUFFER_SIZE, dtype=np.float32 if physics.single_precision else np.float64)
+        (radius, inverse_mass), law = (bodies.sphere[0, 3], bodies.velocity[0, 3]), physics.pair_laws[0, 0]
+        block_buffer(buffers[0], radius, inverse_mass, law)
+        wall_buffer(buffers[1], radius, inverse_mass, physics.wall_laws[0, 0] if walls else law)
+        return cls(
+            *np.empty((2, rows), np.uint32), np.empty(own + 2, np.uint32), np.empty(rows, np.uint32), *slots[:2],
+            *np.empty((3, own * walls + 2), np.uint32), np.empty((stop - chunk) * walls + 1, np.int64), *slots[2:],
+            *np.empty((2, count)), *zeros(2, count, 4), inner_list, np.empty((2, rows), np.uint32),
+            np.empty((2, wall_rows), np.uint32), np.empty((wall_rows, 4)), np.ones(stop - chunk + 1, np.int64),
+            *buffers,
         )  # fmt: skip
+
+    def with_room(self, pairs: int, walls: int) -> Lists:
+        """The lists with room for so many pairs and wall contacts, and what is in them now."""
+        grown = {}
+        for wanted, names in ((pairs, _PAIR_ROOM), (walls, _WALL_ROOM)):
+            have, wanted = getattr(self, names[0]).shape[1], wanted + 5  # row 0; lanes of a block that is not full
+            if have < wanted:
+                rooms = {name: getattr(self, name) for name in names}
+                grown |= {name: _longer(room, have, wanted) for name, room in rooms.items() if have in room.shape}
+        return self._replace(**grown) if grown else self
+
+    def remember(self, known: tuple[Known, Known], evaluation: int) -> Lists:
+        """The lists with what was found touching in an evaluation in rows 1, 2, … of its histories."""
+        lists = self.with_room(*(len(contacts.first) for contacts in known))
+        for contacts, slot, moment in zip(
+            known, (lists.slot, lists.wall_slot), (lists.moment, lists.wall_moment), strict=True
+        ):
+            slot[evaluation % 2, 1 : len(contacts.slot) + 1] = contacts.slot
+            moment[evaluation % 2, 1 : len(contacts.moment) + 1] = contacts.moment
+        return lists
+
+    def touched(self, evaluation: int, pairs: int, walls: int) -> tuple[np.ndarray, np.ndarray]:
+        """First and second particle, ``(2, C)``, of what an evaluation found touching, and particle and wall."""
+        near, on_walls = self.touching[evaluation % 2, 1:pairs], self.wall_touching[evaluation % 2, 1:walls]
+        return (
+            listed_at(near, self.inner_list[NEAR_I], self.inner_list[NEAR_J]),
+            listed_at(on_walls, self.wall_i, self.wall_w),
+        )
+
+
+def _longer(array: np.ndarray, length: int, wanted: int) -> np.ndarray:
+    """A copy whose axis of a length has another one."""
+    axis = array.shape.index(length)
+    longer = zeros(*array.shape[:axis], wanted, *array.shape[axis + 1 :], dtype=array.dtype)
+    longer[(slice(None),) * axis + (slice(length),)] = array
+    return longer
 
 
 def search(
-    bodies: Bodies, bounds: np.ndarray, chunk: int, stop: int, walls: np.ndarray, row: int, last: int,
-    physics: Physics, known: tuple[Known, Known],
+    lists: Lists, bodies: Bodies, bounds: np.ndarray, chunk: int, stop: int, walls: np.ndarray, row: int, last: int,
+    physics: Physics, known: tuple[np.ndarray, np.ndarray],
 ) -> Lists:  # fmt: skip
     """The lists at ``row`` of the poses for ``chunk … stop − 1``; ``known`` touched in evaluation ``last``."""
-    sphere, velocity, rolling = bodies.sphere, bodies.velocity, physics.rolling
-    count, begin, end = len(sphere) - 2, int(bounds[chunk]), int(bounds[stop])
-    pairs, on_walls = known
+    sphere, begin, end = bodies.sphere, int(bounds[chunk]), int(bounds[stop])
+    count, period = len(sphere) - 2, physics.period
     # All threads come here between the same two steps, so they find the same margins.
-    margin, inverse_square, reaching = with_margins(sphere, velocity, physics.skin)
-    first, second = list_pairs(reaching, 0.0, physics.period, begin, end)
-    pair_i, pair_j, start, memory = sorted_pairs(first, second, begin, end, count, pairs.first, pairs.second)
+    reaching, margin = lists.pruned_at, lists.margin
+    set_margins(sphere, bodies.velocity, physics.skin, margin, lists.inverse_square, lists.searched_at, reaching)
+    binned = bin_pairs(reaching, 0.0, period)
+    while True:
+        # Until it is made, the inner list is room for the pairs as they are found; its place 0 is kept.
+        by_second, first, second = lists.inner_list[:3, 1:-4]
+        found = find_pairs(reaching, 0.0, period, begin, end, *binned, first, second) if binned else 0
+        if found >= 0:
+            break
+        lists = lists.with_room(2 * len(first), 0)
+    sort_pairs(first[:found], second[:found], by_second, begin, count, *known[0], *lists[:4])
     paths = walls[row + 1 :, :, PATH].sum(axis=0)
-    wall_i, wall_w, wall_memory, wall_start = list_wall_contacts(
-        sphere, bounds, chunk, stop, walls[row], paths, margin, on_walls.first, on_walls.second
-    )
-    slot, moment = _history(pairs, len(pair_i), last, rolling)
-    wall_slot, wall_moment = _history(on_walls, len(wall_memory), last, rolling)
-    inner, wall_touching = np.empty((4, slot.shape[1]), np.uint32), np.empty((2, wall_slot.shape[1]), np.uint32)
-    inner[:, 0] = 0, count, count + 1, 0
-    wall_touching[last % 2, wall_memory] = np.arange(len(wall_memory))
-    buffers = zeros(2, BUFFER_SIZE, dtype=np.float32 if physics.single_precision else np.float64)
-    return Lists(
-        pair_i, pair_j, start, memory, slot, moment, wall_i, wall_w, wall_memory, wall_start, wall_slot, wall_moment,
-        margin, inverse_square, sphere.copy(), np.empty_like(sphere), inner, np.empty((2, slot.shape[1]), np.uint32),
-        wall_touching, zeros(wall_slot.shape[1], 4), np.ones(stop - chunk + 1, np.int64),
-        *(block_buffer(buffer, sphere[0, 3], velocity[0, 3], physics.pair_laws[0, 0]) for buffer in buffers),
+    on_walls = list_wall_contacts(
+        sphere, bounds, chunk, stop, walls[row], paths, margin, *known[1], lists.wall_i, lists.wall_w,
+        lists.wall_memory, lists.wall_start, lists.wall_touching[last % 2],
     )  # fmt: skip
-
-
-def _history(known: Known, contacts: int, evaluation: int, rolling: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Room for the histories of so many contacts; in the room of ``evaluation`` rows 1, 2, … are the known ones."""
-    rows = max(contacts, len(known.first)) + 5  # row 0, and three lanes of a block that is not full
-    slot, moment = np.empty((2, rows, 4)), np.empty((2, rows if rolling else 1, 4))
-    for room, remembered in ((slot, known.slot), (moment, known.moment)):
-        room[:, 0] = 0.0
-        room[evaluation % 2, 1 : len(remembered) + 1] = remembered
-    return slot, moment
-
-
-def zeros(*shape: int, dtype: type = np.float64) -> np.ndarray:
-    """Zeros from the beginning of a cache line on: rows and columns that cross lines take a tenth longer."""
-    size, line = math.prod(shape) * np.dtype(dtype).itemsize, 64
-    room = np.zeros(size + line, np.uint8)
-    skipped = -room.__array_interface__["data"][0] % line
-    return room[skipped : skipped + size].view(dtype).reshape(shape)
-
-
-def with_margins(sphere: FloatArray, velocity: FloatArray, skin: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """``(N,)`` displacements m that lists have room for, half the skin for the fastest particle, less for slower ones;
-    ``(N,)`` 1/m²; ``(N, 4)`` x, y, z and radius with margin, m.
-    """
-    speed = np.sqrt(np.einsum("nk,nk->n", velocity[:-2, :3], velocity[:-2, :3]))
-    share = speed / speed.max() if speed.any() else 1.0 + speed
-    margin = 0.5 * skin * (LEAST_MARGIN + (1.0 - LEAST_MARGIN) * share)
-    reaching = sphere[:-2].copy()
-    reaching[:, 3] += margin
-    return margin, 1.0 / (margin * margin), reaching
+    return lists.with_room(0, on_walls)
 
 
 @entry
-def sorted_pairs(first, second, begin, end, count, known_first, known_second):
+def listed_at(places, first, second):
+    """``(2, C)`` of what a list has at some places."""
+    found = np.empty((2, len(places)), np.int64)
+    for c in range(len(places)):
+        found[0, c], found[1, c] = first[places[c]], second[places[c]]
+    return found
+
+
+@entry
+def set_margins(sphere, velocity, skin, margin, inverse_square, searched_at, reaching):
+    """``(N,)`` displacements m that lists have room for, half the skin for the fastest particle, less for slower ones;
+    ``(N,)`` 1/m²; ``(N, 4)`` rows, and rows with the margin added to the radius, m.
+    """
+    fastest = 0.0
+    for i in range(len(margin)):
+        margin[i] = math.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2 + velocity[i, 2] ** 2)
+        fastest = max(fastest, margin[i])
+    for i in range(len(margin)):
+        share = margin[i] / fastest if fastest > 0.0 else 1.0
+        margin[i] = 0.5 * skin * (LEAST_MARGIN + (1.0 - LEAST_MARGIN) * share)
+        inverse_square[i] = 1.0 / (margin[i] * margin[i])
+        for k in range(4):
+            searched_at[i, k] = reaching[i, k] = sphere[i, k]
+        reaching[i, 3] += margin[i]
+
+
+@entry
+def sort_pairs(first, second, by_second, begin, count, known_first, known_second, pair_i, pair_j, start, memory):
     """Pairs in the order of (first, second), and which row of history is whose: ``pair_i … memory`` of `Lists`.
 
-    A counting sort by second, then one by first, which keeps the order among equals. Firsts are in ``begin … end − 1``,
-    seconds below ``count``; the known pairs touch, and their rows are 1 … C.
+    A counting sort by second, then one by first, which keeps the order among equals. Firsts are in ``begin …``, as many
+    as ``start`` has places for, seconds below ``count``; the known pairs touch, and their rows are 1 … C.
     """
     pairs = len(first)
-    by_second, pair_i, pair_j = np.empty(pairs, np.uint32), np.empty(pairs, np.uint32), np.empty(pairs, np.uint32)
-    memory, start = np.zeros(pairs, np.uint32), np.zeros(end - begin + 2, np.uint32)
     of_second = np.zeros(count - begin + 1, np.uint32)  # place of the next pair of each second
+    start[:] = 0
+    memory[:pairs] = 0
     for p in range(pairs):
         of_second[second[p] - begin + 1] += 1
         start[first[p] - begin + 2] += 1  # shifted by one, so that filling it leaves it where it should be
@@ -159,11 +204,10 @@ def sorted_pairs(first, second, begin, end, count, known_first, known_second):
         start[row] += 1
     for c in range(len(known_first)):
         row = known_first[c] - begin
-        if 0 <= row < end - begin:
+        if 0 <= row < len(start) - 2:
             for p in range(start[row], start[row + 1]):
                 if pair_j[p] == known_second[c]:
                     memory[p] = c + 1
-    return pair_i, pair_j, start, memory
 
 
 @kernel

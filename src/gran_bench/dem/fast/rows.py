@@ -201,6 +201,15 @@ def _kick(e, body, load, i, gravity, closing, opening) -> ir.Value:
 
 
 @emitted(types.void, _Rows)
+def drift_row(e, sphere, velocity, i, dt):
+    """sphere[i] += dt × velocity[i], but for the radius."""
+    times = e.builder.insert_element(
+        e.spread(dt.value, _LANES), ir.Constant(DOUBLE, 0.0), ir.Constant(ir.IntType(32), 3)
+    )
+    e.add(e.builder.fmul(times, e.load(e.row(velocity, i), _LANES)), e.row(sphere, i))
+
+
+@emitted(types.void, _Rows)
 def move_row(e, source, target, i):
     """target[i] += source[i]; source[i] = 0."""
     origin = e.row(source, i)

@@ -13,12 +13,12 @@ import numpy as np
 from gran_bench.dem.fast import lists
 from gran_bench.dem.fast.barrier import meet
 from gran_bench.dem.fast.contact_forces import pair_forces, wall_forces
-from gran_bench.dem.fast.rows import kick_row, move_row, twist_row
+from gran_bench.dem.fast.rows import drift_row, kick_row, move_row, twist_row
 from gran_bench.neighbors.kernel import entry, kernel
 
-# What threads tell each other. The last is a thread's own: how far the fastest went, in margins, since its inner list
-# was made; infinite where its lists are new.
-PACE, CULPRIT, SINCE_PRUNING, SINCE_SEARCH, TRAVELLED = range(5)
+# What threads tell each other. The last are a thread's own: how far the fastest went, in margins, since its inner list
+# was made, infinite where its lists are new; how far the inner list reaches; and how far the fastest went in a step.
+PACE, CULPRIT, SINCE_PRUNING, SINCE_SEARCH, TRAVELLED, SHARE, STRIDE = range(7)
 # A thread's progress: the steps that the positions are at, at which to pause, of the first pose, whether the
 # forces are still to come, whether the velocities are of a whole step, and one more than the pairs and the walls that
 # the last evaluation found touching.
@@ -33,7 +33,7 @@ def march(
     pair_i, pair_j, start, memory, slot, moment, wall_i, wall_w, wall_memory, wall_start, wall_slot, wall_moment,
     margin, inverse_square, searched_at, pruned_at, inner_list, touching, wall_touching, geometry, near_start,
     buffer, wall_buffer, pair_laws, wall_laws, walls, gravity, period, dt, fastest_allowed, tangential, rolling,
-    unequal, full_radius,
+    unequal, several, full_radius,
 ):  # fmt: skip
     """One thread's share of the steps, until the next lists are needed or it is to pause.
 
@@ -42,29 +42,29 @@ def march(
 
     Args:
         bounds, reach: ``(C + 1,)`` first particle of each chunk; ``(C,)`` end of what its pairs touch.
-        told, progress: ``(threads, ≥ 5)`` and ``(7,)``, see above.
+        told, progress: ``(threads, ≥ 7)`` and ``(7,)``, see above.
         sphere, …, material; pair_i, …, wall_buffer: of `Bodies`, which hold the state at the end; of `Lists`.
         force, torque: ``(C, N + 2, 4)`` zeros where forces are due; else a chunk's rows hold those of its particles.
         walls, fastest_allowed: ``(≥ steps + 1, W, 22)`` poses; m²/s², beyond which a particle diverges.
         tangential, …, full_radius: what is needed, as in :func:`contact_forces.pair_forces`.
     """
-    several = len(pair_laws) > 1
     chunk, stop = thread * (len(bounds) - 1) // threads, (thread + 1) * (len(bounds) - 1) // threads
     begin, end = bounds[chunk], bounds[stop]
     near_i, near_j, near_memory = inner_list[lists.NEAR_I], inner_list[lists.NEAR_J], inner_list[lists.NEAR_MEMORY]
-    step, travelled = progress[STEP], told[thread, TRAVELLED]
-    remembered, walls_remembered, pairs = progress[PAIRS], progress[WALLS], progress[PAIRS]
-    if travelled == np.inf:
-        # What the lists brought may lie in any row.
-        remembered, walls_remembered, pairs = np.int64(slot.shape[1]), np.int64(wall_slot.shape[1]), np.int64(1)
+    step, travelled, left = progress[STEP], told[thread, TRAVELLED], 1.0
+    share, stride = told[thread, SHARE], told[thread, STRIDE]
+    remembered, walls_remembered = progress[PAIRS], progress[WALLS]
+    # New lists know themselves which row is whose; places in the inner list were of the last ones.
+    pairs = np.int64(1) if travelled == np.inf else progress[PAIRS]
     while True:
         if progress[DUE]:
             old, new = (step - 1) % 2, step % 2
-            if travelled > lists.INNER_SHARE:
+            if travelled > share:
                 # Only before an evaluation: what the outer list knows of histories lasts for one inner list.
+                share = min(left, max(lists.INNER_SHARE, lists.INNER_STEPS * stride))
                 _prune_chunks(
-                    sphere, margin, pruned_at, bounds, reach, chunk, stop, start, pair_i, pair_j, memory, inner_list,
-                    near_start, touching[old], pairs, period,
+                    sphere, margin, share, pruned_at, bounds, reach, chunk, stop, start, pair_i, pair_j, memory,
+                    inner_list, near_start, touching[old], pairs, period,
                 )  # fmt: skip
                 travelled = 0.0
             span = 0.0 if step == 0 else dt
@@ -81,14 +81,15 @@ def march(
                     wall_start[(c - chunk) * len(walls[0]) :], wall_touching[old], walls_remembered,
                     wall_touching[new], wall_contacts, geometry,
                     wall_slot[old], wall_slot[new], wall_moment[old], wall_moment[new],
-                    wall_buffer, wall_laws, walls[step - progress[FIRST_POSE]], tangential, rolling, full_radius, span,
+                    wall_buffer, wall_laws, walls[step - progress[FIRST_POSE]], tangential, rolling, unequal, several,
+                    full_radius, span,
                 )  # fmt: skip
             remembered, walls_remembered = pairs, wall_contacts
             progress[PAIRS], progress[WALLS], progress[DUE] = pairs, wall_contacts, 0
             meet(gate, threads)
             _take_over(force, torque, bounds, reach, chunk, stop, tangential)
         if step == progress[PAUSE]:
-            told[thread, TRAVELLED] = travelled
+            told[thread, TRAVELLED], told[thread, SHARE], told[thread, STRIDE] = travelled, share, stride
             return np.int64(PAUSED)
         told[thread, PACE], told[thread, CULPRIT] = kick(
             velocity, spin, ahead, force, torque, inverse_square, bounds, chunk, stop, gravity,
@@ -112,24 +113,26 @@ def march(
         progress[STEP], progress[DUE] = step, 1
         # The path of whoever is fastest for its margin bounds all displacements at no cost; only when it leaves the
         # reach of the inner list are the true displacements looked at.
-        travelled += dt * math.sqrt(pace)
-        if travelled > lists.INNER_SHARE:
+        stride = dt * math.sqrt(pace)
+        travelled += stride
+        if travelled > share:
             told[thread, SINCE_PRUNING] = travelled
             if travelled < np.inf:
                 told[thread, SINCE_PRUNING] = lists.largest_displacement(sphere, pruned_at, inverse_square, begin, end)
             told[thread, SINCE_SEARCH] = lists.largest_displacement(sphere, searched_at, inverse_square, begin, end)
             meet(gate, threads)
-            travelled, since_search = 0.0, 0.0
+            travelled, left = 0.0, 1.0
             for other in range(threads):
                 travelled = max(travelled, told[other, SINCE_PRUNING])
-                since_search = max(since_search, told[other, SINCE_SEARCH])
-            if travelled > lists.INNER_SHARE and since_search > 1.0 - lists.INNER_SHARE:
+                left = min(left, 1.0 - told[other, SINCE_SEARCH])
+            if travelled > share and left < max(lists.LEAST_SHARE, 2.0 * stride):
+                told[thread, SHARE], told[thread, STRIDE] = share, stride
                 return np.int64(SEARCH)
 
 
 @kernel
 def _prune_chunks(
-    sphere, margin, pruned_at, bounds, reach, chunk, stop, start, pair_i, pair_j, memory, inner_list, near_start,
+    sphere, margin, share, pruned_at, bounds, reach, chunk, stop, start, pair_i, pair_j, memory, inner_list, near_start,
     touched, rows, period,
 ):  # fmt: skip
     """Makes the inner list of chunks anew; ``touched``, whose rows end at ``rows``, has its places before and after."""
@@ -142,7 +145,7 @@ def _prune_chunks(
     for i in range(begin, len(margin)):
         for k in range(3):
             pruned_at[i, k] = sphere[i, k]
-        pruned_at[i, 3] = sphere[i, 3] + lists.INNER_SHARE * margin[i]
+        pruned_at[i, 3] = sphere[i, 3] + share * margin[i]
     for c in range(chunk, stop):
         low, high = np.int64(start[bounds[c] - begin]), np.int64(start[bounds[c + 1] - begin])
         first, furthest = near_start[c - chunk], bounds[c + 1]
@@ -154,7 +157,7 @@ def _prune_chunks(
         near_start[c - chunk + 1], reach[c] = last, furthest
     for q in range(1, near_start[stop - chunk]):
         touched[near_memory[q]] = q
-    memory[:] = 0  # also of pairs that touched and are out of reach: they forget
+    memory[: np.int64(start[bounds[stop] - begin])] = 0  # also of pairs that touched and are out of reach: they forget
 
 
 @kernel
@@ -195,6 +198,4 @@ def kick(
 @kernel
 def _drift(sphere, velocity, begin, end, dt):
     for i in range(begin, end):
-        sphere[i, 0] += dt * velocity[i, 0]
-        sphere[i, 1] += dt * velocity[i, 1]
-        sphere[i, 2] += dt * velocity[i, 2]
+        drift_row(sphere, velocity, i, dt)

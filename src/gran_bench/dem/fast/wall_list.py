@@ -59,28 +59,29 @@ def _any_normal_to(ax, ay, az):
 
 
 @entry
-def list_wall_contacts(sphere, bounds, chunk, stop, walls, paths, margin, known_first, known_wall):
+def list_wall_contacts(
+    sphere, bounds, chunk, stop, walls, paths, margin, known_first, known_wall, wall_i, wall_w, memory, start, touched
+):
     """Particles of ``chunk … stop − 1`` and walls that may touch in the rest of a stretch: ``wall_i …`` of `Lists`.
 
     Walls go ``paths``, ``(W,)`` m, in the rest of the stretch, and no particle further than ``margin``, ``(N,)`` m. The
-    known particles and walls touch; their rows of history are 1 … C. The spare body N is at place 0, at the first wall.
+    known particles and walls touch; their rows of history are 1 … C, and ``touched`` gets the place of each. The spare
+    body N is at place 0, at the first wall. Returns the number of places.
     """
     begin, end, count = bounds[chunk], bounds[stop], len(walls)
     known = np.zeros((end - begin, count), np.uint32)
     for c in range(len(known_first)):
         if begin <= known_first[c] < end and known_wall[c] < count:
             known[known_first[c] - begin, known_wall[c]] = c + 1
-    room = (end - begin) * count + 2
-    wall_i, wall_w, memory = np.empty(room, np.uint32), np.empty(room, np.uint32), np.empty(room, np.uint32)
     wall_i[0], wall_w[0], memory[0] = len(sphere) - 2, 0, 0
-    start = np.ones((stop - chunk) * count + 1, np.int64)
-    found = 1
+    start[0] = found = 1
     for c in range(chunk, stop):
         for w in range(count):
             shape = shape_of(walls, w)
             for i in range(bounds[c], bounds[c + 1]):
                 wall_i[found], wall_w[found], memory[found] = i, w, known[i - begin, w]
                 distance = toward_wall(shape, sphere[i, 0], sphere[i, 1], sphere[i, 2])[0]
+                touched[memory[found]] = found
                 found += distance - sphere[i, 3] < margin[i] + paths[w]
             start[(c - chunk) * count + w + 1] = found
-    return wall_i, wall_w, memory[:found], start
+    return found
