@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 
 from gran_bench.benchmark.command import model_files
-from gran_bench.benchmark.contest import Contest, largest_allowed_step, why_unfit
+from gran_bench.benchmark.contest import Contest, why_unfit
 from gran_bench.compose import checked_config, compose
 from gran_bench.config import BenchmarkConfig
 from gran_bench.config.rules import ConfigError
-from gran_bench.dem.time_step import TimeStepError, choose_time_step
+from gran_bench.dem.time_step import TimeStepError, choose_time_step, largest_allowed_step
 from gran_bench.shipped import shipped_model, shipped_scene
 from gran_bench.surrogate.checkpoint import load_card
 

@@ -7,7 +7,7 @@ import numpy as np
 from gran_bench.config.registry import METRICS
 from gran_bench.config.rules import ConfigError, check_arguments
 from gran_bench.metrics.angle_of_repose import SurfaceAngle
-from gran_bench.metrics.bed import overlap_series
+from gran_bench.metrics.bed import overlap_series, sphere_masses
 from gran_bench.metrics.measured import Measured, Series, within
 from gran_bench.metrics.outside import FailureCount, count_failures
 from gran_bench.metrics.speeds import depth_profile, sorted_frames, speeds, velocities
@@ -33,6 +33,7 @@ class TrajectorySummary:
     layer_velocity: FloatArray  # (K,) m/s, the same of the velocity along the surface, positive uphill
     steady_undefined_because: str  # why there is no steady part; empty where there is one
     diameter: float  # d, m
+    volume: float  # of all spheres, m³
     period: float  # of the y axis, m
     position: FloatArray | None = None  # (F, N, 3) m; None for statistics without particles
     failures: FailureCount | None = None  # None for statistics without particles
@@ -78,6 +79,7 @@ def summarise(trajectory: Trajectory, scene: Scene, velocity_kind: str | None = 
         layer_velocity=layers[1],
         steady_undefined_because=why_not_steady,
         diameter=scene.filling.diameter,
+        volume=float(sphere_masses(trajectory.radius, 1.0).sum()),
         period=scene.period,
         position=run.position,
         failures=count_failures(trajectory, scene),

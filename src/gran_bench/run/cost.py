@@ -81,13 +81,12 @@ def makespan(durations: Iterable[float], lanes: int) -> float:
 
 def flow_cost(scene: Scene, dem: DemConfig) -> Cost:
     """What flows: spheres, filling, step and why that one; it takes nothing yet."""
-    filling, step = scene.filling, choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)[0]
-    size = " to ".join(dict.fromkeys(f"{2e3 * r:.3g}" for r in (filling.smallest_radius, filling.largest_radius)))
+    step = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)[0]
     share, (largest, why) = filled_share(scene), step_bound(scene)
     filled = f", {100 * share:.0f} % of the room by volume" * (share > 0)
     why = f"the automatic step, {why}" if dem.time_step is None else f"dem.time_step; {largest:.3g} s, {why}, is safe"
     of_a_frame = f"{round(scene.frame_interval / step)} for a frame of {scene.frame_interval:g} s"
-    lines = [f"scene {scene.name}: {filling.count} spheres of {size} mm{filled}; {scene.needs}"]
+    lines = [f"scene {scene.name}: {scene.spheres}{filled}; {scene.needs}"]
     lines += [f"step: {step:.3g} s, {of_a_frame}: {why}"]
     return Cost(lines, cheaper=softer(scene) if dem.time_step is None else [])
 
