@@ -18,6 +18,9 @@ from gran_bench.scene.motion import RADIANS_PER_SECOND_PER_RPM, Motion, Rotation
 from gran_bench.scene.walls import SAME_POINT, Outlet, Plane, Wall, surfaces, travels
 from gran_bench.state import FloatArray, ParticleState
 
+# Spacings of the first lattice, in diameters, that coarse spheres are given where the scene's own does not fit.
+CLOSER = (1.08, 1.05, 1.02)
+
 
 @dataclass(frozen=True)
 class Needs:
@@ -263,16 +266,24 @@ class Scene:
             SceneError: spheres that are placed, or too few that are left.
         """
         with scene_errors():
-            factor = checked_value(float, at_least(1), factor, "coarse_graining")
+            factor = checked_value(float, at_least(1), factor, "scene.coarse_graining")
             check_coarse_graining(factor, self.fine.filling)
         fine, given = self.fine, {"friction": friction, "rolling_friction": rolling_friction}
-        filling = replace(
-            fine.filling, count=round(fine.filling.count / factor**3), diameter=factor * fine.filling.diameter
-        )
+        count, diameter = round(fine.filling.count / factor**3), factor * fine.filling.diameter
         material = replace(fine.material, **{name: value for name, value in given.items() if value is not None})
         wall = material if fine.wall_material == fine.material else fine.wall_material
         spheres = FineSpheres(fine.filling, fine.material, fine.wall_material)
-        return replace(fine, filling=filling, material=material, wall_material=wall, fine_spheres=spheres)
+        # Few large spheres fit a container less well, and the first lattice says nothing of the bed.
+        for spacing in (fine.filling.lattice_spacing, *CLOSER):
+            jitter = min(fine.filling.jitter, 0.5 * (spacing - 1.0))
+            filling = replace(fine.filling, count=count, diameter=diameter, lattice_spacing=spacing, jitter=jitter)
+            coarse = replace(fine, filling=filling, material=material, wall_material=wall, fine_spheres=spheres)
+            if (room := len(coarse._sites())) >= count:
+                return coarse
+        raise SceneError(
+            f"scene.coarse_graining={factor:g} leaves {count} spheres of {diameter:g} m, and the first lattice of this "
+            f"container has room for {room}; choose less"
+        )
 
     def at_speed(self, speed_rpm: float) -> Scene:
         """The same scene turning at one constant speed from ``start_time`` on.
@@ -305,16 +316,19 @@ class Scene:
         velocity = velocity + filling.expansion * position
         return ParticleState(position, velocity, spin, np.array(radius), material=filling.materials(rng))
 
-    def _on_lattice(self, rng: np.random.Generator) -> FloatArray:
+    def _sites(self) -> FloatArray:
+        """Of the first lattice, ``(S, 3)`` m."""
         filling = self.filling
         if self.drum_radius is not None and self.length is not None:
-            sites = drum_sites(filling, self.drum_radius, self.length, self.periodic_axis)
-        elif self.room is not None:
-            sites = room_sites(filling, self.room)
-        elif self.walls:
+            return drum_sites(filling, self.drum_radius, self.length, self.periodic_axis)
+        if self.room is not None:
+            return room_sites(filling, self.room)
+        if self.walls:
             raise SceneError(f"scene {self.name!r} has no container to fill; give a state or scene.filling.positions")
-        else:
-            sites = open_sites(filling)
+        return open_sites(filling)
+
+    def _on_lattice(self, rng: np.random.Generator) -> FloatArray:
+        filling, sites = self.filling, self._sites()
         if len(sites) < filling.count:
             raise SceneError(
                 f"scene.filling.count={filling.count} spheres of {2 * filling.largest_radius:g} m do not fit; "
