@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from gran_bench.config.rules import check_arguments
+from gran_bench.metrics.bed import of_one_bed
 from gran_bench.metrics.comparisons import CENTER, COMPARISONS, FIGURES, SURFACE, Comparison, added, speed_distance
 from gran_bench.metrics.judgement import ErrorRow, FigureRow, Judgement, Requirement
 from gran_bench.metrics.measured import Measured, mean_of, noise_floor, prediction_interval, score, shared_states
@@ -19,7 +20,6 @@ Run = Trajectory | TrajectorySummary
 STEADY_WITHIN = 3.0  # deg
 PEAK_WITHIN = 10.0  # deg
 SPEED_WITHIN = 0.08  # m/s
-ONE_BED = 0.1  # relative; beds whose volumes of spheres differ less are one, with coarser spheres
 
 
 def judge(candidate: Run, replicas: Sequence[Run], scene: Scene, others: Mapping[str, Run] | None = None) -> Judgement:
@@ -81,7 +81,7 @@ def _hold_scene(name: str, run: Run, scene: Scene, is_dem: bool) -> None:
 def _hold_alike(name: str, summary: TrajectorySummary, mine: TrajectorySummary) -> None:
     """Refuse runs of different spheres, times or velocities; one that ended early is counted as such."""
     own, other = (run.sorted_speed.shape[1] for run in (mine, summary))
-    if own != other and not abs(mine.volume - summary.volume) < ONE_BED * summary.volume:
+    if own != other and not of_one_bed(mine.volume, summary.volume):
         told = f"candidate has {own} spheres and {name} has {other}"
         raise ValueError(f"{told}; compare runs of one scene's spheres")
     if summary.velocity_kind != mine.velocity_kind:

@@ -196,7 +196,7 @@ def judging_cost(plan: Plan, frame: float) -> Cost:
     sums = len(plan.packings) * (plan.dataset.replicas + 2) + 6
     # Errors after 1, 3 and 10 frames come from rollouts of 10 frames.
     seconds = frame * (frames + 10 * plan.judge.short_horizon_starts)
-    seconds += summary_pace(plan.scene.at_speed(plan.judged_rpm)) * count * sums
+    seconds += summary_pace(plan.scene.fine.at_speed(plan.judged_rpm)) * count * sums
     stages = {"judging": seconds, "figures": FIGURES[plan.judge.gif]}
     return Cost([line], stages, PROCESS_BYTES["torch"], FRAME_BYTES * frames * plan.scene.filling.count)
 
