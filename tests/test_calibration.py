@@ -70,12 +70,13 @@ def row(error: float | None, floor: float | None) -> ErrorRow:
     return ErrorRow("com_angle", "angle", "deg", *found)
 
 
-def test_the_loss_is_the_mean_in_floors_and_a_run_without_an_angle_that_the_dem_has_is_infinitely_wrong():
-    def loss(*rows: ErrorRow) -> float:
-        return Trial(0.3, 0.0, {30.0: {str(k): one for k, one in enumerate(rows)}}, 1.0).loss
+def test_the_loss_is_the_mean_in_floors_of_what_counts_and_infinite_where_that_is_lost():
+    def loss(*rows: ErrorRow, counted: str = "01") -> float:
+        errors = {30.0: {str(k): one for k, one in enumerate(rows)}}
+        return Trial(0.3, 0.0, errors, frozenset((30.0, key) for key in counted), 1.0).loss
 
     assert loss(row(2.0, 1.0), row(3.0, 0.5)) == pytest.approx(4.0)
-    assert loss(row(2.0, 1.0), row(None, None)) == 2.0  # beyond the critical speed the DEM has no angle
+    assert loss(row(2.0, 1.0), row(None, None), counted="0") == 2.0
     assert loss(row(2.0, 1.0), row(None, 0.5)) == math.inf
 
 
@@ -91,6 +92,7 @@ def test_a_calibration_reads_training_speeds_alone_goes_on_and_says_what_to_use(
     assert found["before"] == found["trials"][0]
     assert said.rstrip().endswith(f"use: {found['overrides']}")
     assert f"took {found['dem_seconds']:.0f} s" in said
+    assert "not counted at 20 rpm: angle of repose, over the series, " in said  # forty spheres have no surface
     kept = json.loads((tmp_path / "results" / "drum_small_coarse1.26.json").read_text("utf-8"))
     assert kept["trials"] == found["trials"]
     # Again, from the cases alone.

@@ -44,17 +44,14 @@ class Trial:
     friction: float  # −
     rolling_friction: float  # −
     errors: dict[float, Errors]  # by speed in rpm
+    counted: frozenset[tuple[float, str]]  # speed and key of the errors that the search goes by
     seconds: float  # wall time of its runs of the DEM, the settling of the bed included
 
     @property
     def loss(self) -> float:
-        """Mean of the errors over speeds and statistics, in noise floors; infinite where a run lacks what the DEM has.
-
-        What the fine DEM itself has not (an angle of repose beyond the critical speed) does not count.
-        """
-        rows = [row for errors in self.errors.values() for row in errors.values() if row.floor.defined]
-        multiples = [row.multiple for row in rows]
-        return math.inf if None in multiples or not rows else float(np.mean(multiples))
+        """Mean of the errors that count, in noise floors; infinite where one of them is not defined."""
+        multiples = [self.errors[rpm][key].multiple for rpm, key in self.counted]
+        return math.inf if None in multiples else float(np.mean(multiples))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; an error that is not defined is null."""
@@ -72,6 +69,7 @@ class Calibration:
     def __init__(self, config: CalibrateConfig) -> None:
         self.config, self.scene = config, build_scene(config.scene)
         self.speeds = sorted(set(config.speeds_rpm or config.dataset.training_speeds_rpm))
+        self.counted: frozenset[tuple[float, str]] | None = None  # what the first trial has
         self.start: Pair = (self.scene.material.friction, self.scene.material.rolling_friction)
 
     @property
@@ -94,7 +92,13 @@ class Calibration:
         facts = [read_attributes(path) for path in paths]
         seconds = sum(float(one["wall_seconds"]) for one in facts) + float(facts[0]["settling_wall_seconds"])
         errors = {rpm: errors_of(summary_of(spec, data.root), truth[rpm], spec.scene) for rpm, spec in cases.items()}
-        return Trial(*pair, errors, seconds)
+        # The scene as it is says what these spheres have at all: a bed of large ones may have no straight surface.
+        if self.counted is None:
+            defined = {
+                (rpm, key) for rpm, rows in errors.items() for key, row in rows.items() if row.multiple is not None
+            }
+            self.counted = frozenset(defined)
+        return Trial(*pair, errors, self.counted, seconds)
 
     @property
     def cost(self) -> Cost:
@@ -116,8 +120,9 @@ def calibrate(config: CalibrateConfig) -> dict[str, Any]:
     """Fit the friction and rolling friction of coarse spheres to the fine DEM; gives what ``<root>/*.json`` holds.
 
     The loss of a pair is its error in noise floors, the mean over speeds of rotation and over angle of repose,
-    centre-of-mass angle and speeds of the spheres. Nelder and Mead's simplex starts from the scene's own coefficients.
-    Every run is a case of the data cache, so a killed search goes on from there. Empty with ``dry_run``.
+    centre-of-mass angle and speeds of the spheres, as far as the scene has them before. Nelder and Mead's simplex starts
+    from the scene's own coefficients. Every run is a case of the data cache, so a killed search goes on from there.
+    Empty with ``dry_run``.
 
     Raises:
         ConfigError: an impossible value, a speed that is held out or is no training speed.
@@ -199,6 +204,9 @@ def overrides(scene: Scene, trial: Trial) -> str:
 def told(scene: Scene, first: Trial, best: Trial) -> Iterator[str]:
     """Errors before and after, in noise floors, a row for each speed."""
     yield f"{scene.name}, {scene.spheres}"
+    for rpm, key in sorted({(rpm, key) for rpm, rows in first.errors.items() for key in rows} - first.counted):
+        row = first.errors[rpm][key]
+        yield f"not counted at {rpm:g} rpm: {row.label}, {row.floor.note or row.error.note}"
     for word, one in (("as it is", first), ("found", best)):
         pair = f"friction {one.friction:g}, rolling friction {one.rolling_friction:g}"
         yield f"{word}: {pair}, {one.loss:.2f} noise floors in the mean"

@@ -17,6 +17,7 @@ from gran_bench.dataset import CaseSpec, ensure_cases, read_attributes, read_cas
 from gran_bench.dem.time_step import choose_time_step, largest_allowed_step
 from gran_bench.evaluation.evaluation import COMPARED
 from gran_bench.files import markdown, write_text
+from gran_bench.metrics.angle_of_repose import SurfaceAngle
 from gran_bench.metrics.judge import judge
 from gran_bench.metrics.judgement import ErrorRow
 from gran_bench.metrics.summary import TrajectorySummary, summarise
@@ -123,11 +124,26 @@ def _rows(ladder: Ladder, truth: Sequence[TrajectorySummary]) -> Iterator[dict[s
             seconds = float(read_attributes(spec.path(root))["wall_seconds"])
             row = {"method": rung.name, "spheres": rung.scene.filling.count, "step_s": rung.step}
             row |= {"packing": spec.packing_seed, "seconds": seconds, "share_of_the_fine": seconds / fine}
-            for key, error in errors_of(summary_of(spec, root), truth, ladder.scene).items():
+            run = summary_of(spec, root)
+            row |= dict(zip(("valid_surfaces", "surface_angle_as_fitted_deg"), _as_fitted(run, truth), strict=True))
+            for key, error in errors_of(run, truth, ladder.scene).items():
                 unit = error.unit.replace("/", "_per_")
                 found = {unit: error.error.value, "floors": error.multiple, f"floor_{unit}": error.floor.value}
                 row |= {f"{key}_{name}": math.nan if value is None else value for name, value in found.items()}
             yield row
+
+
+def _as_fitted(run: TrajectorySummary, truth: Sequence[TrajectorySummary]) -> tuple[float, float]:
+    """Share of states whose surface is valid, −, and the difference of all fitted angles, valid or not, degrees.
+
+    Surfaces of few large spheres are seldom straight to half a diameter of the fine ones.
+    """
+    surfaces = [one.series["surface_angle"] for one in (run, *truth)]
+    if not all(isinstance(surface, SurfaceAngle) for surface in surfaces):
+        return math.nan, math.nan
+    mine, *theirs = (np.degrees([line.angle for line in surface.lines]) for surface in surfaces)
+    apart = [np.nanmean(np.abs(mine - other)) if np.isfinite(mine - other).any() else math.nan for other in theirs]
+    return float(surfaces[0].valid.mean()), float(np.mean(apart))
 
 
 def shown(table: pd.DataFrame) -> list[str]:
@@ -136,13 +152,16 @@ def shown(table: pd.DataFrame) -> list[str]:
     keys = [f"{key}_{unit}" for key, unit in zip(COMPARED, units, strict=True)]
     floors = [f"{key}_floor_{unit}" for key, unit in zip(COMPARED, units, strict=True)]
     rows = [("method", "spheres", "step, ms", "time", "angle, °", "centre of mass, °", "speeds W1, m/s", "floors")]
-    rows.append(("a replica", f"{first.spheres}", f"{1e3 * first.step_s:.3g}", "1", *map(_figure, first[floors]), "1"))
+    rows[0] += ("angle as fitted, °", "valid, %")
+    own = (f"{first.spheres}", f"{1e3 * first.step_s:.3g}", "1", *map(_figure, first[floors]), "1", "", "")
+    rows.append(("a replica", *own))
     for name, runs in table.groupby("method", sort=False):
         mean, one = runs.mean(numeric_only=True), runs.iloc[0]
         found = [runs[key].mean(skipna=False) for key in keys]
         multiples = [runs[f"{key}_floors"].mean(skipna=False) for key in COMPARED]
         cells = f"{one.spheres}", f"{1e3 * one.step_s:.3g}", f"{mean.share_of_the_fine:.2f}"
-        rows.append((name, *cells, *map(_figure, found), ", ".join(map(_figure, multiples))))
+        fitted = _figure(mean.surface_angle_as_fitted_deg), f"{100 * mean.valid_surfaces:.0f}"
+        rows.append((name, *cells, *map(_figure, found), ", ".join(map(_figure, multiples)), *fitted))
     return markdown(rows, aligned=True)
 
 
