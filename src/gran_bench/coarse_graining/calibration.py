@@ -120,9 +120,9 @@ def calibrate(config: CalibrateConfig) -> dict[str, Any]:
     """Fit the friction and rolling friction of coarse spheres to the fine DEM; gives what ``<root>/*.json`` holds.
 
     The loss of a pair is its error in noise floors, the mean over speeds of rotation and over angle of repose,
-    centre-of-mass angle and speeds of the spheres, as far as the scene has them before. Nelder and Mead's simplex starts
-    from the scene's own coefficients. Every run is a case of the data cache, so a killed search goes on from there.
-    Empty with ``dry_run``.
+    centre-of-mass angle and speeds of the spheres, as far as the scene has them before. Nelder and Mead's simplex
+    starts from the scene's own coefficients. Every run is a case of the data cache, so a killed search goes on from
+    there. Empty with ``dry_run``.
 
     Raises:
         ConfigError: an impossible value, a speed that is held out or is no training speed.
