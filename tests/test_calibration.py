@@ -87,12 +87,11 @@ def test_a_calibration_reads_training_speeds_alone_goes_on_and_says_what_to_use(
     assert len(cases) == 2 * 2 + 3 * 2  # two replicas and three trials at two speeds
     assert not [name for name in cases if "40rpm" in name]
     assert [trial["friction"] for trial in found["trials"]] == [0.3, 0.225, 0.3]
-    assert [trial["rolling_friction"] for trial in found["trials"]] == [0.0, 0.0, 0.05]
+    assert [trial["rolling_friction"] for trial in found["trials"]] == [0.0, 0.02, 0.05]
     assert found["found"]["loss_floors"] == min(trial["loss_floors"] for trial in found["trials"])
     assert found["before"] == found["trials"][0]
     assert said.rstrip().endswith(f"use: {found['overrides']}")
     assert f"took {found['dem_seconds']:.0f} s" in said
-    assert "not counted at 20 rpm: angle of repose, over the series, " in said  # forty spheres have no surface
     kept = json.loads((tmp_path / "results" / "drum_small_coarse1.26.json").read_text("utf-8"))
     assert kept["trials"] == found["trials"]
     # Again, from the cases alone.

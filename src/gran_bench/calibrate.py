@@ -1,4 +1,7 @@
-"""Fit the friction of coarse spheres to the fine DEM: ``python -m gran_bench.calibrate scene.coarse_graining=2``."""
+"""Fit the friction of coarse spheres to the fine DEM: ``python -m gran_bench.calibrate scene.coarse_graining=2``.
+
+It looks at the training speeds alone; the held-out one judges the coarse spheres afterwards.
+"""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from gran_bench.scene import Scene, build_scene
 
 DIGITS = 3  # of a coefficient: finer ones are chance, and a search that comes back finds its runs
 LARGEST = (2.0, 0.5)  # friction and rolling friction that are looked at, −
-FIRST_STEPS = (-0.25, 0.05)  # of the search: share of the friction, and rolling friction, −
+SIMPLEX = ((1.0, 0.0), (0.75, 0.02), (1.0, 0.05))  # the first: shares of the friction, and more rolling friction, −
 TOLERANCE = {"xatol": 0.005, "fatol": 0.02}  # of the search, − and noise floors
 
 Pair = tuple[float, float]  # friction and rolling friction, −
@@ -184,9 +184,7 @@ def search(loss: Callable[[Pair], float], start: Pair, trials: int) -> None:
             raise _Spent
         return loss(start if pair == rounded(np.array(start)) else pair)
 
-    simplex = np.array([start] * 3)
-    simplex[1, 0] *= 1.0 + FIRST_STEPS[0]
-    simplex[2, 1] += FIRST_STEPS[1]
+    simplex = np.array([(share * start[0], start[1] + more) for share, more in SIMPLEX])
     bounds = [(10.0**-DIGITS, LARGEST[0]), (0.0, LARGEST[1])]
     options = {"initial_simplex": simplex, "maxfev": 4 * trials, **TOLERANCE}
     try:

@@ -7,6 +7,7 @@ from typing import Any
 
 from gran_bench.config import schema
 from gran_bench.config.choices import check_choices
+from gran_bench.config.commands import CalibrateConfig, CoarseGrainingConfig
 from gran_bench.config.registry import HOUSE, WALLS
 from gran_bench.config.rules import ConfigError, Section, raising, shown
 
@@ -26,10 +27,10 @@ def check_consistency(config: object) -> None:
         _check_dataset(config.dataset)
     if isinstance(config, schema.BenchmarkConfig):
         _check_benchmark(config)
-    if isinstance(config, schema.CoarseGrainingConfig) and len(config.dataset.holdout_speeds_rpm) != 1:
+    if isinstance(config, CoarseGrainingConfig) and len(config.dataset.holdout_speeds_rpm) != 1:
         given = f"dataset.holdout_speeds_rpm={config.dataset.holdout_speeds_rpm}"
         raise ConfigError(f"{given} is not one speed; coarse-grained DEMs are judged at one held-out speed")
-    if isinstance(config, schema.CalibrateConfig):
+    if isinstance(config, CalibrateConfig):
         _check_calibration(config)
     if isinstance(config, schema.TrainConfig):
         _check_training(config)
@@ -252,7 +253,7 @@ def _check_benchmark(config: schema.BenchmarkConfig) -> Iterator[str]:
 
 
 @raising
-def _check_calibration(config: schema.CalibrateConfig) -> Iterator[str]:
+def _check_calibration(config: CalibrateConfig) -> Iterator[str]:
     scene, data = config.scene, config.dataset
     if scene.coarse_graining == 1.0:
         yield "scene.coarse_graining=1 leaves nothing to calibrate; choose more, such as 2"
