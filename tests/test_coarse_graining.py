@@ -6,11 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from beds import RADIUS, drum, flowing, inclined_bed, resting
 
 from gran_bench.benchmark.contest import Contest
-from gran_bench.coarse_graining.ladder import Ladder, run_ladder
+from gran_bench.coarse_graining.ladder import Ladder, run_ladder, shown
 from gran_bench.compose import checked_config, compose
 from gran_bench.config import (
     BenchmarkConfig,
@@ -201,8 +202,10 @@ def test_the_ladder_judges_each_factor_at_two_steps(tmp_path, capsys):
     automatic, largest = table.step_s[1], table.step_s[3]
     assert table.step_s[0] < automatic < largest
     assert (table.speed_w1_floors > 0).all()
-    assert (tmp_path / "results" / "drum_small.csv").exists()
     said = capsys.readouterr().out
+    page = (tmp_path / "results" / "README.md").read_text("utf-8")
+    kept = pd.read_csv(tmp_path / "results" / "drum_small.csv")
+    assert "\n".join(shown(kept)) in page
     assert "| coarse-grained 1.26, largest step |" in said
     # The same cases, made once: the run at the largest step starts from the bed of the automatic one.
     assert len(list((tmp_path / "data").glob("*.h5"))) == 2 + 1 + 4
@@ -214,6 +217,7 @@ def test_a_coarse_scene_is_a_ladder_of_its_own_and_a_dry_run_makes_nothing(tmp_p
     config = tiny_ladder(tmp_path, *given)
     assert [rung.scene.filling.count for rung in Ladder(config).rungs] == [40, 20, 20]
     assert Ladder(config).rungs[1].scene.material.friction == 0.1
+    assert Ladder(config).rungs[1].name == "coarse-grained 1.26, friction 0.1"
     assert Ladder(config).scene.material.friction == 0.3
     assert run_ladder(config).empty
     assert "coarse-grained: 20 spheres of 63 mm for 40 of 50 mm" in capsys.readouterr().out

@@ -16,16 +16,18 @@ from gran_bench.config.reading import validate
 from gran_bench.dataset import CaseSpec, ensure_cases, read_attributes, read_case, replicas, rotation_label
 from gran_bench.dem.time_step import choose_time_step, largest_allowed_step
 from gran_bench.evaluation.evaluation import COMPARED
-from gran_bench.files import markdown, write_text
+from gran_bench.files import markdown, write_part, write_text
 from gran_bench.metrics.angle_of_repose import SurfaceAngle
 from gran_bench.metrics.judge import judge
 from gran_bench.metrics.judgement import ErrorRow
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.processes import stop_on_signals, tell
+from gran_bench.provenance import provenance, stamp
 from gran_bench.run.cost import Cost, data_cost, flow_cost
 from gran_bench.run.pace import summary_pace
 from gran_bench.scene import Scene, build_scene
 
+PAGE = "README.md"
 Errors = dict[str, ErrorRow]  # by the key of a comparison
 
 
@@ -59,10 +61,14 @@ class Ladder:
         self.rungs = [Rung("another packing", self.scene, [CaseSpec(self.scene, dem, data.unseen_packing_seed)])]
         for one in coarse:
             specs = [CaseSpec(one, dem, seed) for seed in seeds]
-            self.rungs.append(Rung(f"coarse-grained {one.coarse_graining:.3g}", one, specs))
+            words = f"coarse-grained {one.coarse_graining:.3g}"
+            for coefficient in ("friction", "rolling_friction"):
+                if (own := getattr(one.material, coefficient)) != getattr(one.fine.material, coefficient):
+                    words += f", {coefficient.replace('_', ' ')} {own:g}"
+            self.rungs.append(Rung(words, one, specs))
             largest = replace(dem, time_step=largest_allowed_step(one))
             specs = [replace(spec, dem=largest, settling_dem=dem) for spec in specs]
-            self.rungs.append(Rung(f"coarse-grained {one.coarse_graining:.3g}, largest step", one, specs))
+            self.rungs.append(Rung(f"{words}, largest step", one, specs))
 
     @property
     def cases(self) -> list[CaseSpec]:
@@ -96,11 +102,15 @@ def run_ladder(config: CoarseGrainingConfig) -> pd.DataFrame:
         tell("judging")
         truth = [summary_of(spec, root) for spec in ladder.replicas]
         table = pd.DataFrame(_rows(ladder, truth))
-    path = Path(config.root) / f"{ladder.scene.name}.csv"
+    factor = config.scene.coarse_graining
+    name = ladder.scene.name + f"_coarse{factor:.3g}" * (factor > 1.0)
+    path = Path(config.root) / f"{name}.csv"
     write_text(path, table.to_csv(index=False))
+    part = [*shown(table), "", f"{stamp(provenance())} [CSV]({path.name})."]
+    write_part(path.with_name(PAGE), name, "\n".join(part), "Coarse-grained DEMs against the fine one", name)
     print(f"{ladder.scene.name}, {rotation_label(ladder.scene)}: mean difference from {len(truth)} replicas")
-    print("\n".join(shown(table)))
-    tell(f"each run is a row of {path}")
+    print("\n".join(shown(table, aligned=True)))
+    tell(f"each run is a row of {path}; the table is in {path.with_name(PAGE)}")
     return table
 
 
@@ -146,7 +156,7 @@ def _as_fitted(run: TrajectorySummary, truth: Sequence[TrajectorySummary]) -> tu
     return float(surfaces[0].valid.mean()), float(np.mean(apart))
 
 
-def shown(table: pd.DataFrame) -> list[str]:
+def shown(table: pd.DataFrame, aligned: bool = False) -> list[str]:
     """The table for people, the mean over packings in a row; the first row has the noise floors."""
     first, units = table.iloc[0], ("deg", "deg", "m_per_s")
     keys = [f"{key}_{unit}" for key, unit in zip(COMPARED, units, strict=True)]
@@ -162,7 +172,7 @@ def shown(table: pd.DataFrame) -> list[str]:
         cells = f"{one.spheres}", f"{1e3 * one.step_s:.3g}", f"{mean.share_of_the_fine:.2f}"
         fitted = _figure(mean.surface_angle_as_fitted_deg), f"{100 * mean.valid_surfaces:.0f}"
         rows.append((name, *cells, *map(_figure, found), ", ".join(map(_figure, multiples)), *fitted))
-    return markdown(rows, aligned=True)
+    return markdown(rows, aligned)
 
 
 def _figure(value: float) -> str:
