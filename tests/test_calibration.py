@@ -80,7 +80,7 @@ def test_the_loss_is_the_mean_in_floors_of_what_counts_and_infinite_where_that_i
     assert loss(row(2.0, 1.0), row(None, 0.5)) == math.inf
 
 
-def test_a_calibration_reads_training_speeds_alone_goes_on_and_says_what_to_use(tmp_path, capsys, monkeypatch):
+def test_a_calibration_reads_training_speeds_alone_goes_on_and_says_what_to_use(tmp_path, capsys):
     found = calibrate(config(tmp_path))
     said = capsys.readouterr().out
     cases = sorted(path.name for path in (tmp_path / "data").glob("*.h5"))
@@ -88,7 +88,8 @@ def test_a_calibration_reads_training_speeds_alone_goes_on_and_says_what_to_use(
     assert not [name for name in cases if "40rpm" in name]
     assert [trial["friction"] for trial in found["trials"]] == [0.3, 0.225, 0.3]
     assert [trial["rolling_friction"] for trial in found["trials"]] == [0.0, 0.02, 0.05]
-    assert found["found"]["loss_floors"] == min(trial["loss_floors"] for trial in found["trials"])
+    losses = [trial["loss_floors"] for trial in found["trials"]]  # null where a trial lost the angle of repose
+    assert found["found"]["loss_floors"] == min(loss for loss in losses if loss is not None)
     assert found["before"] == found["trials"][0]
     assert said.rstrip().endswith(f"use: {found['overrides']}")
     assert f"took {found['dem_seconds']:.0f} s" in said
