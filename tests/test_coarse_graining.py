@@ -251,3 +251,8 @@ def test_a_factor_that_leaves_no_bed_does_not_fit_and_a_coarse_scene_is_refused(
     assert "leaves 5 of scene.filling.count=40 spheres" in unfit["DEM, coarse-grained 2"]
     with pytest.raises(ConfigError, match=r"scene.coarse_graining=2: methods are held against the fine spheres"):
         contest("scene.coarse_graining=2")
+
+
+def test_the_shipped_table_is_that_of_its_record():
+    folder = Path(__file__).parents[1] / "results" / "coarse_graining"
+    assert "\n".join(shown(pd.read_csv(folder / "drum.csv"))) in (folder / "README.md").read_text("utf-8")
