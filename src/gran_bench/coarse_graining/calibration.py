@@ -109,10 +109,10 @@ class Calibration:
         # A pair with more digits than any that is tried, so that its runs are all to make.
         unlike = (self.start[0] + 10.0 ** -(DIGITS + 2), self.start[1])
         one = data_cost(scene, config.dem, self.cases(unlike).values(), data.root, workers=1)
-        frames = scene.frame_count * (len(needed) + config.trials * len(self.speeds))
         line = f"search: at most {config.trials} pairs of coefficients, each at {len(self.speeds)} speeds"
         stages = {"search": config.trials * (one.seconds["data"] - STARTING * (len(self.speeds) + 1))}
-        stages["judging"] = summary_pace(scene.fine) * frames
+        fine, coarse = (summary_pace(one) * one.frame_count for one in (scene.fine, scene))
+        stages["judging"] = fine * len(needed) + coarse * config.trials * len(self.speeds)
         return cost + Cost([line], stages, one.memory, config.trials * one.disk)
 
 
