@@ -14,7 +14,6 @@ from gran_bench.neighbors import nearest_image, tree_pairs
 from gran_bench.scene import Plane, Scene, Wall
 from gran_bench.state import FloatArray, Trajectory
 
-ONE_BED = 0.1  # relative; spheres whose volumes differ less fill one bed
 CELL = 2.0  # diameters, edge of a square cell of the cross-section, for mixing
 OVERLAPS = {
     "overlap_mean": "overlap of pairs, mean",
@@ -27,11 +26,6 @@ OVERLAPS = {
 def sphere_masses(radius: FloatArray, density: float) -> FloatArray:
     """m = 4/3 π ρ r³, ``(N,)`` kg, of ``(N,)`` radii in m and a density in kg/m³."""
     return 4.0 / 3.0 * math.pi * density * radius.astype(np.float64) ** 3
-
-
-def of_one_bed(volume: float, other: float) -> bool:
-    """Whether spheres of such volumes, m³, can stand for each other, as coarse-grained ones do for fine ones."""
-    return abs(volume - other) < ONE_BED * other
 
 
 @register_metric("translational energy", "J")

@@ -14,6 +14,8 @@ from gran_bench.metrics.speeds import depth_profile, sorted_frames, speeds, velo
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
 
+ONE_BED = 0.1  # relative; runs whose spheres differ less in volume are of one bed
+
 PEAK_BEFORE = 3.0  # s; the first avalanche
 STEADY_FROM = 3.5  # s
 PATTERN_TIME = 2.5  # s; the paper's figures 2 and 3b
@@ -97,3 +99,8 @@ def _measured(name: str, trajectory: Trajectory, scene: Scene) -> Measured | Ser
     if found.unit != metric.unit:
         raise ConfigError(f"{whose} gives {found.unit!r} and was registered with {metric.unit!r}; give one unit")
     return found
+
+
+def of_one_bed(a: TrajectorySummary, b: TrajectorySummary) -> bool:
+    """Whether the spheres of one run can stand for those of another, as coarse-grained ones do: by their volume."""
+    return abs(a.volume - b.volume) < ONE_BED * b.volume
