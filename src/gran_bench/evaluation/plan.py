@@ -89,10 +89,10 @@ class Plan:
     def cases(self) -> list[CaseSpec]:
         """Every run of the DEM that judging needs."""
         judged = [self.judged_case(unseen) for unseen in (self.packings if self.imported else (False, True))]
-        own = [self.case(self.judged_rpm, unseen) for unseen in self.packings] if self.scene.fine_spheres else []
-        speeds = [*own, *(self.case(rpm) for rpm in {*self.speeds_rpm, *(self.neighbours_rpm or ())})]
+        speeds = [self.case(rpm) for rpm in {*self.speeds_rpm, *(self.neighbours_rpm or ())}]
         doubles = [spec for unseen in self.packings for spec in self.replicas(unseen)]
-        return [*speeds, *judged, *doubles, *([] if self.imported else [self.finer, self.coarser])]
+        own = [self.case(self.judged_rpm, unseen) for unseen in self.packings] if self.scene.fine_spheres else []
+        return [*own, *speeds, *judged, *doubles, *([] if self.imported else [self.finer, self.coarser])]
 
 
 def rollout_name(rpm: float, unseen: bool = False) -> str:

@@ -14,8 +14,6 @@ from gran_bench.metrics.speeds import depth_profile, sorted_frames, speeds, velo
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
 
-ONE_BED = 0.1  # relative; runs whose spheres differ less in volume are of one bed
-
 PEAK_BEFORE = 3.0  # s; the first avalanche
 STEADY_FROM = 3.5  # s
 PATTERN_TIME = 2.5  # s; the paper's figures 2 and 3b
@@ -99,6 +97,9 @@ def _measured(name: str, trajectory: Trajectory, scene: Scene) -> Measured | Ser
     if found.unit != metric.unit:
         raise ConfigError(f"{whose} gives {found.unit!r} and was registered with {metric.unit!r}; give one unit")
     return found
+
+
+ONE_BED = 0.1  # relative; runs whose spheres differ less in volume are of one bed
 
 
 def of_one_bed(a: TrajectorySummary, b: TrajectorySummary) -> bool:
