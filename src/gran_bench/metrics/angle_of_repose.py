@@ -5,9 +5,7 @@ rotation, along e = axis × gravity.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
@@ -151,8 +149,8 @@ def solid_fractions(
     lowest = -math.ceil((drum_radius + 0.5 * diameter + radius.max(initial=0.0)) / step)
     bins = -2 * lowest
 
-    def volumes(s: FloatArray, w: FloatArray, radius: FloatArray, below: Callable) -> FloatArray:
-        """In the bins, ``(C B,)``, of bodies of height 2 r that have ``below(height, r)`` below a height."""
+    def volumes(s: FloatArray, w: FloatArray, radius: FloatArray, thickness: FloatArray | None = None) -> FloatArray:
+        """In the bins, ``(C B,)`` m³: of spheres, or of discs along the surface with a thickness."""
         column = np.floor((s + half) / diameter)
         inside = (column >= 0) & (column < columns) & (np.abs(w) <= drum_radius)
         column, bottom, size = column[inside].astype(np.int64), w[inside] - radius[inside], radius[inside]
@@ -161,20 +159,19 @@ def solid_fractions(
         edges = (first + np.arange(1, slabs + 1)[:, None]) * step
         height = np.clip(edges - bottom, 0.0, 2.0 * size)  # of each slab's upper plane over a body's lowest point
         index = column * bins + (first.astype(np.int64) - lowest) + np.arange(slabs)[:, None]
-        slab_volume = np.diff(below(height, size), axis=0, prepend=0.0).ravel()
+        below = _cap(height, size) if thickness is None else thickness[inside] * _segment(height, size)
+        slab_volume = np.diff(below, axis=0, prepend=0.0).ravel()
         return np.bincount(index.ravel(), slab_volume, minlength=columns * bins)
 
     wide = radius > scene.filling.largest_radius * (1.0 + WIDER)
-    volume = volumes(s[~wide], w[~wide], radius[~wide], _cap)
+    volume = volumes(s[~wide], w[~wide], radius[~wide])
     if wide.any():
-        # Discs of one place in their spheres: radius and thickness in units of the sphere's.
-        number = math.ceil(2.0 * radius.max() / step)
-        places = (2.0 * np.arange(number) + 1.0) / number - 1.0
-        shares = np.sqrt(1.0 - places**2)
-        thickness = 4.0 / 3.0 / (shares**2).sum() / shares  # over the disc's radius; all have the sphere's volume
-        for place, share, thick in zip(places, shares, thickness, strict=True):
-            disc = partial(_disc, thickness=thick)
-            volume = volume + volumes(s[wide] + place * radius[wide], w[wide], share * radius[wide], disc)
+        number, size = math.ceil(2.0 * radius.max() / step), radius[wide, None]
+        place = (2.0 * np.arange(number) + 1.0) / number - 1.0  # of the discs, in radii of their sphere
+        share = np.sqrt(1.0 - place**2)  # radius, likewise
+        thickness = 4.0 / 3.0 / (share**2).sum() * size + 0.0 * place  # all together have the sphere's volume
+        along, across = s[wide, None] + place * size, w[wide, None] + 0.0 * place
+        volume = volume + volumes(*(values.ravel() for values in (along, across, share * size, thickness)))
     middles = (np.arange(columns) + 0.5) * diameter - half
     fraction = volume.reshape(columns, bins) / (diameter * step * scene.length)
     return middles, (np.arange(bins) + lowest + 0.5) * step, fraction
@@ -185,10 +182,10 @@ def _cap(height: FloatArray, radius: FloatArray) -> FloatArray:
     return math.pi / 3.0 * height**2 * (3.0 * radius - height)
 
 
-def _disc(height: FloatArray, radius: FloatArray, thickness: float) -> FloatArray:
-    """Volume of a segment of a disc whose thickness is in units of its radius, m³."""
+def _segment(height: FloatArray, radius: FloatArray) -> FloatArray:
+    """Area of a segment of a disc, m²."""
     x = np.clip(height / radius - 1.0, -1.0, 1.0)
-    return thickness * radius**3 * (np.arccos(-x) + x * np.sqrt(1.0 - x**2))
+    return radius**2 * (np.arccos(-x) + x * np.sqrt(1.0 - x**2))
 
 
 def topmost_crossing(fraction: FloatArray, heights: FloatArray) -> FloatArray:
