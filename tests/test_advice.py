@@ -15,6 +15,8 @@ import gran_bench.conf
 from gran_bench.compose import Source, checked_config, compose, described_jobs
 from gran_bench.config import (
     BenchmarkConfig,
+    CalibrateConfig,
+    CoarseGrainingConfig,
     EvaluateConfig,
     GenerateConfig,
     StressConfig,
@@ -34,6 +36,8 @@ COMMANDS = {
     "generate": GenerateConfig,
     "evaluate": EvaluateConfig,
     "benchmark": BenchmarkConfig,
+    "coarse_graining": CoarseGrainingConfig,
+    "calibrate": CalibrateConfig,
     "stress": StressConfig,
     "ui": UiConfig,
 }

@@ -16,7 +16,9 @@ from gran_bench.compose import checked_config, compose
 from gran_bench.config import (
     BenchmarkConfig,
     BoundaryConfig,
+    CalibrateConfig,
     CconvModelConfig,
+    CoarseGrainingConfig,
     ContactModelConfig,
     EvaluateConfig,
     GenerateConfig,
@@ -177,6 +179,8 @@ def test_the_yaml_gives_every_key_of_the_schema_so_that_nothing_is_hidden():
         assert list(absent(checked_config(composed, TrainConfig), composed)) == []
     assert list(absent(GenerateConfig(), compose("generate", []))) == []
     assert list(absent(BenchmarkConfig(), compose("benchmark", []))) == []
+    assert list(absent(CoarseGrainingConfig(), compose("coarse_graining", []))) == []
+    assert list(absent(CalibrateConfig(), compose("calibrate", []))) == []
 
 
 def test_every_number_of_the_schema_has_bounds():

@@ -37,7 +37,7 @@ def test_each_case_is_drawn_once_beside_its_file(tmp_path: Path):
 def test_generating_prints_a_table_of_the_cases(tmp_path: Path, capsys: pytest.CaptureFixture):
     paths = generate(config(tmp_path))
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("scene drum_tiny: needs tangential")
+    assert lines[0].startswith("scene drum_tiny: 40 spheres of 50 mm; needs tangential")
     assert lines[1].split()[:4] == ["case", "split", "N", "frames"]
     assert lines[2].split()[:5] == ["30rpm", "holdout", "40", "21", "200"]
     assert lines[3].split()[:5] == ["100rpm", "training", "40", "21", "200"]

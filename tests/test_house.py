@@ -17,6 +17,8 @@ from config_reads import Read, keys_of, reads
 from gran_bench import config as schemas
 from gran_bench.config import (
     BenchmarkConfig,
+    CalibrateConfig,
+    CoarseGrainingConfig,
     EvaluateConfig,
     GenerateConfig,
     OptimConfig,
@@ -35,9 +37,9 @@ ROOMS = [
     *("cache_folders", "files", "config", "provenance", "processes", "workers", "progress"),
     *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses"),
     *("metrics", "baselines", "trainer", "evaluation", "plots", "tracking", "compose", "shipped", "run"),
-    *("sweep", "export", "compare", "entry", "import_case", "benchmark", "stress", "report"),
+    *("sweep", "export", "compare", "entry", "import_case", "benchmark", "coarse_graining", "stress", "report"),
 ]
-ENTRIES = ["train", "generate", "verify", "evaluate", "ui"]
+ENTRIES = ["train", "generate", "verify", "evaluate", "calibrate", "ui"]
 
 
 def room_of(path: Path) -> str:
@@ -168,7 +170,11 @@ def keys_that_are_read() -> set[Read]:
 
 
 @pytest.mark.parametrize(
-    "schema", [TrainConfig, GenerateConfig, EvaluateConfig, BenchmarkConfig, StressConfig, UiConfig]
+    "schema",
+    [
+        *(TrainConfig, GenerateConfig, EvaluateConfig, BenchmarkConfig, StressConfig, UiConfig),
+        *(CoarseGrainingConfig, CalibrateConfig),
+    ],
 )
 def test_every_config_key_is_read_by_something(schema, keys_that_are_read):
     assert set(keys_of(schema)) - keys_that_are_read == set()

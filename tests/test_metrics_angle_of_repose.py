@@ -91,7 +91,7 @@ def test_gravity_along_another_direction_gives_the_same_angle():
 def test_slabs_fill_the_bins_with_exactly_the_spheres_volume():
     rng = np.random.default_rng(1)
     radius = rng.uniform(0.01, 0.03, 500)
-    s, w = rng.uniform(-0.3, 0.3, 500), rng.uniform(-0.45, 0.45, 500)
+    s, w = rng.uniform(-0.27, 0.27, 500), rng.uniform(-0.45, 0.45, 500)  # those larger than the scene's are cut
     _, _, fraction = solid_fractions(s, w, radius, drum())
     assert fraction.shape[0] == 12
     volume = fraction.sum() * 0.05 * 0.0125 * 1.0
@@ -102,6 +102,17 @@ def test_a_sphere_counts_in_the_column_of_its_centre():
     s, w = np.array([0.049]), np.array([0.0])
     middle, _, fraction = solid_fractions(s, w, np.array([0.025]), drum())
     assert middle[fraction.sum(axis=1) > 0] == pytest.approx([0.025])
+
+
+def test_a_coarse_grained_sphere_counts_in_the_columns_that_it_fills():
+    s, w = np.array([0.025]), np.array([0.0])
+    middle, height, fraction = solid_fractions(s, w, np.array([0.0625]), drum())
+    assert middle[fraction.sum(axis=1) > 0] == pytest.approx([-0.025, 0.025, 0.075])
+    volume = fraction.sum(axis=1)[fraction.sum(axis=1) > 0] * 0.05 * 0.0125
+    # Of the sphere beyond 25 mm from its middle: a cap of 37.5 mm on either side; discs of a bin's width hit it to 1 %.
+    cap = np.pi / 3 * 0.0375**2 * (3 * 0.0625 - 0.0375)
+    assert volume == pytest.approx([cap, 4 / 3 * np.pi * 0.0625**3 - 2 * cap, cap], rel=0.01)
+    assert np.abs((fraction.sum(axis=0) * height).sum()) < 1e-12  # as much above the middle as below
 
 
 def test_one_slab_of_one_sphere():

@@ -10,7 +10,15 @@ import pytest
 
 from gran_bench.compare.command import compare_command
 from gran_bench.compose import Source, checked_config, described_jobs
-from gran_bench.config import BenchmarkConfig, EvaluateConfig, GenerateConfig, StressConfig, TrainConfig
+from gran_bench.config import (
+    BenchmarkConfig,
+    CalibrateConfig,
+    CoarseGrainingConfig,
+    EvaluateConfig,
+    GenerateConfig,
+    StressConfig,
+    TrainConfig,
+)
 from gran_bench.export.command import export_command
 from gran_bench.import_case.command import import_command
 
@@ -21,6 +29,8 @@ SCHEMAS = {
     "evaluate": EvaluateConfig,
     "generate": GenerateConfig,
     "benchmark": BenchmarkConfig,
+    "coarse_graining": CoarseGrainingConfig,
+    "calibrate": CalibrateConfig,
     "stress": StressConfig,
 }
 WITHOUT_CONFIG = {"export": export_command, "import_case": import_command}

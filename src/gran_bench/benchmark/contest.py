@@ -1,4 +1,4 @@
-"""Who is compared on a scene: the DEM over a ladder of steps, softened and in float32, surrogates, baselines."""
+"""Who is compared on a scene: the DEM at many steps, softened, in float32, coarse-grained; surrogates, baselines."""
 
 import hashlib
 import json
@@ -13,8 +13,8 @@ from gran_bench.benchmark.jobs import BASELINES, with_modulus
 from gran_bench.config import BenchmarkConfig, DemConfig, SceneConfig
 from gran_bench.config.reading import read_config
 from gran_bench.dataset import CaseSpec, half_step, read_attributes, replicas, to_document
-from gran_bench.dem.time_step import ERROR_FRACTION, choose_time_step, contact_times, dividing_step
-from gran_bench.scene import Scene, build_scene
+from gran_bench.dem.time_step import choose_time_step, dividing_step, largest_allowed_step
+from gran_bench.scene import Scene, SceneError, build_scene
 from gran_bench.surrogate.checkpoint import ModelCard, file_digest, load_card
 
 Study = dict[str, list[tuple[float, "Method"]]]  # by label: an abscissa, and the method that is timed there
@@ -63,7 +63,10 @@ class Contest:
         self.neighbours = {rpm: CaseSpec(scene.at_speed(rpm), config.dem, data.packing_seed) for rpm in found or ()}
         counts = sorted(config.profile.counts) if self.takes_speeds else []
         self._count_cases = {count: self._count_case(count) for count in counts}
-        self.cases = [*self.replicas, *self.neighbours.values(), *self._count_cases.values()]
+        # By factor: a case, or why there is none. It has the same seed, and yet a coarse bed is another packing.
+        self._coarse = {factor: self._coarse_case(factor) for factor in config.profile.coarse_graining}
+        coarse = [case for case in self._coarse.values() if isinstance(case, CaseSpec)]
+        self.cases = [*self.replicas, *self.neighbours.values(), *self._count_cases.values(), *coarse]
         self.automatic = next(self._dem_ladder([1.0])).name  # the DEM that all times are held against
 
     @property
@@ -75,6 +78,7 @@ class Contest:
         for modulus in profile.soft_moduli:
             if modulus < self.scene.material.youngs_modulus:
                 found += self._dem_ladder(profile.soft_multiples, modulus)
+        found += [*self._coarse_ladder()]
         if profile.numpy_frames:
             step, _ = choose_time_step(self.scene)
             job = self._dem_job(self.case, DemConfig(engine="numpy", time_step=step))
@@ -132,6 +136,23 @@ class Contest:
             words += [f"E = {modulus:.0e} Pa".replace("e+0", "e")] if modulus is not None else []
             words += ["float32"] if precision == "float32" else []
             yield self._whole(", ".join(words), "dem", self._dem_job(self.case, dem, scene))
+
+    def _coarse_ladder(self) -> Iterator[Method]:
+        """The fast engine on coarser spheres, each at its automatic step and at its largest."""
+        for factor, case in self._coarse.items():
+            if not isinstance(case, CaseSpec):
+                yield Method(f"DEM, coarse-grained {factor:g}", "dem", {}, 0.0, unfit_because=case)
+                continue
+            for step in (choose_time_step(case.scene)[0], largest_allowed_step(case.scene)):
+                dem = replace(self.config.dem, time_step=step, threads=1, engine="numba")
+                name = f"DEM {1e3 * step:.3g} ms, coarse-grained {factor:g}"
+                yield self._whole(name, "dem", self._dem_job(case, dem))
+
+    def _coarse_case(self, factor: float) -> CaseSpec | str:
+        try:
+            return replace(self.case, scene=self.scene.coarse_grained(factor))
+        except SceneError as error:
+            return str(error)
 
     def _dem_job(
         self, case: CaseSpec, dem: DemConfig, scene: Scene | None = None, stages: list[float] | None = None
@@ -203,8 +224,3 @@ def why_unfit(card: ModelCard, scene: Scene, packing_seed: int) -> str:
     if scene.takes_speeds and card.origin.get("packing_seed") == packing_seed:
         return f"it was trained on packing {packing_seed}"
     return ""
-
-
-def largest_allowed_step(scene: Scene) -> float:
-    """The largest step that the DEM takes without being told to: just under 0.2 of the contact time, s."""
-    return dividing_step(scene.frame_interval, ERROR_FRACTION * contact_times(scene)[0] * (1.0 - 1e-6))

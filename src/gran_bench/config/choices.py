@@ -65,7 +65,7 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
     """Refuse, as a `ConfigError`, loss, rollout, boundary and radius that the model to be trained cannot use."""
     scene = config.scene
     period = scene.container.length if getattr(scene.container, "periodic_axis", False) else 0.0
-    check_radius(config.model, scene.filling.diameter, period)
+    check_radius(config.model, scene.coarse_graining * scene.filling.diameter, period)
     if (check := getattr(config.model, "check", None)) is not None:
         check(scene)
     model, boundary, kind = config.model.name, config.boundary, config.boundary.kind

@@ -1,17 +1,20 @@
 """Which config values fit together: times in order, frames that divide a span, splits that do not overlap."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
 from gran_bench.config import schema
 from gran_bench.config.choices import check_choices
+from gran_bench.config.commands import CalibrateConfig, CoarseGrainingConfig
 from gran_bench.config.registry import HOUSE, WALLS
-from gran_bench.config.rules import Section, raising, shown
+from gran_bench.config.rules import ConfigError, Section, raising, shown
 
 # What rooms further on can do, said here because a config is refused before they are loaded; a test holds them equal.
 FUSED_SIZES = (16, 4)  # model.hidden and model.channels that the contact network's kernel is compiled for
 LONGEST_HORIZON = 10  # frames ahead that the short-horizon errors look
+LEAST_COARSE = 10  # spheres that coarse-graining may leave: fewer are no bed
 SPLITS = ("training_speeds_rpm", "validation_speeds_rpm", "holdout_speeds_rpm")
 
 
@@ -24,6 +27,11 @@ def check_consistency(config: object) -> None:
         _check_dataset(config.dataset)
     if isinstance(config, schema.BenchmarkConfig):
         _check_benchmark(config)
+    if isinstance(config, CoarseGrainingConfig) and len(config.dataset.holdout_speeds_rpm) != 1:
+        given = f"dataset.holdout_speeds_rpm={config.dataset.holdout_speeds_rpm}"
+        raise ConfigError(f"{given} is not one speed; coarse-grained DEMs are judged at one held-out speed")
+    if isinstance(config, CalibrateConfig):
+        _check_calibration(config)
     if isinstance(config, schema.TrainConfig):
         _check_training(config)
         check_model(config.model)
@@ -86,6 +94,19 @@ def check_filling(filling: Any) -> Iterator[str]:
 
 
 @raising
+def check_coarse_graining(factor: float, filling: Any) -> Iterator[str]:
+    """Refuse, as a `ConfigError`, a coarse-graining of a filling, or its config, that leaves no bed to look at."""
+    given, count = f"scene.coarse_graining={factor:g}", filling.count
+    if len(filling.positions):
+        yield f"{given} replaces spheres of a lattice, and scene.filling.positions places them; leave it at 1"
+    if count < LEAST_COARSE:
+        yield f"{given} replaces spheres, and scene.filling.count={count} gives too few; leave it at 1"
+    if (left := round(count / factor**3)) < LEAST_COARSE:
+        largest = math.floor(100.0 * (count / LEAST_COARSE) ** (1.0 / 3.0)) / 100.0
+        yield f"{given} leaves {left} of scene.filling.count={count} spheres, no bed; choose at most {largest:g}"
+
+
+@raising
 def check_model(model: Section) -> Iterator[str]:
     """Refuse, as a `ConfigError`, values of a model of the house that contradict each other."""
     if isinstance(model, schema.CconvModelConfig):
@@ -116,9 +137,20 @@ def _check_scene(scene: schema.SceneConfig, dataset: schema.DatasetConfig) -> It
             yield f"{given} is measured with gravity, and scene.gravity is 0; give scene.filling.{absolute}"
     for name in ("diameter", "width", "length", "height", "orifice"):
         room = getattr(scene.container, name, None)
-        if kind != "none" and WALLS.owner(kind) == HOUSE and room is not None and filling.diameter >= room:
+        diameter = scene.coarse_graining * filling.diameter
+        if kind != "none" and WALLS.owner(kind) == HOUSE and room is not None and diameter >= room:
             given = f"scene.filling.diameter={filling.diameter:g}"
+            given += f" times scene.coarse_graining={scene.coarse_graining:g}" * (diameter > filling.diameter)
             yield f"{given} does not fit into scene.container.{name}={room:g}; choose smaller spheres"
+    if scene.coarse_graining > 1.0:
+        check_coarse_graining(scene.coarse_graining, filling)
+        if dataset.files:
+            given = f"scene.coarse_graining={scene.coarse_graining:g}"
+            yield f"{given} replaces spheres that are to be made, and dataset.files={dataset.files} are; leave it at 1"
+    for name in ("friction", "rolling_friction"):
+        if scene.coarse_graining == 1.0 and (own := getattr(scene, f"coarse_{name}")) is not None:
+            given = f"scene.coarse_{name}={own:g} is of coarse spheres, and scene.coarse_graining=1 makes none"
+            yield f"{given}; change scene.material.{name}"
     if scene.second_material is None:
         describe = "describe it (+scene.second_material.density=7800)"
         if filling.second_fraction != 0:
@@ -202,15 +234,38 @@ def _check_benchmark(config: schema.BenchmarkConfig) -> Iterator[str]:
         yield f"dataset.files={files}: the benchmark times the DEM that makes the data; leave it empty"
     if len(speeds) != 1:
         yield f"dataset.holdout_speeds_rpm={speeds} is not one speed; methods are compared at one held-out speed"
+    if config.scene.coarse_graining != 1.0:
+        given = f"scene.coarse_graining={config.scene.coarse_graining:g}"
+        yield f"{given}: methods are held against the fine spheres; leave it at 1, change profile.coarse_graining"
     if 1.0 not in profile.step_multiples:
         given = f"profile.step_multiples={profile.step_multiples}"
         yield f"{given} lacks the automatic step, which all times are held against; add 1"
     if profile.judged_rounds > profile.rounds:
         given = f"profile.judged_rounds={profile.judged_rounds}"
         yield f"{given} is more than profile.rounds={profile.rounds}; choose at most that"
-    for name in ("step_multiples", "single_multiples", "soft_moduli", "soft_multiples", "stiffness", "counts"):
+    ladders = ("step_multiples", "single_multiples", "soft_moduli", "soft_multiples", "coarse_graining")
+    for name in (*ladders, "stiffness", "counts"):
         values = getattr(profile, name)
         if len(values) != len(set(values)):
             yield f"profile.{name}={values} has a value twice; a method is compared once"
     if count < 1:
         yield f"scene.filling.count={count} leaves nothing to compare; choose a value ≥ 1"
+
+
+@raising
+def _check_calibration(config: CalibrateConfig) -> Iterator[str]:
+    scene, data = config.scene, config.dataset
+    if scene.coarse_graining == 1.0:
+        yield "scene.coarse_graining=1 leaves nothing to calibrate; choose more, such as 2"
+    if not WALLS[scene.container.kind].drum or len(set(scene.rotation.speeds_rpm)) != 1:
+        yield f"scene.name={scene.name} keeps its own motion and has no training speeds; choose a drum with one speed"
+    if scene.second_material is not None:
+        yield "scene.second_material has frictions of its own, which nothing here calibrates; choose one material"
+    hidden = {abs(speed) for speed in data.holdout_speeds_rpm}
+    for speed in config.speeds_rpm:
+        given = f"speeds_rpm={config.speeds_rpm} has {speed:g} rpm"
+        if abs(speed) in hidden:
+            held = f"dataset.holdout_speeds_rpm={data.holdout_speeds_rpm} holds out"
+            yield f"{given}, which {held} for judging: no calibration may read it; choose training speeds"
+        if speed not in data.training_speeds_rpm:
+            yield f"{given}, which dataset.training_speeds_rpm={data.training_speeds_rpm} has not; choose from these"

@@ -127,6 +127,9 @@ class SceneConfig(Section, place="scene"):
     start_time: float = key(1.5, at_least(0, "s"))  # label of the settled state
     end_time: float = key(5.5, positive("s"))
     frame_interval: float = key(0.01, positive("s"))
+    coarse_graining: float = key(1.0, at_least(1))  # f: N/f³ spheres of f d for N of d, of the same material
+    coarse_friction: float | None = key(None, at_least(0))  # sliding, of coarse spheres; null: the material's
+    coarse_rolling_friction: float | None = key(None, at_least(0))  # of coarse spheres; null: the material's
 
 
 @dataclass
@@ -358,6 +361,7 @@ class ProfileConfig(Section, place="profile"):
     single_multiples: list[float] = key([2.0], positive("automatic steps"))  # the same with float32 contact forces
     soft_moduli: list[float] = key([1.0e7, 1.0e6, 1.0e5], positive("Pa"))  # where softer than the scene
     soft_multiples: list[float] = key([1.0, 2.0], positive("automatic steps"))  # of a softened DEM's own automatic step
+    coarse_graining: list[float] = key([1.26, 1.5, 2.0, 2.5], Range(1.0, open_low=True))  # f; empty: none
     numpy_frames: int = key(2, at_least(0))  # that the readable engine is timed over; 0: not at all
     stiffness: list[float] = key([1.0e7, 1.0e8, 1.0e9, 7.0e10], positive("Pa"))  # empty: no such study
     counts: list[int] = key([300, 1000, 3000, 6000], at_least(1))  # spheres; empty: no such study
@@ -374,15 +378,6 @@ class BenchmarkConfig(GenerateConfig):
     seed: int = key(0, SEED)  # of the order of turns, and of the nudge of each round
     measure: bool = True  # false: tables, figures and page anew from kept results, by today's rules
     root: str = "results/benchmark"  # folder of results and page, from where the command runs
-
-
-@dataclass
-class UiConfig(Section):
-    """Everything that `python -m gran_bench.ui` reads."""
-
-    port: int = key(5000, Range(1, 65535))  # of this machine
-    shipped: bool = True  # the first start puts the project's own records into the store
-    tracking: TrackingConfig = field(default_factory=TrackingConfig)
 
 
 @dataclass

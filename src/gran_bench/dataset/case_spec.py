@@ -67,6 +67,8 @@ class CaseSpec:
     def label(self) -> str:
         """The case in a few words, for people: scene, speed, packing, replica."""
         words = [self.scene.name, rotation_label(self.scene), f"seed{self.packing_seed}"]
+        if self.scene.fine_spheres is not None:
+            words.insert(1, f"coarse{self.scene.coarse_graining:.3g}")
         if self.nudge:
             words.append(f"replica{self.nudge_seed}")
         if self.settling_dem is not None:

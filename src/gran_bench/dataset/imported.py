@@ -100,9 +100,9 @@ def _like(scene: Scene, dataset: DatasetConfig, packing: int) -> list[ImportedCa
         for document in (here, there):
             document |= {f"filling.{name}": document["filling"][name] for name in ("count", "diameter")}
         for name in here:
-            if name not in _FREE and here[name] != there[name]:
+            if name not in _FREE and here[name] != there.get(name):
                 raise DatasetError(
-                    f"scene.{name} is {here[name]} and {case.file} was imported with {there[name]}; give the command "
-                    f"the scene of the import, such as scene.{name}={there[name]}"
+                    f"scene.{name} is {here[name]} and {case.file} was imported with {there.get(name)}; give the "
+                    f"command the scene of the import, such as scene.{name}={there.get(name)}"
                 )
     return cases

@@ -10,6 +10,7 @@ from gran_bench.scene import Cone, Cylinder, Disc, Plane, Scene, SceneError, Spi
 _KINDS = {cls.__name__.lower(): cls for cls in (Plane, Cylinder, Disc, Cone, Spin, Translation, Vibration)}
 _NAMES = {cls: kind for kind, cls in _KINDS.items()}
 _WHOLE_NUMBERS = {"count", "first", "second"}
+_OPTIONAL = {"fine_spheres"}  # no part of a document where there are none, so that it keeps its hash
 
 
 def to_document(scene: Scene) -> dict[str, Any]:
@@ -24,7 +25,7 @@ def from_document(document: dict[str, Any]) -> Scene:
         SceneError: a key is missing or unknown, or a value is impossible.
     """
     try:
-        missing = {f.name for f in fields(Scene)} - set(document)
+        missing = {f.name for f in fields(Scene)} - set(document) - _OPTIONAL
         if missing:
             raise SceneError(f"the scene's document lacks {', '.join(sorted(missing))}")
         return _read(Scene, document)
@@ -35,7 +36,10 @@ def from_document(document: dict[str, Any]) -> Scene:
 def _plain(value: Any, name: str = "") -> Any:
     """Floats throughout, so that 30 and 30.0 are one speed; −0 is 0."""
     if is_dataclass(value):
-        document = {entry.name: _plain(getattr(value, entry.name), entry.name) for entry in fields(value)}
+        found = {entry.name: getattr(value, entry.name) for entry in fields(value)}
+        document = {
+            name: _plain(entry, name) for name, entry in found.items() if name not in _OPTIONAL or entry is not None
+        }
         return document | ({"kind": _NAMES[type(value)]} if type(value) in _NAMES else {})
     if isinstance(value, list | tuple):
         return [_plain(entry) for entry in value]

@@ -24,7 +24,7 @@ def generate(config: GenerateConfig) -> list[Path]:
     """
     scene = build_scene(config.scene)
     root = config.dataset.root
-    print(f"scene {scene.name}: {scene.needs}")
+    print(f"scene {scene.name}: {scene.spheres}; {scene.needs}")
     if scene.takes_speeds:
         split = split_cases(scene, config.dem, config.dataset)
         sides = {id(spec): side for side in ("training", "validation", "holdout") for spec in getattr(split, side)}

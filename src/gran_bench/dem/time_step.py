@@ -135,6 +135,11 @@ def choose_time_step(
     return step, shortened + unresolved(scene, step, given, allow_unsafe, radius)
 
 
+def largest_allowed_step(scene: Scene) -> float:
+    """The largest step that the DEM takes without being told to: just under 0.2 of the contact time, s."""
+    return dividing_step(scene.frame_interval, ERROR_FRACTION * contact_times(scene)[0] * (1.0 - 1e-6))
+
+
 def unresolved(
     scene: Scene, step: float, given: str, allow_unsafe: bool, radius: float | None, speed: float | None = None
 ) -> tuple[str, ...]:

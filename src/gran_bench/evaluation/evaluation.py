@@ -69,12 +69,12 @@ def evaluate(
     for unseen in plan.packings:
         packing, name = "unseen" if unseen else "shared", rollout_name(plan.judged_rpm, unseen)
         tell(f"judging {name} against {len(plan.replicas(unseen))} replicas")
-        judged_scene = plan.case(plan.judged_rpm, unseen).scene
+        judged_scene = plan.judged_case(unseen).scene
         candidate = candidates[packing] = summarise(rollouts[name].trajectory, judged_scene)
         doubles[packing] = [_summary(spec, plan, candidate.velocity_kind) for spec in plan.replicas(unseen)]
         beside = {}
         if not plan.imported or len(plan.packings) > 1:
-            beside["other_packing"] = plan.case(plan.judged_rpm, not unseen)
+            beside["other_packing"] = plan.judged_case(not unseen)
         if not unseen and not plan.imported:
             beside["half_step"] = plan.finer
         beside = {name: _summary(spec, plan, candidate.velocity_kind) for name, spec in beside.items()}
@@ -95,7 +95,7 @@ def evaluate(
 
 
 def _summary(spec: CaseSpec, plan: Plan, velocity_kind: str) -> TrajectorySummary:
-    return summarise(read_case(spec.path(plan.dataset.root)).trajectory, spec.scene, velocity_kind)
+    return summarise(read_case(spec.path(plan.dataset.root)).trajectory, spec.scene.fine, velocity_kind)
 
 
 def _kept_rollout(model: Surrogate, case: Case, path: Path, progress: bool) -> Rollout:
@@ -137,11 +137,14 @@ def _baselines(
     plan: Plan, case: Case, doubles: list[TrajectorySummary], replays: dict[str, TrajectorySummary]
 ) -> dict[str, Any]:
     """What costs next to nothing, held against the same replicas: distances by baseline and name."""
-    scene, kind = case.scene, doubles[0].velocity_kind
+    scene, kind = case.scene.fine, doubles[0].velocity_kind
     candidates = {
         "rigid rotation": summarise(rigid_rotation(scene, case.settled), scene, kind),
         "ballistic": summarise(ballistic(scene, case.settled), scene, kind),
     }
+    coarse = f"DEM, {case.scene.spheres}"
+    if case.scene.fine_spheres is not None:
+        candidates[coarse] = summarise(case.trajectory, scene, kind)
     if plan.neighbours_rpm is not None:
         low, high = plan.neighbours_rpm
         name = f"statistics interpolated between {low:g} and {high:g} rpm"
@@ -156,6 +159,8 @@ def _baselines(
     for name, candidate in candidates.items():
         errors = judge(candidate, doubles, scene, asked=plan.judge.requirements).to_dict()["errors"]
         table[name] = {row: errors[row] for row in COMPARED}
+    if coarse in table:
+        table[coarse]["ms_per_frame"] = _dem_ms_per_frame(case)
     if step:
         table[step]["ms_per_frame"] = _dem_ms_per_frame(read_case(plan.coarser.path(plan.dataset.root)))
     return table

@@ -52,12 +52,19 @@ class Plan:
 
     def case(self, rpm: float, unseen: bool = False) -> CaseSpec:
         """The DEM's case at a speed, from the shared or the unseen packing."""
+        return self._case(self.scene, rpm, unseen)
+
+    def judged_case(self, unseen: bool = False) -> CaseSpec:
+        """The DEM's case that errors are measured from: of the fine spheres, where the scene's are coarse-grained."""
+        return self._case(self.scene.fine, self.judged_rpm, unseen)
+
+    def _case(self, scene: Scene, rpm: float, unseen: bool) -> CaseSpec:
         seed = self.dataset.unseen_packing_seed if unseen else self.dataset.packing_seed
-        return case_at(self.scene.at_speed(rpm), self.dem, self.dataset, seed)
+        return case_at(scene.at_speed(rpm), self.dem, self.dataset, seed)
 
     def replicas(self, unseen: bool) -> list[CaseSpec]:
         """The nudged runs of the judged case that give the noise floor."""
-        case = self.case(self.judged_rpm, unseen)
+        case = self.judged_case(unseen)
         return imported_replicas(case, self.dataset) if self.imported else replicas(case, self.dataset.replicas)
 
     @property
@@ -68,12 +75,12 @@ class Plan:
     @property
     def finer(self) -> CaseSpec:
         """The judged case with half the time step."""
-        return half_step(self.case(self.judged_rpm))
+        return half_step(self.judged_case())
 
     @property
     def coarser(self) -> CaseSpec:
         """The judged case with twice the time step: the DEM as a rival in speed."""
-        spec = self.case(self.judged_rpm)
+        spec = self.judged_case()
         step, _ = choose_time_step(spec.scene, self.dem.time_step, self.dem.allow_unsafe_step)
         return replace(spec, dem=replace(self.dem, time_step=COARSER * step), settling_dem=self.dem)
 
@@ -90,10 +97,11 @@ class Plan:
     @property
     def cases(self) -> list[CaseSpec]:
         """Every run of the DEM that judging needs."""
-        judged = [self.case(self.judged_rpm, unseen) for unseen in (self.packings if self.imported else (False, True))]
+        judged = [self.judged_case(unseen) for unseen in (self.packings if self.imported else (False, True))]
         speeds = [self.case(rpm) for rpm in {*self.speeds_rpm, *self.replayed_rpm}]
         doubles = [spec for unseen in self.packings for spec in self.replicas(unseen)]
-        return [*speeds, *judged, *doubles, *([] if self.imported else [self.finer, self.coarser])]
+        own = [self.case(self.judged_rpm, unseen) for unseen in self.packings] if self.scene.fine_spheres else []
+        return [*own, *speeds, *judged, *doubles, *([] if self.imported else [self.finer, self.coarser])]
 
 
 def rollout_name(rpm: float, unseen: bool = False) -> str:

@@ -20,6 +20,7 @@ HALF_WINDOW = 0.6  # of the drum's radius: 0.3 m along the surface of the drum o
 SURFACE_FRACTION = 0.3  # solid fraction at the surface
 LARGEST_RESIDUAL = 0.5  # of a diameter, rms of the line's residuals
 LEAST_FILLED = 0.8  # of the columns
+WIDER = 1e-6  # relative; spheres that exceed the scene's largest by more count in several columns
 TOLERANCE = 1e-4  # rad, of the iteration
 MOST_ITERATIONS = 40
 
@@ -84,8 +85,9 @@ def surface_lines(
     """The surface of every frame: a least-squares line through the topmost crossings of solid fraction 0.3.
 
     In the frame turned by the current angle, columns of one diameter cover |s| ≤ 0.6 R along the surface, with
-    bins of d/4 across it. A sphere counts in the column of its centre; a bin's solid fraction is the exact volume
-    of the sphere slabs in it over its own volume. The line's angle is added until it changes by ≤ 1e-4 rad.
+    bins of d/4 across it. A sphere counts in the column of its centre (a wider one: `solid_fractions`); a bin's solid
+    fraction is the exact volume of the sphere slabs in it over its own volume. The line's angle is added until it
+    changes by ≤ 1e-4 rad.
 
     Args:
         position: ``(F, N, 3)`` m; a frame that is not finite has no line.
@@ -130,6 +132,9 @@ def solid_fractions(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Solid fraction of the bins of d × d/4 over the drum's length, from the exact volumes of sphere slabs.
 
+    A sphere counts in the column of its centre. A coarse-grained one, larger than all of the scene, would leave gaps
+    beside it, so it is cut into discs of about d/4 along the surface, and each counts in its own column.
+
     Args:
         s, w: ``(N,)`` centres along the surface, and along its normal from the axis, m.
         radius: ``(N,)`` m.
@@ -143,19 +148,44 @@ def solid_fractions(
     half = 0.5 * columns * diameter
     lowest = -math.ceil((drum_radius + 0.5 * diameter + radius.max(initial=0.0)) / step)
     bins = -2 * lowest
-    column = np.floor((s + half) / diameter)
-    inside = (column >= 0) & (column < columns) & (np.abs(w) <= drum_radius)
-    column, bottom, size = column[inside].astype(np.int64), w[inside] - radius[inside], radius[inside]
-    first = np.floor(bottom / step)
-    slabs = math.ceil(2.0 * size.max(initial=0.0) / step) + 1
-    edges = (first + np.arange(1, slabs + 1)[:, None]) * step
-    height = np.clip(edges - bottom, 0.0, 2.0 * size)  # of each slab's upper plane over a sphere's lowest point
-    below = math.pi / 3.0 * height**2 * (3.0 * size - height)  # volume of the cap under it
-    index = column * bins + (first.astype(np.int64) - lowest) + np.arange(slabs)[:, None]
-    slab_volume = np.diff(below, axis=0, prepend=0.0).ravel()
-    volume = np.bincount(index.ravel(), slab_volume, minlength=columns * bins).reshape(columns, bins)
+
+    def volumes(s: FloatArray, w: FloatArray, radius: FloatArray, thickness: FloatArray | None = None) -> FloatArray:
+        """In the bins, ``(C B,)`` m³: of spheres, or of discs along the surface with a thickness."""
+        column = np.floor((s + half) / diameter)
+        inside = (column >= 0) & (column < columns) & (np.abs(w) <= drum_radius)
+        column, bottom, size = column[inside].astype(np.int64), w[inside] - radius[inside], radius[inside]
+        first = np.floor(bottom / step)
+        slabs = math.ceil(2.0 * size.max(initial=0.0) / step) + 1
+        edges = (first + np.arange(1, slabs + 1)[:, None]) * step
+        height = np.clip(edges - bottom, 0.0, 2.0 * size)  # of each slab's upper plane over a body's lowest point
+        index = column * bins + (first.astype(np.int64) - lowest) + np.arange(slabs)[:, None]
+        below = _cap(height, size) if thickness is None else thickness[inside] * _segment(height, size)
+        slab_volume = np.diff(below, axis=0, prepend=0.0).ravel()
+        return np.bincount(index.ravel(), slab_volume, minlength=columns * bins)
+
+    wide = radius > scene.filling.largest_radius * (1.0 + WIDER)
+    volume = volumes(s[~wide], w[~wide], radius[~wide])
+    if wide.any():
+        number, size = math.ceil(2.0 * radius.max() / step), radius[wide, None]
+        place = (2.0 * np.arange(number) + 1.0) / number - 1.0  # of the discs, in radii of their sphere
+        share = np.sqrt(1.0 - place**2)  # radius, likewise
+        thickness = 4.0 / 3.0 / (share**2).sum() * size + 0.0 * place  # all together have the sphere's volume
+        along, across = s[wide, None] + place * size, w[wide, None] + 0.0 * place
+        volume = volume + volumes(*(values.ravel() for values in (along, across, share * size, thickness)))
     middles = (np.arange(columns) + 0.5) * diameter - half
-    return middles, (np.arange(bins) + lowest + 0.5) * step, volume / (diameter * step * scene.length)
+    fraction = volume.reshape(columns, bins) / (diameter * step * scene.length)
+    return middles, (np.arange(bins) + lowest + 0.5) * step, fraction
+
+
+def _cap(height: FloatArray, radius: FloatArray) -> FloatArray:
+    """Volume of a cap of a sphere, m³."""
+    return math.pi / 3.0 * height**2 * (3.0 * radius - height)
+
+
+def _segment(height: FloatArray, radius: FloatArray) -> FloatArray:
+    """Area of a segment of a disc, m²."""
+    x = np.clip(height / radius - 1.0, -1.0, 1.0)
+    return radius**2 * (np.arccos(-x) + x * np.sqrt(1.0 - x**2))
 
 
 def topmost_crossing(fraction: FloatArray, heights: FloatArray) -> FloatArray:

@@ -99,6 +99,8 @@ def _position_distance(frame: int) -> Between:
                 return Measured.undefined("m", "statistics without particles")
             if len(run.time) <= frame:
                 return Measured.undefined("m", f"no state {frame} frames after the start")
+        if a.position.shape[1] != b.position.shape[1]:
+            return Measured.undefined("m", "other spheres")
         apart = separation(a.position[[frame]], b.position[[frame]], a.period)[0]
         return Measured.of(apart, "m", "position is not finite, or missing, in 1 of 1 states")
 

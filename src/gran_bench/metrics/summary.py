@@ -7,7 +7,7 @@ import numpy as np
 from gran_bench.config.registry import METRICS
 from gran_bench.config.rules import ConfigError, check_arguments
 from gran_bench.metrics.angle_of_repose import SurfaceAngle
-from gran_bench.metrics.bed import overlap_series
+from gran_bench.metrics.bed import overlap_series, sphere_masses
 from gran_bench.metrics.measured import Measured, Series, within
 from gran_bench.metrics.outside import FailureCount, count_failures
 from gran_bench.metrics.phases import Phases, find_phases
@@ -29,6 +29,7 @@ class TrajectorySummary:
     layers: FloatArray  # (3, F, K) `layer_sums` under the surface; no layer where the scene has no drum
     phases: Phases  # when the flow is steady; of this run, until runs that are compared get those of the DEM
     diameter: float  # d, m
+    volume: float  # of all spheres, m³
     period: float  # of the y axis, m
     position: FloatArray | None = None  # (F, N, 3) m; None for statistics without particles
     failures: FailureCount | None = None  # None for statistics without particles
@@ -75,6 +76,7 @@ def summarise(trajectory: Trajectory, scene: Scene, velocity_kind: str | None = 
         layers=layers,
         phases=find_phases([series], scene),
         diameter=scene.filling.diameter,
+        volume=float(sphere_masses(trajectory.radius, 1.0).sum()),
         period=scene.period,
         position=run.position,
         failures=count_failures(trajectory, scene),
@@ -92,3 +94,11 @@ def _measured(name: str, trajectory: Trajectory, scene: Scene) -> Measured | Ser
     if found.unit != metric.unit:
         raise ConfigError(f"{whose} gives {found.unit!r} and was registered with {metric.unit!r}; give one unit")
     return found
+
+
+ONE_BED = 0.1  # relative; runs whose spheres differ less in volume are of one bed
+
+
+def of_one_bed(a: TrajectorySummary, b: TrajectorySummary) -> bool:
+    """Whether the spheres of one run can stand for those of another, as coarse-grained ones do: by their volume."""
+    return abs(a.volume - b.volume) < ONE_BED * b.volume

@@ -199,6 +199,9 @@ def position_error(candidates: Candidates, replicas: Replicas, path: Path | str)
         for (name, run), colour in coloured(candidates.items()):
             if run.position is None:
                 continue
+            if run.position.shape[1] != replicas[0].position.shape[1]:
+                axes.plot([], [], color=colour, label=f"{name}: other spheres than the DEM's")
+                continue
             shared = min(len(run.time), frames)
             apart = [separation(run.position[:shared], truth.position[:shared], period) for truth in replicas]
             error = np.mean(apart, axis=0)

@@ -82,15 +82,14 @@ def makespan(durations: Iterable[float], lanes: int) -> float:
 
 def flow_cost(scene: Scene, dem: DemConfig) -> Cost:
     """What flows: spheres, filling, step and why that one; it takes nothing yet."""
-    filling, step = scene.filling, choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)[0]
-    size = " to ".join(dict.fromkeys(f"{2e3 * r:.3g}" for r in (filling.smallest_radius, filling.largest_radius)))
+    step = choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)[0]
     share, (largest, why) = filled_share(scene), step_bound(scene)
     filled = f", {100 * share:.0f} % of the room by volume, without the gaps" * (share > 0)
     why = f"the automatic step, {why}" if dem.time_step is None else f"dem.time_step; {largest:.3g} s, {why}, is safe"
     of_a_frame = f"{round(scene.frame_interval / step)} for a frame of {scene.frame_interval:g} s"
-    if scene.gravity_strength > 0.0 and filling.count:
-        of_a_frame += f" = {scene.frame_interval / math.sqrt(filling.diameter / scene.gravity_strength):.2g} √(d/g)"
-    lines = [f"scene {scene.name}: {filling.count} spheres of {size} mm{filled}; {scene.needs}"]
+    if scene.gravity_strength > 0.0 and scene.filling.count:
+        of_a_frame += f" = {scene.frame_interval / scene.fall_time:.2g} √(d/g)"
+    lines = [f"scene {scene.name}: {scene.spheres}{filled}; {scene.needs}"]
     lines += [f"step: {step:.3g} s, {of_a_frame}: {why}"]
     return Cost(lines, cheaper=softer(scene) if dem.time_step is None else [])
 
@@ -203,7 +202,7 @@ def judging_cost(plan: Plan, frame: float) -> Cost:
     sums = len(plan.packings) * (plan.dataset.replicas + 2) + 6
     # Errors after 1, 3 and 10 frames come from rollouts of 10 frames.
     seconds = frame * (frames + 10 * plan.judge.short_horizon_starts)
-    seconds += summary_pace(plan.scene.at_speed(plan.judged_rpm)) * count * sums
+    seconds += summary_pace(plan.scene.fine.at_speed(plan.judged_rpm)) * count * sums
     stages = {"judging": seconds, "figures": FIGURES[plan.judge.gif]}
     return Cost([line], stages, PROCESS_BYTES["torch"], FRAME_BYTES * frames * plan.scene.filling.count)
 

@@ -43,7 +43,7 @@ def build_scene(config: SceneConfig) -> Scene:
     material = Material.from_config(config.material)
     second = config.second_material
     mixed = PairCoefficients(0, 1, config.mixed.restitution, config.mixed.friction, config.mixed.rolling_friction)
-    return Scene(
+    scene = Scene(
         name=config.name,
         filling=build_filling(config.filling),
         material=material,
@@ -57,6 +57,9 @@ def build_scene(config: SceneConfig) -> Scene:
         frame_interval=config.frame_interval,
         **vars(container),
     )
+    if config.coarse_graining == 1.0:
+        return scene
+    return scene.coarse_grained(config.coarse_graining, config.coarse_friction, config.coarse_rolling_friction)
 
 
 def build_filling(config: FillingConfig) -> Filling:

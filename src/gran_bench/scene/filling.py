@@ -174,6 +174,11 @@ class Filling:
         if self.fractions:
             check_fractions("scene.filling.fractions", self.fractions, len(self.fractions))
 
+    def __str__(self) -> str:
+        """``3000 spheres of 50 mm``, or of ``40 to 60 mm``."""
+        sizes = dict.fromkeys(f"{2e3 * r:.3g}" for r in (self.smallest_radius, self.largest_radius))
+        return f"{self.count} spheres of {' to '.join(sizes)} mm"
+
     @property
     def radius(self) -> float:
         """r = d/2, m."""

@@ -9,14 +9,17 @@ from functools import cached_property
 import numpy as np
 
 from gran_bench.config import SEED, SceneConfig
-from gran_bench.config.consistency import check_end, check_frames
-from gran_bench.config.rules import checked_value, positive
+from gran_bench.config.consistency import check_coarse_graining, check_end, check_frames
+from gran_bench.config.rules import at_least, checked_value, positive
 from gran_bench.scene.errors import SceneError, hold, scene_errors
 from gran_bench.scene.filling import Filling, Room, drum_sites, open_sites, room_sites
 from gran_bench.scene.material import Material, PairCoefficients
 from gran_bench.scene.motion import RADIANS_PER_SECOND_PER_RPM, Motion, Rotation
 from gran_bench.scene.walls import SAME_POINT, Outlet, Plane, Wall, surfaces, travels
 from gran_bench.state import FloatArray, ParticleState
+
+# Spacings of the first lattice, in diameters, that coarse spheres are given where the scene's own does not fit.
+CLOSER = (1.08, 1.05, 1.02)
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,15 @@ class Needs:
 
 
 @dataclass(frozen=True)
+class FineSpheres:
+    """What coarse-grained spheres stand for; fields as in `Scene`."""
+
+    filling: Filling
+    material: Material
+    wall_material: Material
+
+
+@dataclass(frozen=True)
 class Scene:
     """A container, its motion, a filling, materials, gravity and a span of time."""
 
@@ -65,6 +77,7 @@ class Scene:
     pair_coefficients: tuple[PairCoefficients, ...] = ()
     room: Room | None = None  # where the first lattice stands in a container that is no drum; None for open space
     outlet: Outlet | None = None  # where spheres leave; None where none do
+    fine_spheres: FineSpheres | None = None  # that coarse-grained ones stand for; None where none are
 
     def __post_init__(self) -> None:
         # A config's name becomes a folder; a scene made in Python is called as its author likes.
@@ -220,6 +233,58 @@ class Scene:
             return 2.0 * self.drum_radius
         return None if self.room is None else self.room.upper[2] - self.room.lower[2]
 
+    @property
+    def fine(self) -> Scene:
+        """The scene that coarse-grained spheres stand for; itself where none are."""
+        return self if self.fine_spheres is None else replace(self, **vars(self.fine_spheres), fine_spheres=None)
+
+    @property
+    def coarse_graining(self) -> float:
+        """f: diameter over the diameter that it stands for, −."""
+        return self.filling.diameter / self.fine.filling.diameter
+
+    @property
+    def spheres(self) -> str:
+        """``3000 spheres of 50 mm``, or ``coarse-grained: 889 spheres of 75 mm for 3000 of 50 mm``."""
+        fine = self.fine.filling
+        stand_for = str(fine).replace(" spheres", "")
+        return str(self.filling) if self.fine_spheres is None else f"coarse-grained: {self.filling} for {stand_for}"
+
+    def coarse_grained(
+        self, factor: float, friction: float | None = None, rolling_friction: float | None = None
+    ) -> Scene:
+        """The scene with N/f³ spheres of f d in the place of N of d, of the same material: stresses scale, E stays.
+
+        Source: Bierwisch et al., J. Mech. Phys. Solids 57 (2009) 10–31.
+
+        Args:
+            factor: f ≥ 1, −.
+            friction, rolling_friction: μ, μ_r of the coarse spheres, and of walls of the same material, −; None: as
+                they are.
+
+        Raises:
+            SceneError: spheres that are placed, or too few that are left.
+        """
+        with scene_errors():
+            factor = checked_value(float, at_least(1), factor, "scene.coarse_graining")
+            check_coarse_graining(factor, self.fine.filling)
+        fine, given = self.fine, {"friction": friction, "rolling_friction": rolling_friction}
+        count, diameter = round(fine.filling.count / factor**3), factor * fine.filling.diameter
+        material = replace(fine.material, **{name: value for name, value in given.items() if value is not None})
+        wall = material if fine.wall_material == fine.material else fine.wall_material
+        spheres = FineSpheres(fine.filling, fine.material, fine.wall_material)
+        # Few large spheres fit a container less well, and the first lattice says nothing of the bed.
+        for spacing in (fine.filling.lattice_spacing, *CLOSER):
+            jitter = min(fine.filling.jitter, 0.5 * (spacing - 1.0))
+            filling = replace(fine.filling, count=count, diameter=diameter, lattice_spacing=spacing, jitter=jitter)
+            coarse = replace(fine, filling=filling, material=material, wall_material=wall, fine_spheres=spheres)
+            if (room := len(coarse._sites())) >= count:
+                return coarse
+        raise SceneError(
+            f"scene.coarse_graining={factor:g} leaves {count} spheres of {diameter:g} m, and the first lattice of this "
+            f"container has room for {room}; choose less"
+        )
+
     def at_speed(self, speed_rpm: float) -> Scene:
         """The same scene turning at one constant speed from ``start_time`` on.
 
@@ -251,16 +316,19 @@ class Scene:
         velocity = velocity + filling.expansion * position
         return ParticleState(position, velocity, spin, np.array(radius), material=filling.materials(rng))
 
-    def _on_lattice(self, rng: np.random.Generator) -> FloatArray:
+    def _sites(self) -> FloatArray:
+        """Of the first lattice, ``(S, 3)`` m."""
         filling = self.filling
         if self.drum_radius is not None and self.length is not None:
-            sites = drum_sites(filling, self.drum_radius, self.length, self.periodic_axis)
-        elif self.room is not None:
-            sites = room_sites(filling, self.room)
-        elif self.walls:
+            return drum_sites(filling, self.drum_radius, self.length, self.periodic_axis)
+        if self.room is not None:
+            return room_sites(filling, self.room)
+        if self.walls:
             raise SceneError(f"scene {self.name!r} has no container to fill; give a state or scene.filling.positions")
-        else:
-            sites = open_sites(filling)
+        return open_sites(filling)
+
+    def _on_lattice(self, rng: np.random.Generator) -> FloatArray:
+        filling, sites = self.filling, self._sites()
         if len(sites) < filling.count:
             raise SceneError(
                 f"scene.filling.count={filling.count} spheres of {2 * filling.largest_radius:g} m do not fit; "

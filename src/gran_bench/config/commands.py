@@ -1,0 +1,34 @@
+"""Keys of commands that neither train nor compare methods."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from gran_bench.config.rules import Range, Section, at_least, key
+from gran_bench.config.schema import GenerateConfig, TrackingConfig
+
+
+@dataclass
+class CoarseGrainingConfig(GenerateConfig):
+    """Everything that `python -m gran_bench.coarse_graining` reads."""
+
+    factors: list[float] = key([1.26, 1.5, 2.0, 2.5], Range(1.0, open_low=True))  # where scene.coarse_graining is 1
+    root: str = "results/coarse_graining"  # folder of the table, from where the command runs
+
+
+@dataclass
+class CalibrateConfig(GenerateConfig):
+    """Everything that `python -m gran_bench.calibrate` reads."""
+
+    speeds_rpm: list[float] = key([], Range(unit="rpm"))  # of the training speeds; empty: all of them
+    trials: int = key(24, at_least(3))  # pairs of friction and rolling friction, at most
+    root: str = "results/calibration"  # folder of what was found, from where the command runs
+
+
+@dataclass
+class UiConfig(Section):
+    """Everything that `python -m gran_bench.ui` reads."""
+
+    port: int = key(5000, Range(1, 65535))  # of this machine
+    shipped: bool = True  # the first start puts the project's own records into the store
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)
