@@ -96,6 +96,10 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
             given = f"loss.{term}={getattr(loss, term):g} is measured in units of gravity"
             yield f"{given}, and scene.gravity={gravity} has none; choose loss.{term}=0"
     trainer = config.trainer
+    if not MODELS[model].particles and trainer.start_from is not None:
+        yield f"trainer.start_from={trainer.start_from}: model={model} starts from random weights alone; leave it null"
+    if not MODELS[model].particles and config.dataset.files:
+        yield f"dataset.files={config.dataset.files}: model={model} learns from runs of this DEM; leave it empty"
     if trainer.startup_fraction > 0 and trainer.startup_seconds is None and not any(gravity):
         why = "fall times, and scene.gravity is 0; give trainer.startup_seconds"
         yield f"trainer.startup_fall_times={trainer.startup_fall_times:g} {why}"

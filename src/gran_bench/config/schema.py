@@ -205,6 +205,38 @@ class CconvModelConfig(Section, place="model"):
 
 
 @dataclass
+class SchedulesConfig(Section, place="model.schedules"):
+    """The runs of the DEM that the emulator learns from: random schedules of the drum's speed, several beds."""
+
+    runs: int = key(90, Range(2, 1000))  # of different schedules; judging has the seeds from 1000 on
+    twins: int = key(20, at_least(2))  # of these, run again from a nudged start: how far runs scatter
+    constants: int = key(6, at_least(2))  # of the runs at constant speeds, spread over the range
+    slowest_rpm: float = key(15.0, positive("rpm"))
+    fastest_rpm: float = key(42.0, positive("rpm"))
+    filling_spread: float = key(0.2, Range(0.0, 1.0, open_high=True))  # ± share of filling.count in a run of five
+    friction_spread: float = key(0.4, Range(0.0, 1.0, open_high=True))  # ± share of material.friction in these
+
+
+@register_model(
+    "emulator",
+    build="gran_bench.emulator.network:Emulator",
+    particles=False,
+    code=("emulator", "metrics", "dataset/generation.py", "dataset/ensure.py"),
+)
+@dataclass
+class EmulatorConfig(Section, place="model"):
+    """The statistics emulator: a learned linear recurrence from the wall's speed to the figures of each frame."""
+
+    name: str = key("emulator", one_of("emulator"))
+    width: int = key(48, at_least(2))
+    modes: int = key(24, at_least(1))  # decaying oscillations of each layer
+    blocks: int = key(2, at_least(1))  # layers
+    batch: int = key(32, at_least(1))  # series whose gradients are computed together
+    members: int = key(20, at_least(2))  # of the ensemble that is judged
+    schedules: SchedulesConfig = field(default_factory=SchedulesConfig)
+
+
+@dataclass
 class BoundaryConfig(Section, place="boundary"):
     """How a model sees the walls: a convolution in one of three ways, the contact network in its own."""
 
@@ -289,6 +321,8 @@ class JudgeConfig(Section, place="judge"):
     unseen_packing: bool = True
     short_horizon_starts: int = key(20, at_least(1))  # start frames of the 1, 3, 10 frame position errors
     gif: bool = True
+    scenes: list[str] = key(["drum_ramp", "drum_stop"], Name())  # whose schedules an emulator is judged on
+    random_schedules: int = key(12, at_least(0))  # that an emulator is judged on
 
 
 @dataclass
@@ -321,7 +355,8 @@ class TrainConfig(GenerateConfig):
     seed: int = key(0, SEED)
     device: str = key("auto", one_of("auto", "cpu", "cuda"))
     threads: int = key(2, at_least(1))  # CPU threads of the surrogate
-    model: ContactModelConfig | CconvModelConfig = field(default_factory=ContactModelConfig)  # by model.name
+    # By model.name.
+    model: ContactModelConfig | CconvModelConfig | EmulatorConfig = field(default_factory=ContactModelConfig)
     boundary: BoundaryConfig = field(default_factory=lambda: BoundaryConfig(kind="own"))  # of the contact network
     loss: LossConfig = field(default_factory=LossConfig)
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
