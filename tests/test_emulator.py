@@ -190,7 +190,8 @@ def noise(rng: np.random.Generator, count: int) -> np.ndarray:
 def judge_said(monkeypatch):
     """Judge a mean and an ensemble against five runs of noise."""
     rng = np.random.default_rng(0)
-    truth, places = noise(rng, 5), {"surface_angle": (0, 1), "com_angle": (1, 2), "speed": (2, 26), "mean_speed": (26, 27)}
+    places = {"surface_angle": (0, 1), "com_angle": (1, 2), "speed": (2, 26), "mean_speed": (26, 27)}
+    truth = noise(rng, 5)
     scene = replace(SCENE, rotation=Rotation((1.5,), (30.0,)))
     case = CaseSpec(scene)
     series = [
@@ -295,10 +296,9 @@ def test_statistics_alone_are_kept_and_a_damaged_file_is_named(finished):
 
 def test_a_training_that_was_stopped_ends_with_the_same_weights(finished, tmp_path):
     config, _ = finished
-    short = replace(config, trainer=replace(config.trainer, minutes=1e-9), tracking=TrackingConfig(str(tmp_path), enabled=False))
-    short.tracking.root = str(tmp_path)
-    short.trainer.minutes = 1e-9
-    run_experiment(short)
+    tracking = replace(config.tracking, root=str(tmp_path))
+    short = replace(config, trainer=replace(config.trainer, minutes=1e-9), tracking=tracking)
+    assert run_experiment(short)["training"]["steps"] < config.trainer.steps
     whole = replace(short, trainer=replace(short.trainer, minutes=None))
     run_experiment(whole)
     weights = [torch.load(identify(c).folder / "model.pt", weights_only=True)["weights"] for c in (config, whole)]

@@ -17,7 +17,7 @@ from gran_bench.state import FloatArray
 from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, load_card
 
 # Of the first modes, in √(d/g): decay times from the shortest to the longest, and the highest frequency.
-DECAYS, FREQUENCY = (0.4, 21.0), 0.14
+DECAYS, FREQUENCY = (0.4, 60.0), 0.14
 BLOCK = 21  # frames that the recurrence takes at once
 INPUTS = ("speed", "speed over the frame", "turns", "settled surface angle", "settled centre", "filling", "friction")
 LEAST_SPREAD = 1e-3  # of the scatter of runs

@@ -11,9 +11,9 @@ from gran_bench.scene import Scene
 from gran_bench.scene.motion import Rotation
 
 JUDGED_SEED = 1000  # of the first random schedule that judging takes; training has those below
-OWN_PACKING = 100  # seed of the first packing that belongs to one training run alone
-# Of the time that a scene moves: from one change of speed to the next, and how long a ramp takes.
-HOLD, RAMP, FIRST_RAMP = (0.1, 0.45), (0.025, 0.2), (0.05, 0.25)
+OWN_PACKING = 10  # seed of the first packing that belongs to one training run alone
+# Of the time that a scene moves: from one change of speed to the next, a ramp, a ramp from rest, the end without one.
+HOLD, RAMP, FIRST_RAMP, LAST = (0.1, 0.45), (0.025, 0.2), (0.05, 0.25), 0.05
 # Chances of a start by a ramp, of a stop at a change while the drum turns, and of a jump instead of a ramp.
 SLOW_START, STOP, JUMP = 0.15, 0.35, 0.5
 
@@ -43,13 +43,13 @@ def random_rotation(scene: Scene, seed: int, slowest: float, fastest: float) -> 
     if rng.random() < SLOW_START:
         time += length * rng.uniform(*FIRST_RAMP)
         times, speeds = [scene.start_time, time], [0.0, speed]
-    while (time := time + length * rng.uniform(*HOLD)) < scene.end_time:
-        before, stops = speeds[-1], rng.random() < STOP
-        after = 0.0 if before and stops else _speed(rng, slowest, fastest)
+    while (time := time + length * rng.uniform(*HOLD)) < scene.end_time - LAST * length:
+        before = speeds[-1]
+        after = 0.0 if before and rng.random() < STOP else _speed(rng, slowest, fastest)
         ramp = 0.0 if rng.random() < JUMP else length * rng.uniform(*RAMP)
         times, speeds = [*times, time, time + ramp], [*speeds, before, after]
         time += ramp
-    return Rotation(tuple(round(float(t), 4) for t in times), tuple(speeds), axis)
+    return Rotation(tuple(round(float(t), 3) for t in times), tuple(speeds), axis)
 
 
 def _speed(rng: np.random.Generator, slowest: float, fastest: float) -> float:
@@ -70,7 +70,6 @@ def training_cases(
     slowest, fastest, cases = schedules.slowest_rpm, schedules.fastest_rpm, []
     held = [abs(speed) for speed in (*dataset.holdout_speeds_rpm, *dataset.validation_speeds_rpm)]
     constant = [v for v in np.linspace(slowest, fastest, schedules.constants) if abs(v) not in held]
-    own = (k for k in range(OWN_PACKING, 10**9) if k not in (dataset.packing_seed, dataset.unseen_packing_seed))
     for k in range(schedules.runs):
         if k < len(constant):
             rotation = replace(scene.rotation, times=(scene.start_time,), speeds_rpm=(float(constant[k]),))
@@ -79,7 +78,8 @@ def training_cases(
         case, packing = replace(scene, rotation=rotation), dataset.packing_seed
         kind = k % 5 if k >= len(constant) else 0
         if kind > 1:
-            packing = next(own)
+            packing = OWN_PACKING + k
+            packing += schedules.runs * (packing in (dataset.packing_seed, dataset.unseen_packing_seed))
         if kind == 4:
             case = _another(case, np.random.default_rng((k, 4)), schedules)
         cases.append(CaseSpec(case, dem, packing))

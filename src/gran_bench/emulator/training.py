@@ -89,16 +89,15 @@ class EmulatorTrainer(Trainer):
         """Loss, its terms and its gradients for one batch of series; touches nothing that threads share."""
         rng = np.random.default_rng((self.config.seed, 7919, draw))
         rows = rng.choice(len(self.truth), self.windows.batch, replace=False)
-        mean, _ = model(self.inputs[rows])
+        mean, spread = model(self.inputs[rows])
         far = (torch.where(self.valid[rows], mean, self.truth[rows]) - self.truth[rows]).abs()
         error = (far * self.weights).sum(dim=-1).mean()
-        pairs = rng.choice(len(self.apart), min(len(self.apart), self.windows.batch // 2), replace=False)
-        _, spread = model(self.inputs[self.windows.twins[pairs, 0]])
-        relative = self.apart[pairs] / spread
-        likely = (torch.log(spread / model.scatter) + 0.5 * relative**2) * self.apart_valid[pairs]
-        terms = {"figures": error, "spread": SPREAD_WEIGHT * likely.mean()}
-        total = sum(terms.values())
-        gradients = torch.autograd.grad(total, list(model.parameters()))
+        here, pairs = np.nonzero(rows[:, None] == self.windows.twins[:, 0])
+        relative = self.apart[pairs] / spread[here]
+        likely = (torch.log(spread[here] / model.scatter) + 0.5 * relative**2) * self.apart_valid[pairs]
+        terms = {"figures": error, "spread": SPREAD_WEIGHT * likely.sum() / max(likely.numel(), 1)}
+        total, own = sum(terms.values()), list(model.parameters())
+        gradients = torch.autograd.grad(total, own, allow_unused=True, materialize_grads=True)
         return total.item(), {name: value.item() for name, value in terms.items()}, list(gradients)
 
     def final_weights(self) -> dict[str, Tensor]:
