@@ -178,7 +178,8 @@ def test_in_a_multirun_a_failed_job_is_seen_and_stops_no_other(probe, launcher):
 def test_the_commands_explain_themselves(probe):
     code, out, said, left = probe("--help")
     assert (code, said, left) == (0, "", [])
-    for word in ("+experiment=holdout30rpm", "model: ccnn, contact, emulator, radial", "scene: drum, drum_high,", "Exit code"):
+    models = "model: ccnn, contact, emulator, radial"
+    for word in ("+experiment=holdout30rpm", models, "scene: drum, drum_high,", "Exit code"):
         assert word in out
     code, out, said, left = probe("--cfg", "job", "+experiment=paper")
     assert (code, said, left) == (0, "", [])
