@@ -57,7 +57,7 @@ def tiny(root: Path, **changes) -> TrainConfig:
         ),
         dataset=DatasetConfig(root=str(root / "data"), replicas=3, workers=1),
         model=EmulatorConfig(
-            width=8, modes=4, blocks=1, batch=4, members=4,
+            width=8, modes=4, blocks=1, committee=2, batch=4, members=4,
             schedules=SchedulesConfig(runs=7, twins=3, constants=2, filling_spread=0.1),
         ),
         optim=OptimConfig(learning_rate=1e-2, final_learning_rate=1e-3, accumulate=2, weight_average=0.9),

@@ -23,7 +23,6 @@ from gran_bench.metrics.judgement import ErrorRow, Judgement, Requirement
 from gran_bench.metrics.measured import LEAST_VALID_SHARE, Measured
 from gran_bench.metrics.position_error import HORIZONS
 from gran_bench.metrics.statistics import energy_score, spread_ratio
-from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
 
 WORST = {False: 1.25, True: 1.5}  # times the leave-one-out mean that pass, from the shared and the unseen packing
@@ -213,25 +212,26 @@ def fastest(rows: Iterable[Mapping[str, Any]]) -> float | None:
 
 
 def summary_of(
-    runs: Sequence[JudgedRun], own: float, dem: Sequence[Mapping[str, Any]], scene: Scene
+    runs: Sequence[JudgedRun], own: float, dem: Sequence[Mapping[str, Any]], emulator: Emulator, judged_as: str
 ) -> dict[str, Any]:
     """Everything as plain values for ``summary.json``, in the shape that every judged model has.
 
     Args:
-        runs: judged schedules, the held-out speed first.
+        runs: judged schedules, the constant speed first.
         own: wall time of the emulator for a second of simulated time, s.
         dem: as `dem_rivals` gives it.
-        scene: of the emulator.
+        emulator, judged_as: who is judged, and whether on the held-out or the validation speed.
     """
     held, best = runs[0], fastest(dem)
     packings = {"unseen" if unseen else "shared": unseen for unseen in sorted({run.judged.unseen for run in runs})}
     speed = abs(held.judged.replicas[0].scene.rotation.speeds_rpm[0])
-    frame_ms = 1e3 * scene.frame_interval
+    frame_ms = 1e3 * emulator.scene.frame_interval
     automatic = dem[0]["seconds_a_second"] * frame_ms
-    rollout = {"failed_frame": None, "warnings": [], "ms_per_frame_median": own * frame_ms, "ms_per_frame_90th": None}
+    rollout = {"failed_frame": None, "ms_per_frame_median": own * frame_ms, "ms_per_frame_90th": None}
+    rollout["warnings"] = emulator.extrapolations(held.judged.replicas[0].scene)
     return {
         "judged_rpm": speed,
-        "judged_as": "held out",
+        "judged_as": judged_as,
         "judged": {
             name: judgement(runs, unseen, best / own if best is not None else None).to_dict()
             for name, unseen in packings.items()

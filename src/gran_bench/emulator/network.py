@@ -98,6 +98,27 @@ def _perceptron(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(inputs, hidden), nn.SiLU(), nn.Linear(hidden, outputs))
 
 
+class Recurrence(nn.Module):
+    """One member of the committee: from inputs to the columns, and to how far runs scatter, both without unit.
+
+    The spread learns from features that the level has made, and does not bend them.
+    """
+
+    def __init__(self, config: EmulatorConfig, scene: Scene, columns: int) -> None:
+        super().__init__()
+        width = config.width
+        sizes = width, config.modes, scene.fall_time, scene.frame_interval
+        self.take = _perceptron(len(INPUTS), width, width)
+        self.layers = nn.Sequential(*(Layer(*sizes) for _ in range(config.blocks)))
+        self.level = nn.Sequential(nn.LayerNorm(width), _perceptron(width, width, columns))
+        self.spread = nn.Sequential(nn.LayerNorm(width), _perceptron(width, width // 2, columns))
+
+    def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        """Of ``(B, F, 7)``, two ``(B, F, C)``."""
+        signal = self.layers(self.take(inputs))
+        return self.level(signal), nn.functional.softplus(self.spread(signal.detach())) + LEAST_SPREAD
+
+
 class Emulator(nn.Module):
     """Mean and spread of the figures of each frame, from the wall's speed up to it, the bed, filling and friction.
 
@@ -112,13 +133,9 @@ class Emulator(nn.Module):
     def __init__(self, config: EmulatorConfig, scene: Scene, figures: list[str]) -> None:
         super().__init__()
         self.columns = columns_of(figures)
-        count, width = sum(FIGURES[name][2] for name in figures), config.width
-        self.scene, self.members = scene, config.members
-        self.take = _perceptron(len(INPUTS), width, width)
-        sizes = width, config.modes, scene.fall_time, scene.frame_interval
-        self.layers = nn.Sequential(*(Layer(*sizes) for _ in range(config.blocks)))
-        self.level = nn.Sequential(nn.LayerNorm(width), _perceptron(width, width, count))
-        self.spread = nn.Sequential(nn.LayerNorm(width), _perceptron(width, width // 2, count))
+        count = sum(FIGURES[name][2] for name in figures)
+        self.scene, self.members, self.schedules = scene, config.members, config.schedules
+        self.committee = nn.ModuleList(Recurrence(config, scene, count) for _ in range(config.committee))
         # Of the training data: middle and width of each column, and how far runs scatter there.
         for name, value in {"middle": 0.0, "extent": 1.0, "scatter": 1.0}.items():
             self.register_buffer(name, torch.full((count,), value))
@@ -127,13 +144,15 @@ class Emulator(nn.Module):
         self.register_buffer("persistence", torch.zeros(()))
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
-        """Of ``(B, F, 7)`` inputs, mean and standard deviation ``(B, F, C)`` in the figures' units.
+        """Of ``(B, F, 7)`` inputs, mean and standard deviation ``(B, F, C)`` in the figures' units."""
+        found = [self.said_by(recurrence, inputs) for recurrence in self.committee]
+        mean, spread = (torch.stack(each).mean(dim=0) for each in zip(*found, strict=True))
+        return mean, spread
 
-        The spread learns from features that the mean has made, and does not bend them.
-        """
-        signal = self.layers(self.take(inputs))
-        spread = nn.functional.softplus(self.spread(signal.detach())) + LEAST_SPREAD
-        return self.middle + self.extent * self.level(signal), self.scatter * spread
+    def said_by(self, recurrence: Recurrence, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and standard deviation as one member of the committee has them."""
+        level, spread = recurrence(inputs)
+        return self.middle + self.extent * level, self.scatter * spread
 
     def inputs(self, scene: Scene, settled: FloatArray) -> FloatArray:
         """What the emulator is told of a run, ``(F, 7)``; ``settled`` are the two angles of the bed at rest, deg."""
@@ -197,6 +216,20 @@ class Emulator(nn.Module):
             raise ValueError(f"scene {scene.name!r} has no angle of repose ({why}); the emulator says nothing of it")
         if len(settled) != 2 or not np.isfinite(settled).all():
             raise ValueError(f"settled={list(settled)} are no angles of a settled bed; give two finite ones, deg")
+
+    def extrapolations(self, scene: Scene) -> list[str]:
+        """A line for each thing in which a scene goes beyond the runs that the emulator learned from."""
+        own, known = self.scene, self.schedules
+        speeds = sorted({abs(speed) for speed in scene.rotation.speeds_rpm if speed})
+        lines = [f"{v:g} rpm, trained from {known.slowest_rpm:g} to {known.fastest_rpm:g} rpm" for v in speeds
+                 if not known.slowest_rpm <= v <= known.fastest_rpm]  # fmt: skip
+        for name, given, usual, spread in (
+            ("spheres", scene.filling.count, own.filling.count, known.filling_spread),
+            ("friction", scene.material.friction, own.material.friction, known.friction_spread),
+        ):
+            if abs(given - usual) > (spread + 1e-9) * usual:
+                lines.append(f"{name} {given:g}, trained at {usual:g} ± {100 * spread:g} %")
+        return lines
 
     @property
     def parameter_count(self) -> int:

@@ -121,8 +121,11 @@ def judged_schedules(
     scene: Scene, dem: DemConfig, dataset: DatasetConfig, judge: JudgeConfig, schedules: SchedulesConfig,
     shipped: Mapping[str, Rotation],
 ) -> list[Judged]:  # fmt: skip
-    """What is judged: the held-out speed, shipped schedules and random ones, from the shared and the unseen packing."""
-    speed = float(dataset.holdout_speeds_rpm[0])
+    """What is judged: a speed, shipped schedules and random ones, from the shared and the unseen packing.
+
+    The speed is the validation speed where there is one, because whoever chooses must not see the held-out one.
+    """
+    speed = float((dataset.validation_speeds_rpm or dataset.holdout_speeds_rpm)[0])
     rotations = {f"{speed:g} rpm": scene.at_speed(speed).rotation, **shipped}
     for seed in range(JUDGED_SEED, JUDGED_SEED + judge.random_schedules):
         rotations[f"random {seed}"] = random_rotation(scene, seed, schedules.slowest_rpm, schedules.fastest_rpm)

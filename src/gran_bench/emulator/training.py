@@ -88,14 +88,17 @@ class EmulatorTrainer(Trainer):
     def _window_gradients(self, model: Emulator, draw: int, frames: int) -> tuple[float, dict[str, float], list]:
         """Loss, its terms and its gradients for one batch of series; touches nothing that threads share."""
         rng = np.random.default_rng((self.config.seed, 7919, draw))
-        rows = rng.choice(len(self.truth), self.windows.batch, replace=False)
-        mean, spread = model(self.inputs[rows])
-        far = (torch.where(self.valid[rows], mean, self.truth[rows]) - self.truth[rows]).abs()
-        error = (far * self.weights).sum(dim=-1).mean()
-        here, pairs = np.nonzero(rows[:, None] == self.windows.twins[:, 0])
-        relative = self.apart[pairs] / spread[here]
-        likely = (torch.log(spread[here] / model.scatter) + 0.5 * relative**2) * self.apart_valid[pairs]
-        terms = {"figures": error, "spread": SPREAD_WEIGHT * likely.sum() / max(likely.numel(), 1)}
+        drawn = rng.choice(len(self.truth), self.windows.batch, replace=False)
+        count, terms = len(model.committee), {"figures": 0.0, "spread": 0.0}
+        for number, recurrence in enumerate(model.committee):
+            rows = drawn[number::count]
+            mean, spread = model.said_by(recurrence, self.inputs[rows])
+            far = (torch.where(self.valid[rows], mean, self.truth[rows]) - self.truth[rows]).abs()
+            terms["figures"] += (far * self.weights).sum(dim=-1).mean() / count
+            here, pairs = np.nonzero(rows[:, None] == self.windows.twins[:, 0])
+            relative = self.apart[pairs] / spread[here]
+            likely = (torch.log(spread[here] / model.scatter) + 0.5 * relative**2) * self.apart_valid[pairs]
+            terms["spread"] += SPREAD_WEIGHT * likely.sum() / max(likely.numel(), 1) / count
         total, own = sum(terms.values()), list(model.parameters())
         gradients = torch.autograd.grad(total, own, allow_unused=True, materialize_grads=True)
         return total.item(), {name: value.item() for name, value in terms.items()}, list(gradients)

@@ -210,7 +210,8 @@ def emulator_cost(
     cap = math.inf if budget.minutes is None else 60.0 * budget.minutes
     seconds = min(cap, budget.steps * emulator_pace(config, scene))
     cost.seconds["training"] = trainings * seconds
-    cost.lines.append(f"training: emulator, {budget.steps} updates, cut at {cap / 60.0:g} minutes (trainer.minutes)")
+    words = f"{trainings} × {budget.steps} updates" if trainings else "finished before"
+    cost.lines.append(f"training: emulator, {words}" + f", cut at {cap / 60.0:g} minutes" * (cap < math.inf))
     cost.memory = PROCESS_BYTES["torch"] + lanes * (
         PROCESS_BYTES["dem"] + 3.0 * FRAME_BYTES * scene.frame_count * scene.filling.count
     )

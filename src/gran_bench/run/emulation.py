@@ -22,7 +22,7 @@ from gran_bench.provenance import provenance
 from gran_bench.run.cost import emulator_cost
 from gran_bench.run.identity import EmulatorPlan, emulator_plan, identify, wants_more
 from gran_bench.run.record import LOSSES, Clock, RunRecord
-from gran_bench.run.summary import FIGURES, record_judgement
+from gran_bench.run.summary import FIGURES, finished_summary, record_judgement
 
 Train = Callable[[TrainConfig, Emulator, TrainingRuns, Path, tracking.Run, StopRequest], dict[str, Any]]
 
@@ -33,10 +33,11 @@ def run_emulator(config: TrainConfig, train: Train) -> dict[str, Any]:
     ``train`` is the stage that every model is trained by. Arguments and errors else as of `run_experiment`.
     """
     plan, clock, data = emulator_plan(config), Clock(), config.dataset
+    record = RunRecord(identify(config), config, plan.scene.name, clock)
     with stop_on_signals() as stop:
-        if emulator_cost(config, plan.training, plan.replicas).tell(config.dry_run):
+        left = int(finished_summary(record.identity) is None)
+        if emulator_cost(config, plan.training, plan.replicas, left).tell(config.dry_run):
             return {}
-        record = RunRecord(identify(config), config, plan.scene.name, clock)
 
         def work(run: tracking.Run) -> dict[str, Any]:
             with clock.stage("data"):
@@ -69,7 +70,8 @@ def _judge_stage(
         figures = [emulated_schedules(runs, folder / FIGURES / "schedules.png")]
         if (folder / LOSSES).exists():
             figures.append(loss_curves(pd.read_csv(folder / LOSSES), folder / FIGURES / "loss.png"))
-    summary = judging.summary_of(runs, own, dem, emulator.scene) | {
+    judged_as = "validation" if config.dataset.validation_speeds_rpm else "held out"
+    summary = judging.summary_of(runs, own, dem, emulator, judged_as) | {
         "experiment": training["experiment"],
         "provenance": provenance(),
         "model": asdict(config.model),

@@ -123,6 +123,9 @@ def flat_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
     for name, row in summary["rollouts"].items():
         metrics[f"rollout/{name}/ms_per_frame"] = row["ms_per_frame_median"]
         metrics[f"rollout/{name}/dem_ms_per_frame"] = row["dem_ms_per_frame"]
+    for packing, table in summary.get("statistics", {}).get("averages", {}).items():
+        for name, row in table.items():
+            metrics |= {f"{packing}/{key}/{name}": row[key] for key in ("ratio", "spread", "energy", "energy_of_runs")}
     metrics |= {f"wall_seconds/{name}": seconds for name, seconds in summary["wall_seconds"].items()}
     numbers = {name: value for name, value in metrics.items() if isinstance(value, int | float)}
     return {name: float(value) for name, value in numbers.items() if not isinstance(value, bool)}
