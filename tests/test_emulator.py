@@ -28,14 +28,15 @@ from gran_bench.config.reading import validate
 from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import CaseSpec, DatasetError
 from gran_bench.emulator.judging import distance, judge_schedule, judgement
-from gran_bench.emulator.network import Emulator, Modes, load_emulator
-from gran_bench.emulator.runs import FIGURES, RunStatistics, ensure_runs, quantiles, read_run, run_path
+from gran_bench.emulator.network import Emulator, Modes, load_emulator, settled_angles
+from gran_bench.emulator.runs import FIGURES, RunStatistics, ensure_runs, measure, quantiles, read_run, run_path
 from gran_bench.emulator.schedules import Judged, judged_schedules, random_rotation, refuse_unfair, training_cases
 from gran_bench.run.experiment import run_experiment
 from gran_bench.run.identity import emulator_plan, identify
 from gran_bench.run.summary import summary_table
 from gran_bench.scene import build_scene
 from gran_bench.scene.motion import Rotation
+from gran_bench.state import Trajectory
 from gran_bench.surrogate.checkpoint import CheckpointError, load_model
 
 NAMES = [name for name in FIGURES if name != "torque"]
@@ -174,6 +175,31 @@ def test_what_the_emulator_was_not_made_for_is_refused(scene, settled, words):
     emulator = Emulator(EmulatorConfig(), SCENE, NAMES)
     with pytest.raises(ValueError, match=words):
         emulator.statistics(scene, np.array(settled))
+
+
+def test_the_settled_angles_are_those_of_the_first_frame():
+    rng = np.random.default_rng(0)
+    bed = SCENE.fresh_filling(0)
+    low = bed.position * [0.3, 1.0, 0.3] + [0.0, 0.0, -0.3] + rng.normal(0.0, 1e-3, bed.position.shape)
+    still = replace(bed, position=low, time=SCENE.start_time)
+    motion = Trajectory(np.array([1.5]), low[None], np.zeros_like(low)[None], None, bed.radius)
+    first = measure(motion, SCENE)
+    found = settled_angles(SCENE, still)
+    np.testing.assert_allclose(found, [first["surface_angle"][0, 0], first["com_angle"][0, 0]])
+
+
+def test_what_lies_beyond_the_training_is_said():
+    emulator = Emulator(EmulatorConfig(), SCENE, NAMES)
+    inside = replace(SCENE, rotation=Rotation((1.5, 3.0, 3.0), (20.0, 20.0, 0.0)))
+    assert emulator.extrapolations(inside) == []
+    beyond = replace(
+        SCENE,
+        rotation=Rotation((1.5,), (10.0,)),
+        filling=replace(SCENE.filling, count=1500),
+        material=replace(SCENE.material, friction=0.5),
+    )
+    said = emulator.extrapolations(beyond)
+    assert [line.partition(",")[0] for line in said] == ["10 rpm", "spheres 1500", "friction 0.5"]
 
 
 # ---- judging ---------------------------------------------------------------------------------------------

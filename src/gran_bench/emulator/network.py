@@ -11,9 +11,9 @@ from torch import Tensor, nn
 from gran_bench.config import EmulatorConfig, SceneConfig
 from gran_bench.config.reading import read_config
 from gran_bench.emulator.runs import FIGURES, columns_of
-from gran_bench.metrics.angle_of_repose import why_no_angle
+from gran_bench.metrics.angle_of_repose import center_of_mass_angles, surface_lines, why_no_angle
 from gran_bench.scene import Scene, build_scene
-from gran_bench.state import FloatArray
+from gran_bench.state import FloatArray, ParticleState
 from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, load_card
 
 # Of the first modes, in √(d/g): decay times from the shortest to the longest, and the highest frequency.
@@ -235,6 +235,16 @@ class Emulator(nn.Module):
     def parameter_count(self) -> int:
         """Number of trained weights."""
         return sum(p.numel() for p in self.parameters())
+
+
+def settled_angles(scene: Scene, bed: ParticleState) -> FloatArray:
+    """The two angles of a settled bed that the emulator is told, surface and centre of mass, ``(2,)`` deg.
+
+    A bed without a straight surface gives NaN, which the emulator refuses.
+    """
+    still = bed.position[None], bed.radius, scene
+    line, center = surface_lines(*still)[0], center_of_mass_angles(*still)[0]
+    return np.degrees([line.angle if line.valid else math.nan, center])
 
 
 def load_emulator(path: str | Path) -> Emulator:
