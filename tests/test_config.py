@@ -73,7 +73,7 @@ def test_every_choice_of_every_group_composes(group):
         with_it = ["dataset=small"] if path.stem == "quick" and group == "judge" else []
         with_it += ["judge=quick"] if path.stem == "small" and group == "dataset" else []
         # The contact network has walls of its own and no pair accelerations.
-        with_it += ["model=ccnn"] if group == "boundary" and path.stem != "contact" else []
+        with_it += ["model=ccnn"] if group == "boundary" and path.stem not in ("contact", "emulator") else []
         with_it += ["model=ccnn"] if path.stem == "with_momentum" else []
         train_config(f"{group}={path.stem}", *with_it)
 
@@ -258,6 +258,10 @@ def test_every_number_of_the_schema_has_bounds():
         ("rollout.frames=500", ["rollout.frames=500", "400"]),
         ("trainer=paper trainer.budget=time", ["trainer.budget=time", "trainer.minutes"]),
         ("optim.final_learning_rate=1", ["optim.final_learning_rate=1", "optim.learning_rate"]),
+        ("model=emulator model.batch=2", ["model.batch=2", "model.committee=3"]),
+        ("model=emulator model.schedules.slowest_rpm=50", ["slowest_rpm=50", "below model.schedules.fastest_rpm=42"]),
+        ("model=emulator model.schedules.twins=200", ["model.schedules.twins=200", "at most"]),
+        ("model=emulator trainer.start_from=x", ["trainer.start_from=x", "model=emulator", "null"]),
         ("seed=abc", ["seed=abc", "whole number"]),
         ("seed=1.5", ["seed=1.5", "whole number"]),
         ("seed=true", ["seed=true", "whole number"]),

@@ -36,7 +36,7 @@ MODULES = sorted(path for path in SOURCE.rglob("*.py") if path.name != "__init__
 ROOMS = [
     *("cache_folders", "files", "config", "provenance", "processes", "workers", "progress"),
     *("state", "scene", "neighbors", "dem", "verification", "dataset", "surrogate", "losses"),
-    *("metrics", "baselines", "trainer", "evaluation", "plots", "tracking", "compose", "shipped", "run"),
+    *("metrics", "baselines", "trainer", "evaluation", "emulator", "plots", "tracking", "compose", "shipped", "run"),
     *("sweep", "export", "compare", "entry", "import_case", "benchmark", "coarse_graining", "stress", "report"),
 ]
 ENTRIES = ["train", "generate", "verify", "evaluate", "calibrate", "ui"]

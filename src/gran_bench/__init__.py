@@ -24,6 +24,7 @@ _HOMES = {
     **dict.fromkeys(("Measured", "Series"), "metrics.measured"),
     **{"DemConfig": "config", "Trajectory": "state", "FrameAhead": "losses", "judge": "metrics.judge"},
     **{"import_arrays": "import_case", "load_model": "surrogate.checkpoint", "rollout": "surrogate.rollout"},
+    "load_emulator": "emulator.network",
 }
 __all__ = sorted(_HOMES)
 

@@ -69,12 +69,18 @@ class Source:
         """
         if self.config_dir is not None and not Path(self.config_dir).is_dir():
             raise ConfigError(f"--config-dir={self.config_dir}: no such folder; name the one that has your configs")
+        # A command that Hydra runs may compose another config, such as a shipped scene.
+        outer = GlobalHydra.instance().hydra
+        GlobalHydra.instance().clear()
         if self.config_path is not None and "://" not in self.config_path:
             start = hydra.initialize_config_dir(str(Path(self.config_path).resolve()), version_base=VERSION_BASE)
         else:
             start = hydra.initialize_config_module(CONFIG_MODULE, version_base=VERSION_BASE)
-        with start:
-            yield
+        try:
+            with start:
+                yield
+        finally:
+            GlobalHydra.instance().hydra = outer
 
     def composed(self, overrides: Sequence[str], hydra_too: bool = False) -> DictConfig:
         search = [f"hydra.searchpath=[file://{Path(self.config_dir).resolve()}]"] if self.config_dir else []

@@ -3,7 +3,14 @@
 from collections.abc import Iterator
 from dataclasses import fields
 
-from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig, LossConfig, TrainConfig
+from gran_bench.config import (
+    BoundaryConfig,
+    CconvModelConfig,
+    ContactModelConfig,
+    EmulatorConfig,
+    LossConfig,
+    TrainConfig,
+)
 from gran_bench.config.registry import MODELS
 from gran_bench.config.rules import Section, raising, shown
 
@@ -96,6 +103,20 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
             given = f"loss.{term}={getattr(loss, term):g} is measured in units of gravity"
             yield f"{given}, and scene.gravity={gravity} has none; choose loss.{term}=0"
     trainer = config.trainer
+    if not MODELS[model].particles and trainer.start_from is not None:
+        yield f"trainer.start_from={trainer.start_from}: model={model} starts from random weights alone; leave it null"
+    if isinstance(emulator := config.model, EmulatorConfig):
+        if min(emulator.batch, emulator.schedules.runs) < emulator.committee:
+            given = f"model.batch={emulator.batch} and model.schedules.runs={emulator.schedules.runs}"
+            yield f"{given} must both be at least model.committee={emulator.committee}, a series for each"
+        if emulator.schedules.slowest_rpm >= emulator.schedules.fastest_rpm:
+            given = f"model.schedules.slowest_rpm={emulator.schedules.slowest_rpm:g}"
+            yield f"{given} must lie below model.schedules.fastest_rpm={emulator.schedules.fastest_rpm:g}"
+        if emulator.schedules.twins > emulator.schedules.runs:
+            given = f"model.schedules.twins={emulator.schedules.twins}"
+            yield f"{given} are more than model.schedules.runs={emulator.schedules.runs}; choose at most that"
+    if not MODELS[model].particles and config.dataset.files:
+        yield f"dataset.files={config.dataset.files}: model={model} learns from runs of this DEM; leave it empty"
     if trainer.startup_fraction > 0 and trainer.startup_seconds is None and not any(gravity):
         why = "fall times, and scene.gravity is 0; give trainer.startup_seconds"
         yield f"trainer.startup_fall_times={trainer.startup_fall_times:g} {why}"

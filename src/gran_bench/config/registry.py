@@ -112,6 +112,7 @@ class Model(Builder):
     own_walls: bool = True  # sees walls in a way of its own, so that `boundary` decides nothing
     spin: bool = False  # predicts spin
     conserves_momentum: bool = False  # its pairs do, exactly
+    particles: bool = True  # steps particles; else it gives statistics alone
     code: tuple[str, ...] = ()  # rooms of the house that its weights pass through; a plugin's are all of its package
 
 
@@ -145,6 +146,7 @@ def register_model(
     own_walls: bool = True,
     spin: bool = False,
     conserves_momentum: bool = False,
+    particles: bool = True,
     code: tuple[str, ...] = (),
 ) -> Callable[[Config], Config]:
     """Let ``model.name`` be one of ``names``; decorates the dataclass of the model's keys.
@@ -152,12 +154,13 @@ def register_model(
     Args:
         build: the `Surrogate`'s class, or ``package.module:Class``. It is called with the config and the scene; where
             the walls are not its own, with the config, the ``boundary`` and the scene.
-        own_walls, spin, conserves_momentum, code: as in `Model`.
+        own_walls, spin, conserves_momentum, particles, code: as in `Model`.
 
     Raises:
         ConfigError: no dataclass of `Section`, or a name that another package has.
     """
-    return lambda config: MODELS.section(config, names, Model(config, build, own_walls, spin, conserves_momentum, code))
+    model = {"own_walls": own_walls, "spin": spin, "conserves_momentum": conserves_momentum, "particles": particles}
+    return lambda config: MODELS.section(config, names, Model(config, build, **model, code=code))
 
 
 def register_wall(*names: str, build: Callable[..., Any] | str, drum: bool = False) -> Callable[[Config], Config]:

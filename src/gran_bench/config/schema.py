@@ -4,6 +4,7 @@ from __future__ import annotations  # the types of keys are read as words
 
 from dataclasses import dataclass, field
 
+from gran_bench.config.emulator import EmulatorConfig
 from gran_bench.config.registry import holds_weights, register_model, register_wall
 from gran_bench.config.requirements import RequirementsConfig
 from gran_bench.config.rules import MISSING, Name, Range, Section, at_least, between, key, one_of, positive
@@ -294,6 +295,8 @@ class JudgeConfig(Section, place="judge"):
     unseen_packing: bool = True
     short_horizon_starts: int = key(20, at_least(1))  # start frames of the 1, 3, 10 frame position errors
     gif: bool = True
+    scenes: list[str] = key(["drum_ramp", "drum_stop"], Name())  # whose schedules an emulator is judged on
+    random_schedules: int = key(12, at_least(0))  # that an emulator is judged on
     requirements: RequirementsConfig = field(default_factory=RequirementsConfig)
 
 
@@ -327,7 +330,7 @@ class TrainConfig(GenerateConfig):
     seed: int = key(0, SEED)
     device: str = key("auto", one_of("auto", "cpu", "cuda"))
     threads: int = key(2, at_least(1))  # CPU threads of the surrogate
-    model: ContactModelConfig | CconvModelConfig = field(default_factory=ContactModelConfig)  # by model.name
+    model: ContactModelConfig | CconvModelConfig | EmulatorConfig = field(default_factory=ContactModelConfig)
     boundary: BoundaryConfig = field(default_factory=lambda: BoundaryConfig(kind="own"))  # of the contact network
     loss: LossConfig = field(default_factory=LossConfig)
     rollout: RolloutConfig = field(default_factory=RolloutConfig)

@@ -7,7 +7,7 @@ import pickle
 import subprocess
 import tempfile
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -49,15 +49,26 @@ def ensure_cases(specs: Iterable[CaseSpec], root: Path | str, workers: int = 2, 
     beds = {spec.settled_path(root): spec for spec in missing}
     settling = [Job(spec, root, settles=True) for path, spec in beds.items() if not _is_there(path)]
     moving = [Job(spec, root, settles=False) for spec in missing]
-    with SimulatedTimeBar([*settling, *moving], show=progress) as bar:
-        for jobs in (settling, moving):
+    make_files([settling, moving], workers, progress)
+    return [spec.path(root) for spec in specs]
+
+
+def make_files(stages: Sequence[Sequence[Job]], workers: int, progress: bool) -> None:
+    """Run the jobs of one stage after another, ``workers`` processes at a time.
+
+    A job is a `Job` or what has its ``spec``, ``path``, ``simulated_seconds`` and ``run``, and can be pickled.
+
+    Raises:
+        DatasetError: jobs that failed; the others of their stage were done nevertheless.
+    """
+    with SimulatedTimeBar([job for stage in stages for job in stage], show=progress) as bar:
+        for jobs in stages:
             apart = workers > 1 and len(jobs) > 1
             troubles = _in_processes(jobs, workers, bar) if apart else [_here(job, bar) for job in jobs]
             lines = [f"{job.spec.label}: {words}" for job, words in zip(jobs, troubles, strict=True) if words]
             if lines:
                 many = f"{len(lines)} of {len(jobs)} files of the data set could not be made: " if len(jobs) > 1 else ""
                 raise DatasetError(many + "; ".join(lines))
-    return [spec.path(root) for spec in specs]
 
 
 def _is_there(path: Path) -> bool:
@@ -78,7 +89,7 @@ def _here(job: Job, bar: SimulatedTimeBar) -> str | None:
     return None
 
 
-def _in_processes(jobs: list[Job], workers: int, bar: SimulatedTimeBar) -> list[str | None]:
+def _in_processes(jobs: Sequence[Job], workers: int, bar: SimulatedTimeBar) -> list[str | None]:
     """Run jobs in processes that end with this one, ``workers`` at a time; what went wrong with each, or None."""
     started: list[subprocess.Popen] = []
     stopped = threading.Event()

@@ -151,6 +151,11 @@ class Windows:
         """Digest of the training cases."""
         return dataset_digest(self.cases)
 
+    @property
+    def data_seconds(self) -> float:
+        """What the DEM took for the training cases, where known, s."""
+        return float(np.nansum([case.attributes["wall_seconds"] for case in self.cases]))
+
 
 def dataset_digest(cases: Iterable[Case | Path | str]) -> str:
     """16 hex digits over the digests of cases, whatever their order."""

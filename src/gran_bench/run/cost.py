@@ -9,7 +9,7 @@ import heapq
 import math
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from gran_bench.dem.simulate import choose_time_step
 from gran_bench.dem.time_step import step_bound
 from gran_bench.evaluation.plan import Plan
 from gran_bench.metrics.outside import counted
-from gran_bench.run.pace import dem_pace, rollout_pace, summary_pace, update_pace
+from gran_bench.run.pace import dem_pace, emulator_pace, rollout_pace, summary_pace, update_pace
 from gran_bench.scene import Scene, build_scene
 
 STARTING = 2.5  # s until the process of a case simulates: libraries, compiled kernels
@@ -190,6 +190,36 @@ def training_cost(config: TrainConfig, plan: Plan, done: int | None = 0) -> Cost
     windows, frames = counted(config.optim.accumulate, "window"), counted(ahead, "frame")
     words += f", each of {windows} of up to {frames} ahead, {counted(config.threads, 'thread')}"
     return Cost([f"training: {name}, {words}"], {"training": seconds}) + cost
+
+
+def emulator_cost(
+    config: TrainConfig, training: Sequence[CaseSpec], replicas: Sequence[CaseSpec], trainings: int = 1
+) -> Cost:
+    """What an emulator's runs of the DEM, its trainings and their judgement will take."""
+    from gran_bench.emulator.runs import QUANTILES, run_path
+
+    scene, data, dem = build_scene(config.scene), config.dataset, config.dem
+    budget, cost = config.trainer, flow_cost(scene, dem)
+    pace, summing, lanes = dem_pace(scene, replace(dem, time_step=None)), summary_pace(scene), max(1, data.workers)
+    for stage, specs in (("data", training), ("judging", replicas)):
+        missing = [spec for spec in specs if not run_path(spec, data.root).exists()]
+        beds = {spec.settled_path(data.root): spec for spec in missing}
+        settling = [spec for path, spec in beds.items() if not path.exists()]
+        steps = sum(_steps(spec, settles=False) for spec in missing) + sum(_steps(one, True) for one in settling)
+        work = pace * steps + summing * scene.frame_count * len(missing)
+        cost.seconds[stage] = work / min(lanes, os.cpu_count() or 1)
+        cost.lines.append(f"{stage}: statistics of {len(specs)} runs, {len(missing)} to make, {lanes} at a time")
+        cost.disk += 8.0 * (QUANTILES + 4) * scene.frame_count * len(missing)
+        cost.disk += BED_BYTES * sum(spec.scene.filling.count for spec in settling)
+    cap = math.inf if budget.minutes is None else 60.0 * budget.minutes
+    seconds = min(cap, budget.steps * emulator_pace(config, scene))
+    cost.seconds["training"] = trainings * seconds
+    words = f"{trainings} × {budget.steps} updates" if trainings else "finished before"
+    cost.lines.append(f"training: emulator, {words}" + f", cut at {cap / 60.0:g} minutes" * (cap < math.inf))
+    cost.memory = PROCESS_BYTES["torch"] + lanes * (
+        PROCESS_BYTES["dem"] + 3.0 * FRAME_BYTES * scene.frame_count * scene.filling.count
+    )
+    return cost
 
 
 def judging_cost(plan: Plan, frame: float) -> Cost:

@@ -10,13 +10,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from gran_bench import tracking
-from gran_bench.config import EvaluateConfig, SceneConfig, TrainConfig
+from gran_bench.config import EmulatorConfig, EvaluateConfig, SceneConfig, TrainConfig
 from gran_bench.config.reading import read_config, validate
 from gran_bench.dataset import Windows, ensure_cases
+from gran_bench.emulator.network import Emulator
+from gran_bench.emulator.training import EmulatorTrainer, TrainingRuns
 from gran_bench.evaluation import evaluate
 from gran_bench.evaluation.plan import Plan
 from gran_bench.files import write_text
@@ -27,6 +28,7 @@ from gran_bench.processes import StopRequest, stop_on_signals, tell
 from gran_bench.provenance import provenance
 from gran_bench.provenance.source_digest import model_code
 from gran_bench.run.cost import Cost, data_cost, flow_cost, judging_cost, training_cost
+from gran_bench.run.emulation import run_emulator
 from gran_bench.run.going_on import go_on, parent_of, updates_ahead
 from gran_bench.run.identity import RunIdentity, hash_of, identify, judged_by, judging_plan, splits, wants_more
 from gran_bench.run.pace import rollout_pace
@@ -60,6 +62,8 @@ def run_experiment(config: TrainConfig) -> dict[str, Any]:
         KeyboardInterrupt: SIGTERM or Ctrl-C; a resumable state is on disk and the MLflow run is KILLED.
     """
     validate(config)
+    if isinstance(config.model, EmulatorConfig):
+        return run_emulator(config, train_stage)
     scene, clock, split, start = build_scene(config.scene), Clock(), splits(config), start_of(config)
     model = make_model(config, scene)
     if start is not None:
@@ -152,7 +156,8 @@ def compile_ahead(model: str) -> None:
 
 
 def train_stage(
-    config: TrainConfig, model: Surrogate, windows: Windows, folder: Path, run: tracking.Run, stop: StopRequest,
+    config: TrainConfig, model: Surrogate | Emulator, windows: Windows | TrainingRuns, folder: Path, run: tracking.Run,
+    stop: StopRequest,
     start: Start | None = None, validation: Validation | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Train, or load what training left, into the model; gives what ``training.json`` says."""
@@ -170,7 +175,8 @@ def train_stage(
         log.add(metrics, step)
         run.log_metrics(training_metrics(metrics), step)
 
-    trainer = Trainer(model, windows, config, folder, keep, lambda: stop.requested, tell)
+    make = EmulatorTrainer if isinstance(windows, TrainingRuns) else Trainer
+    trainer = make(model, windows, config, folder, keep, lambda: stop.requested, tell)
     if trainer.resume():
         tell(f"training goes on from update {trainer.step} of {config.trainer.steps} ({folder / CHECKPOINT})")
     log.drop_after(trainer.step)
@@ -193,7 +199,8 @@ def train_stage(
         "validation_speeds_rpm": list(config.dataset.validation_speeds_rpm),
         "packing_seed": config.dataset.packing_seed,
         "data_digest": windows.digest,
-        "data_seconds": float(np.nansum([case.attributes["wall_seconds"] for case in windows.cases])),
+        **({"figures": windows.figures} if isinstance(windows, TrainingRuns) else {}),
+        "data_seconds": windows.data_seconds,
         **({} if start is None else start.record(config)),
         **parent_of(folder),
         **provenance(),

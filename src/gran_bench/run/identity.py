@@ -5,18 +5,21 @@ PyTorch is loaded only where the run starts from weights of another.
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gran_bench.config import TrainConfig
+from gran_bench.config import EmulatorConfig, TrainConfig
 from gran_bench.config.choices import weighed_terms
 from gran_bench.config.identity import deciding_keys
-from gran_bench.dataset import Split, dataset_digest, split_cases
+from gran_bench.config.rules import ConfigError
+from gran_bench.dataset import CaseSpec, Split, dataset_digest, split_cases
 from gran_bench.dataset.case_spec import key_hash
+from gran_bench.emulator.schedules import Judged, judged_schedules, training_cases
 from gran_bench.evaluation.plan import Plan
-from gran_bench.provenance.source_digest import judging_code, training_code
-from gran_bench.scene import build_scene
+from gran_bench.provenance.source_digest import judging_code, model_code, training_code
+from gran_bench.scene import Scene, build_scene
+from gran_bench.shipped import shipped_scene
 
 
 @dataclass(frozen=True)
@@ -31,13 +34,18 @@ class RunIdentity:
 
 def identify(config: TrainConfig) -> RunIdentity:
     """The identity of the run that a checked config describes; a `DatasetError` where a training case is not there."""
-    digest = dataset_digest(spec.path(config.dataset.root) for spec in splits(config).training)
+    if isinstance(config.model, EmulatorConfig):
+        plan = emulator_plan(config)
+        digest, judged = hash_of([key_hash(spec.key) for spec in plan.training]), plan.judged_by
+    else:
+        digest = dataset_digest(spec.path(config.dataset.root) for spec in splits(config).training)
+        judged = judged_by(judging_plan(config))
     key = key_of(config, digest)
     runs = Path(config.tracking.root) / "runs"
     folder = runs / f"{config.tracking.folder or config.experiment}-{key[:8]}"
     if not folder.exists():  # perhaps another command began the run under another name: it goes on there
         folder = next(iter(sorted(runs.glob(f"*-{key[:8]}"))), folder)
-    return RunIdentity(folder, key, judged_by(judging_plan(config)), digest)
+    return RunIdentity(folder, key, judged, digest)
 
 
 def key_of(config: TrainConfig, data_digest: str) -> str:
@@ -53,6 +61,51 @@ def key_of(config: TrainConfig, data_digest: str) -> str:
 def splits(config: TrainConfig) -> Split:
     """The cases that a config trains on, chooses by and holds out."""
     return split_cases(build_scene(config.scene), config.dem, config.dataset)
+
+
+def needed_cases(config: TrainConfig) -> list[CaseSpec]:
+    """Every case that training and judging read; the emulator keeps statistics alone, and makes them itself."""
+    if isinstance(config.model, EmulatorConfig):
+        return []
+    return [*splits(config).all, *judging_plan(config).cases]
+
+
+@dataclass(frozen=True)
+class EmulatorPlan:
+    """The runs of the DEM that an emulator learns from, and what it is judged on."""
+
+    scene: Scene
+    training: list[CaseSpec]
+    judged: list[Judged]
+    judged_by: str  # as of `RunIdentity`
+
+    @property
+    def replicas(self) -> list[CaseSpec]:
+        """Every run of the DEM that judging needs."""
+        return [spec for judged in self.judged for spec in judged.replicas]
+
+
+def emulator_plan(config: TrainConfig) -> EmulatorPlan:
+    """What an emulator learns from and is judged on.
+
+    Raises:
+        ConfigError: a scene of ``judge.scenes`` that differs from the emulator's in more than its motion.
+        DatasetError: a judged motion among those of training.
+    """
+    scene, schedules, shipped = build_scene(config.scene), config.model.schedules, {}
+    for name in config.judge.scenes:
+        other = shipped_scene(name)
+        if replace(other, name=scene.name, rotation=scene.rotation) != scene:
+            raise ConfigError(
+                f"judge.scenes={config.judge.scenes}: {name} differs from scene {scene.name} in more than its motion; "
+                "leave it out"
+            )
+        shipped[name] = other.rotation
+    training = training_cases(scene, config.dem, config.dataset, schedules, shipped)
+    judged = judged_schedules(scene, config.dem, config.dataset, config.judge, schedules, shipped)
+    cases = [key_hash(spec.key) for each in judged for spec in each.replicas]
+    by = hash_of(asdict(config.judge), cases, judging_code(), model_code(config.model.name))
+    return EmulatorPlan(scene, training, judged, by)
 
 
 def judging_plan(config: TrainConfig) -> Plan:

@@ -107,3 +107,22 @@ def update_pace(config: TrainConfig, model: Surrogate, scene: Scene) -> float:
                 with suppress(TrainingDiverged):
                     trainer.update(pool)
     return (time.perf_counter() - began) / ahead * scene.filling.count / bed.count
+
+
+def emulator_pace(config: TrainConfig, scene: Scene) -> float:
+    """Measured wall time of an update of an emulator, s."""
+    import torch
+
+    from gran_bench.emulator.runs import FIGURES
+    from gran_bench.emulator.training import make_emulator
+
+    emulator = make_emulator(config, scene, list(FIGURES))
+    inputs = torch.zeros(config.model.batch, scene.frame_count, 7)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    for _ in range(2):  # the first warms up
+        began = time.perf_counter()
+        sum(found.mean() for found in emulator(inputs)).backward()
+    torch.set_num_threads(threads)
+    batches = -(-config.optim.accumulate // min(config.threads, config.optim.accumulate))
+    return 1.5 * batches * (time.perf_counter() - began)  # an update looks at the twins too

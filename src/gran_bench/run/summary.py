@@ -11,6 +11,8 @@ from gran_bench import tracking
 from gran_bench.config import EvaluateConfig, LossConfig, RolloutConfig, TrainConfig
 from gran_bench.config.choices import loss_terms
 from gran_bench.config.registry import METRICS
+from gran_bench.emulator.runs import COMPARED
+from gran_bench.emulator.runs import FIGURES as EMULATED
 from gran_bench.files import write_text
 from gran_bench.metrics.judgement import shown_multiple
 from gran_bench.metrics.outside import FailureCount, counted
@@ -121,6 +123,9 @@ def flat_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
     for name, row in summary["rollouts"].items():
         metrics[f"rollout/{name}/ms_per_frame"] = row["ms_per_frame_median"]
         metrics[f"rollout/{name}/dem_ms_per_frame"] = row["dem_ms_per_frame"]
+    for packing, table in summary.get("statistics", {}).get("averages", {}).items():
+        for name, row in table.items():
+            metrics |= {f"{packing}/{key}/{name}": row[key] for key in ("ratio", "spread", "energy", "energy_of_runs")}
     metrics |= {f"wall_seconds/{name}": seconds for name, seconds in summary["wall_seconds"].items()}
     numbers = {name: value for name, value in metrics.items() if isinstance(value, int | float)}
     return {name: float(value) for name, value in numbers.items() if not isinstance(value, bool)}
@@ -177,6 +182,9 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
         for row in unlike:
             low, high = (_figure({"value": end, "unit": row["unit"]}) for end in row["dem_interval"])
             yield _row(row["label"], _figure(row), f"{low} … {high}")
+    if statistics := summary.get("statistics"):
+        yield from ("", *statistics_lines(statistics), "", verdict(summary))
+        return
     yield from ("", f"baselines at {judged_rpm} rpm, shared packing")
     yield f"  {'':<56}{'angle':>16}{'speed W1':>14}{'a frame':>12}"
     for name, errors in summary["baselines"].items():
@@ -201,6 +209,31 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
     )
     yield f"wall time: {', '.join(f'{name} {seconds:.0f} s' for name, seconds in summary['wall_seconds'].items())}"
     yield from ("", verdict(summary))
+
+
+def statistics_lines(found: Mapping[str, Any]) -> Iterator[str]:
+    """A table of the ``statistics`` of a summary: every schedule, the averages and the rivals, for people."""
+    heading = "".join(f"{EMULATED[name][0]:>24}" for name in COMPARED)
+    yield f"  {'error over that of the mean of the other replicas':<56}{heading}"
+    for label, row in found["schedules"].items():
+        yield f"  {label:<56}" + "".join(f"{_times(row[name]['ratio']):>24}" for name in COMPARED)
+    for packing, row in found["averages"].items():
+        for words, key in (("mean", "ratio"), ("spread of the ensemble", "spread")):
+            yield f"  {f'{words}, {packing} packing':<56}" + "".join(
+                f"{_times(row[name][key]):>24}" for name in COMPARED
+            )
+        for rival in row[COMPARED[0]]["rivals"]:
+            shown = "".join(f"{_times(row[name]['rivals'][rival]):>24}" for name in COMPARED)
+            yield f"  {f'{rival}, {packing} packing':<56}{shown}"
+    yield f"  {'a second of simulated time':<56}{1e3 * found['seconds_a_second']:>20.2f} ms"
+    for row in found["dem"]:
+        worst = None if None in row["floors"].values() else max(row["floors"].values())
+        words = f"DEM, steps of {1e3 * row['time_step']:.3g} ms, worst figure in floors: {_times(worst)}"
+        yield f"  {words:<56}{1e3 * row['seconds_a_second']:>20.0f} ms"
+
+
+def _times(value: float | None) -> str:
+    return "undefined" if value is None else f"{value:.2f}"
 
 
 def verdict(summary: Mapping[str, Any]) -> str:

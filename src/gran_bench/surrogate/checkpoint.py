@@ -115,6 +115,8 @@ def load_model(path: str | Path, device: str = "cpu") -> tuple[Surrogate, ModelC
         scene = build_scene(read_config(SceneConfig, card.scene))
         if (name := card.model["name"]) not in MODELS:
             raise ConfigError(f"model {name} is not registered here: install the package that it is of")
+        if not MODELS[name].particles:
+            raise ConfigError(f"model {name} gives statistics and steps no particles; use gran_bench.load_emulator")
         schema = MODELS[name].config
         speeds = card.origin.get("training_speeds_rpm", ())
         model = build_model(read_config(schema, card.model), read_config(BoundaryConfig, card.boundary), scene, speeds)

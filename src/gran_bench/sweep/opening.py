@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gran_bench import tracking
-from gran_bench.config import TrackingConfig
+from gran_bench.config import EmulatorConfig, TrackingConfig
 from gran_bench.config.choices import weighed_terms
 from gran_bench.config.identity import deciding_keys
 from gran_bench.config.registry import MODELS
@@ -20,8 +20,8 @@ from gran_bench.files import locked
 from gran_bench.processes import stop_on_signals, tell
 from gran_bench.provenance import command, commit
 from gran_bench.provenance.source_digest import judging_code, taken_hashes, training_code
-from gran_bench.run.cost import Cost, data_cost, flow_cost, training_cost
-from gran_bench.run.identity import hash_of, identify, judging_plan, splits, wants_more
+from gran_bench.run.cost import Cost, data_cost, emulator_cost, flow_cost, training_cost
+from gran_bench.run.identity import emulator_plan, hash_of, identify, judging_plan, needed_cases, wants_more
 from gran_bench.run.record import Clock, RunRecord
 from gran_bench.run.summary import SUMMARY, broken_rollouts, finished_summary, flat_metrics, judged_words
 from gran_bench.scene import build_scene
@@ -84,7 +84,7 @@ def sweep_cost(planned: Sequence[SweepJob], folder: Path) -> Cost:
     """What the unfinished jobs will take, one after another, if each takes as long as the first of them."""
     first, specs = planned[0].config, []
     for job in planned:
-        specs += [*splits(job.config).all, *judging_plan(job.config).cases]
+        specs += needed_cases(job.config)
     cost = flow_cost(build_scene(first.scene), first.dem)
     cost += data_cost(build_scene(first.scene), first.dem, specs, first.dataset.root, first.dataset.workers)
     jobs = tuple(map(_identified, planned))
@@ -93,6 +93,9 @@ def sweep_cost(planned: Sequence[SweepJob], folder: Path) -> Cost:
     cost.lines.append(f"sweep: {len(planned)} jobs in {folder}, {len(left)} of them to do; the first of these:")
     if not left:
         return cost
+    if isinstance(left[0].config.model, EmulatorConfig):
+        plan = emulator_plan(left[0].config)
+        return cost + emulator_cost(left[0].config, plan.training, plan.replicas, len(left))
     from gran_bench.run.experiment import compile_ahead  # it loads PyTorch
 
     compile_ahead(left[0].config.model.name)
@@ -130,7 +133,7 @@ def _make_data(jobs: Sequence[SweepJob]) -> None:
     """Make every run of the DEM that the jobs need and that is not there, so that no two jobs wait for each other."""
     wanted = defaultdict(dict)
     for config in (job.config for job in jobs):
-        specs, data = (*splits(config).all, *judging_plan(config).cases), config.dataset
+        specs, data = needed_cases(config), config.dataset
         wanted[data.root, data.workers] |= {spec.path(data.root): spec for spec in specs}
     for (root, workers), specs in wanted.items():
         tell(f"data of all jobs: {len(specs)} cases in {root}")

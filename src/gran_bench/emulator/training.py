@@ -1,0 +1,139 @@
+"""Training the emulator by the house's trainer: a batch of whole series takes the place of a window."""
+
+import copy
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gran_bench.config import TrainConfig
+from gran_bench.dataset import CaseSpec
+from gran_bench.emulator.network import Emulator
+from gran_bench.emulator.runs import RunStatistics, columns_of
+from gran_bench.scene import Scene
+from gran_bench.trainer import Trainer
+
+LEAST = 1e-6  # that no scale falls below, in the figure's unit
+SPREAD_WEIGHT = 0.1  # of the spread's term: it bends no weight of the mean
+
+
+class TrainingRuns:
+    """The series that the emulator learns from, and which of them are twins.
+
+    Args:
+        cases: what the series are of; a twin differs from its case by its nudge alone.
+        series: their statistics, in that order.
+        batch: series whose gradients are computed together.
+    """
+
+    def __init__(self, cases: Sequence[CaseSpec], series: Sequence[RunStatistics], batch: int) -> None:
+        self.series, self.batch = list(series), min(batch, len(series))
+        self.digest = hashlib.sha256(" ".join(one.digest for one in series).encode()).hexdigest()[:16]
+        self.data_seconds = float(np.nansum([one.seconds for one in series]))
+        self.figures = list(series[0].figures)
+        plain = {case.key_without_nudge: k for k, case in enumerate(map(_Known, cases)) if not case.nudged}
+        twins = [(plain[case.key_without_nudge], k) for k, case in enumerate(map(_Known, cases)) if case.nudged]
+        self.twins = np.array(twins)
+        self.values = np.stack([one.columns for one in series]).astype(np.float32)
+
+    def apart(self) -> np.ndarray:
+        """Differences of twins over √2, ``(T, F, C)``: each has the variance of one run about the mean of runs."""
+        first, second = self.twins.T
+        return (self.values[first] - self.values[second]) / math.sqrt(2.0)
+
+    def inputs(self, model: Emulator) -> Tensor:
+        """What the emulator is told of each run, ``(N, F, I)``."""
+        told = []
+        for one in self.series:
+            settled = np.array([one.figures[name][0, 0] for name in ("surface_angle", "com_angle")])
+            told.append(model.inputs(one.scene, np.where(np.isfinite(settled), settled, 0.0)))
+        return torch.as_tensor(np.stack(told))
+
+
+class _Known:
+    """A case by what a twin shares with it."""
+
+    def __init__(self, case: CaseSpec) -> None:
+        self.nudged = case.nudge > 0.0
+        self.key_without_nudge = str(replace(case, nudge=0.0, nudge_seed=0).key)
+
+
+class EmulatorTrainer(Trainer):
+    """The house's trainer with the emulator's loss; arguments as of `Trainer`.
+
+    L = mean over figures of |ŷ − y| in units of the twins' mean distance, the mean over the columns of a figure, plus
+    the negative log-likelihood of the twins' differences for a Gaussian of the predicted spread.
+    """
+
+    def __init__(self, model: Emulator, windows: TrainingRuns, config: TrainConfig, *rest: Any) -> None:
+        values, apart = windows.values, windows.apart()
+        # A column without any value in the data has none in the emulator: its middle is NaN.
+        model.middle.copy_(torch.as_tensor([_mean(column) for column in values.T]))
+        model.extent.copy_(torch.as_tensor([_scale(column, deviation=True) for column in values.T]))
+        model.scatter.copy_(torch.as_tensor([_scale(column) for column in apart.T]))
+        self.inputs, self.valid = windows.inputs(model), torch.as_tensor(np.isfinite(values))
+        self.truth = torch.as_tensor(np.nan_to_num(values))
+        self.apart, self.apart_valid = torch.as_tensor(np.nan_to_num(apart)), torch.as_tensor(np.isfinite(apart))
+        self.weights = torch.empty_like(model.scatter)
+        for place in columns_of(windows.figures).values():
+            floor = math.sqrt(2.0) * _mean(np.abs(apart[..., place]))
+            self.weights[place] = 1.0 / ((floor + LEAST) * (place.stop - place.start)) if floor > 0.0 else 0.0
+        super().__init__(model, windows, config, *rest)
+
+    def _window_gradients(self, model: Emulator, draw: int, frames: int) -> tuple[float, dict[str, float], list]:
+        """Loss, its terms and its gradients for one batch of series; touches nothing that threads share."""
+        rng = np.random.default_rng((self.config.seed, 7919, draw))
+        drawn = rng.choice(len(self.truth), self.windows.batch, replace=False)
+        count, terms = len(model.committee), {"figures": 0.0, "spread": 0.0}
+        for number, recurrence in enumerate(model.committee):
+            rows = drawn[number::count]
+            mean, spread = model.said_by(recurrence, self.inputs[rows])
+            far = (torch.where(self.valid[rows], mean, self.truth[rows]) - self.truth[rows]).abs()
+            terms["figures"] += (far * self.weights).sum(dim=-1).mean() / count
+            here, pairs = np.nonzero(rows[:, None] == self.windows.twins[:, 0])
+            relative = self.apart[pairs] / spread[here]
+            likely = (torch.log(spread[here] / model.scatter) + 0.5 * relative**2) * self.apart_valid[pairs]
+            terms["spread"] += SPREAD_WEIGHT * likely.sum() / max(likely.numel(), 1) / count
+        total, own = sum(terms.values()), list(model.parameters())
+        gradients = torch.autograd.grad(total, own, allow_unused=True, materialize_grads=True)
+        return total.item(), {name: value.item() for name, value in terms.items()}, list(gradients)
+
+    def final_weights(self) -> dict[str, Tensor]:
+        """The weights to judge, with how deviations of twins go together in them."""
+        weights = super().final_weights()
+        model = copy.deepcopy(self.model)
+        model.load_state_dict(weights)
+        with torch.no_grad():
+            _, spread = model(self.inputs[self.windows.twins[:, 0]])
+        z = torch.where(self.apart_valid, self.apart / spread, torch.zeros(())).double()
+        flat = z.flatten(0, 1)
+        together = flat.T @ flat / len(flat)
+        size = together.diagonal().clamp(min=1e-12).sqrt()
+        together = together / size / size[:, None] + 1e-3 * torch.eye(len(size))
+        stay = (z[:, 1:] * z[:, :-1]).sum() / (z[:, :-1] ** 2).sum().clamp(min=1e-12)
+        root = torch.linalg.cholesky(together / (1.0 + 1e-3))
+        return weights | {"together": root.float(), "persistence": stay.clamp(0.0, 0.999).float()}
+
+
+def _mean(values: np.ndarray) -> float:
+    """Over what is finite; NaN where nothing is."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else math.nan
+
+
+def _scale(values: np.ndarray, deviation: bool = False) -> float:
+    """Root mean square of what is finite, or its standard deviation; 1 where nothing is."""
+    finite = values[np.isfinite(values)].astype(np.float64)
+    finite = finite - finite.mean() if deviation and len(finite) else finite
+    return float(np.sqrt(np.mean(finite**2))) + LEAST if len(finite) else 1.0
+
+
+def make_emulator(config: TrainConfig, scene: Scene, figures: list[str]) -> Emulator:
+    """The emulator with its seeded first weights."""
+    torch.manual_seed(config.seed)
+    return Emulator(config.model, scene, figures)
