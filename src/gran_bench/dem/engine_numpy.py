@@ -5,6 +5,22 @@ from dataclasses import replace
 import numpy as np
 
 from gran_bench.dem.contact import ContactForce, ContactLaw, contact_force, sphere_mass
+from gran_bench.dem.energy import (
+    IMPULSE,
+    KINDS,
+    LOSSES,
+    LOST_NORMAL,
+    LOST_SHEAR,
+    SPECTRA,
+    SPRINGS,
+    TWIST,
+    WORK,
+    Work,
+    bins_of,
+    contact_losses,
+    followed,
+    rolling_losses,
+)  # fmt: skip
 from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, into_period
 from gran_bench.dem.rolling import CONTACT_INERTIA, rolling_moment
 from gran_bench.dem.seams import wall_touching
@@ -31,11 +47,12 @@ class Stretch:
         )
         check_finite(0, self._position, self._velocity, self._spin)
         self._given, self._physics, self._dt = state, physics, time_step
-        self._radius, self._history = np.asarray(state.radius, np.float64), state.history
+        self._radius, self._history = np.asarray(state.radius, np.float64), followed(state.history, physics.power)
         self._mass = sphere_mass(physics.density[state.material], self._radius)
         self._inertia = 0.4 * self._mass * self._radius**2
         # What the velocity still gains until the end of the step, if the acceleration stays.
-        self._gain, self._peaks, self._step = np.zeros_like(self._velocity), Peaks(), 0
+        self._gain, self._spin_gain = np.zeros_like(self._velocity), np.zeros_like(self._spin)
+        self._peaks, self._step, self._work = Peaks(), 0, Work.none(walls.shape[1])
         self.set_walls(walls)
         if held is None:
             self._evaluate(0.0)
@@ -80,12 +97,18 @@ class Stretch:
         peaks, self._peaks = self._peaks, Peaks()
         return peaks
 
+    def take_work(self) -> Work:
+        """What walls and contacts did since it was last asked for."""
+        work, self._work = self._work, Work.none(len(self._work.walls))
+        return work
+
     def _kick(self) -> None:
         """Half a step of the velocities."""
         half = 0.5 * self._dt
         self._gain = half * (self._force / self._mass[:, None] + self._physics.gravity)
         self._velocity += self._gain
-        self._spin += half * self._torque / self._inertia[:, None]
+        self._spin_gain = half * self._torque / self._inertia[:, None]
+        self._spin += self._spin_gain
 
     def _evaluate(self, duration: float) -> None:
         """Forces and torques, and the history, of this instant; slip loads the history for so many s."""
@@ -94,8 +117,12 @@ class Stretch:
         parts = [self._pair_loads(duration)]
         on_walls, self._history = wall_touching(walls, self._position, self._radius, self._history)
         parts += [self._wall_loads(w, walls[w], *touching, duration) for w, touching in enumerate(on_walls)]
-        names = ("first", "second", "force", "overlap", "rolling_moment")
+        names = ("first", "second", "force", "overlap", "rolling_moment", "ledger")
+        before = self._history
         self._history = ContactHistory(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        if self._physics.power and duration:
+            self._close(before)
+            self._work.steps += 1
 
     def _pair_loads(self, duration: float) -> ContactHistory:
         """Adds the loads of all touching pairs; returns what they remember."""
@@ -122,6 +149,8 @@ class Stretch:
             velocity=velocity[i] - velocity[j],
             velocity_gain=gain[i] - gain[j],
             surface_spin=slip_i[:, None] * spin[i] + slip_j[:, None] * spin[j],
+            surface_spin_gain=slip_i[:, None] * self._spin_gain[i] + slip_j[:, None] * self._spin_gain[j],
+            spin_gain=self._spin_gain[i] - self._spin_gain[j],
             time_step=duration,
         )  # fmt: skip
         self._force += _sums(i, contact.force, count) - _sums(j, contact.force, count)
@@ -150,8 +179,12 @@ class Stretch:
             velocity=self._velocity[i] - surface_velocity(pose, point),
             velocity_gain=self._gain[i],
             surface_spin=arm * spin,
+            surface_spin_gain=arm * self._spin_gain[i],
+            spin_gain=self._spin_gain[i],
             time_step=duration,
         )  # fmt: skip
+        if physics.power:
+            self._count_wall(index, pose, point, contact.force, moment, duration)
         self._force[i] += contact.force
         self._torque[i] += arm * contact.twist
         if physics.rolling:
@@ -160,7 +193,8 @@ class Stretch:
 
     def _contacts(
         self, first: np.ndarray, second: np.ndarray, laws: FloatArray, peak: str, diameter: FloatArray,
-        spin: FloatArray, inertia: FloatArray, **given: FloatArray | float,
+        spin: FloatArray, inertia: FloatArray, surface_spin_gain: FloatArray, spin_gain: FloatArray,
+        **given: FloatArray | float,
     ) -> tuple[ContactForce, FloatArray, ContactHistory]:  # fmt: skip
         """What contacts of one kind do, by :func:`contact_force`, their rolling moments, and what they remember."""
         law, old = ContactLaw.from_constants(laws), _recall(self._history, first, second)
@@ -175,7 +209,62 @@ class Stretch:
                 old.rolling_moment, spin, given["normal"], overlap, old.overlap, given["effective_radius"], inertia,
                 law.effective_modulus, law.rolling_friction, given["time_step"],
             )  # fmt: skip
-        return contact, moment, ContactHistory(first, second, contact.history, overlap, remembered)
+        ledger = old.ledger
+        if self._physics.power and len(first):
+            ledger = self._count(int(peak != "overlap"), law, contact, moment, remembered, old, spin, spin_gain,
+                                 surface_spin_gain, given)  # fmt: skip
+        return contact, moment, ContactHistory(first, second, contact.history, overlap, remembered, ledger)
+
+    def _count(
+        self, kind: int, law: ContactLaw, contact: ContactForce, moment: FloatArray, remembered: FloatArray,
+        old: ContactHistory, spin: FloatArray, spin_gain: FloatArray, surface_spin_gain: FloatArray, given: dict,
+    ) -> FloatArray:  # fmt: skip
+        """Counts what contacts of one kind lose; returns their rows of the ledger."""
+        ledger, duration, normal = old.ledger.copy(), given["time_step"], given["normal"]
+        losses, springs = np.zeros((len(ledger), len(LOSSES))), np.zeros(len(ledger))
+        losses[:, :4], springs = contact_losses(
+            law, contact, history=old.force, overlap_before=old.overlap, surface_spin_gain=surface_spin_gain, **given
+        )
+        if self._physics.rolling:
+            losses[:, 4], holds = rolling_losses(
+                law, normal=normal, overlap=given["overlap"], overlap_before=old.overlap,
+                effective_radius=given["effective_radius"], spin=spin, spin_gain=spin_gain,
+                history=old.rolling_moment, moment=moment, kept=remembered, time_step=duration,
+            )  # fmt: skip
+            springs = springs + holds
+        ledger[:, SPRINGS] = springs
+        if duration:
+            self._work.lost[kind] += losses.sum(axis=0)
+            ledger[:, LOST_NORMAL] += losses[:, 0]
+            ledger[:, LOST_SHEAR] += losses[:, 1:4].sum(axis=1)
+            approach = np.einsum("mk,mk->m", given["velocity"], normal)
+            impact = np.where(approach > 0.0, 0.5 * given["effective_mass"] * approach**2, 0.0)
+            self._spectrum(kind, "impact", impact[old.overlap == 0.0])
+        return ledger
+
+    def _count_wall(
+        self, index: int, pose: FloatArray, point: FloatArray, force: FloatArray, moment: FloatArray, duration: float
+    ) -> None:
+        """Counts what a wall does to the spheres."""
+        row = self._work.walls[index]
+        row[IMPULSE] += duration * force.sum(axis=0)
+        row[TWIST] += duration * np.cross(point, force).sum(axis=0)
+        row[WORK] += duration * np.einsum("mk,mk->", force, surface_velocity(pose, point))
+        if self._physics.rolling:
+            row[TWIST] += duration * moment.sum(axis=0)
+            row[WORK] += duration * moment.sum(axis=0) @ pose[SPIN]
+
+    def _close(self, before: ContactHistory) -> None:
+        """Counts the contacts that have ended, by what they have lost."""
+        ended = ~np.isin(_names(before.first, before.second), _names(self._history.first, self._history.second))
+        for kind in range(len(KINDS)):
+            rows = before.ledger[ended & ((before.second < 0) == bool(kind))]
+            self._work.lost[kind, LOSSES.index("release")] += rows[:, SPRINGS].sum()
+            self._spectrum(kind, "normal", rows[:, LOST_NORMAL])
+            self._spectrum(kind, "shear", rows[:, LOST_SHEAR] + rows[:, SPRINGS])
+
+    def _spectrum(self, kind: int, name: str, energy: FloatArray) -> None:
+        np.add.at(self._work.spectra[kind, SPECTRA.index(name)], bins_of(energy), 1)
 
 
 def _sums(index: np.ndarray, values: FloatArray, count: int) -> FloatArray:
@@ -187,8 +276,14 @@ def _sums(index: np.ndarray, values: FloatArray, count: int) -> FloatArray:
 def _recall(history: ContactHistory, first: np.ndarray, second: np.ndarray) -> ContactHistory:
     """What is remembered of each contact (first, second); zeros, and an overlap of 0, where it is new."""
     force, overlap, moment = np.zeros((len(first), 3)), np.zeros(len(first)), np.zeros((len(first), 3))
-    # One number for each contact; walls (negative seconds) included.
-    keys, old_keys = (a.astype(np.int64) * 2**32 + b for a, b in ((first, second), (history.first, history.second)))
+    ledger = np.zeros((len(first), history.ledger.shape[1]))
+    keys, old_keys = _names(first, second), _names(history.first, history.second)
     _, row, old = np.intersect1d(keys, old_keys, assume_unique=True, return_indices=True)
+    ledger[row] = history.ledger[old]
     force[row], overlap[row], moment[row] = history.force[old], history.overlap[old], history.rolling_moment[old]
-    return ContactHistory(first, second, force, overlap, moment)
+    return ContactHistory(first, second, force, overlap, moment, ledger)
+
+
+def _names(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """One number for each contact; walls (negative seconds) included."""
+    return first.astype(np.int64) * 2**32 + second

@@ -12,6 +12,7 @@ from types import ModuleType
 
 import numpy as np
 
+from gran_bench.dem.energy import Work
 from gran_bench.dem.fast.tuning import Tuner
 from gran_bench.dem.integrate import Divergence, Peaks
 from gran_bench.dem.outlet import leaked, part_of, rejoined, taking_part
@@ -52,6 +53,7 @@ class Run:
         # State and what is held of all where the stretch began; the stretch is None where it is still to begin.
         self._whole, self._held, self._stretch = state, None, None
         self._start, self._steps, self._peaks = state.time, 0, Peaks()
+        self._work = Work.none(len(scene.walls))
         with _compiling_notice():
             # Where the run goes on, this tells what the first frame's contacts do, and nothing else.
             self._begin()
@@ -101,6 +103,14 @@ class Run:
         self._take_from_stretch()
         peaks, self._peaks = self._peaks, Peaks()
         return peaks
+
+    def take_work(self) -> Work | None:
+        """What walls and contacts did since it was last asked for; None where nobody counts."""
+        if not self._tuner.physics.power:
+            return None
+        self._take_from_stretch()
+        work, self._work = self._work, Work.none(len(self._scene.walls))
+        return work
 
     def continued(self, state: ParticleState) -> ParticleState:
         """The state, which is the present one, with what another run needs to go on from it."""
@@ -182,6 +192,8 @@ class Run:
     def _take_from_stretch(self) -> None:
         if self._stretch is not None:
             self._peaks = Peaks(*map(max, self._peaks, self._stretch.take_peaks()))
+            if self._tuner.physics.power:
+                self._work.add(self._stretch.take_work())
 
     def _key(self, state: ParticleState) -> str:
         """Of everything that a continuation holds for; frames, threads, skin and engine are not part of it."""

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from gran_bench.dem.contact import sphere_mass
+from gran_bench.dem.energy import Work, energy_figures
 from gran_bench.dem.initial_checks import LARGEST_INITIAL_OVERLAP
-from gran_bench.dem.integrate import Peaks
+from gran_bench.dem.integrate import Peaks, Physics
 from gran_bench.dem.outlet import taking_part
 from gran_bench.dem.time_step import unresolved
 from gran_bench.scene import Scene
@@ -69,17 +70,25 @@ def impact_warnings(
 
 
 class FrameRecord:
-    """Frames and diagnostics as they come."""
+    """Frames and diagnostics as they come; with the step, s, and the laws of what counts energy."""
 
-    def __init__(self, scene: Scene, radius: FloatArray) -> None:
-        self._scene, self._radius = scene, radius
+    def __init__(
+        self, scene: Scene, radius: FloatArray, time_step: float = 0.0, physics: Physics | None = None
+    ) -> None:
+        self._scene, self._radius, self._time_step, self._physics = scene, radius, time_step, physics
+        self._energy: list[dict[str, FloatArray]] = []
         self._frames: list[tuple[float, FloatArray, FloatArray, FloatArray]] = []
         self._figures: list[dict[str, float]] = []
         self.time: list[float] = []
         self.peaks: list[Peaks] = []
 
-    def add(self, state: ParticleState, peaks: Peaks) -> None:
-        """A state, and the most of any contact in any step since the last frame (of the first, in its state alone)."""
+    def add(self, state: ParticleState, peaks: Peaks, work: Work | None = None) -> None:
+        """A state, the most of any contact in any step since the last frame (of the first, in its state alone), and
+        what the steps since then did.
+        """
+        if work is not None:
+            laws = self._physics.pair_laws, self._physics.wall_laws
+            self._energy.append(energy_figures(self._scene, state, work, self._time_step, laws))
         self.time.append(state.time)
         self.peaks.append(peaks)
         self._frames.append((state.time, state.position, state.velocity, state.angular_velocity))
@@ -93,4 +102,8 @@ class FrameRecord:
             name: np.array([of[name] for of in self._figures] + [np.nan for _ in failed])
             for name in (self._figures or [{}])[0]
         }
-        return Trajectory(time, position, velocity, spin, self._radius, diagnostics=diagnostics)
+        energy = {
+            name: np.stack([of[name] for of in self._energy] + [np.full_like(first, np.nan) for _ in failed])
+            for name, first in (self._energy or [{}])[0].items()
+        }
+        return Trajectory(time, position, velocity, spin, self._radius, diagnostics=diagnostics, energy=energy)

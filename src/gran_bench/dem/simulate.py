@@ -81,18 +81,18 @@ def simulate(
         said += unresolved(scene, time_step, given, dem.allow_unsafe_step, smallest, closing)
     substeps, names = round(scene.frame_interval / time_step), ("position", "velocity", "angular_velocity", "radius")
     state = replace(state, **{name: np.array(getattr(state, name), np.float64) for name in names})
-    record = FrameRecord(scene, state.radius)
     tuner = _tuner(scene, largest, state.count, dem)
+    record = FrameRecord(scene, state.radius, time_step, tuner.physics)
     run = Run(ENGINES[dem.engine], state, scene, time_step, tuner, record)
     state = replace(state, history=run.state().history)  # of the contacts that touch
-    record.add(state, run.take_peaks())
+    record.add(state, run.take_peaks(), run.take_work())
     started = clock.perf_counter()
     with _followed(progress, len(times) * substeps, "DEM") as follow:
         for time in times:
             run.advance(substeps)
             # The frame's clock, not the sum of its steps: a restart finds the same number.
             state = replace(run.state(), time=time)
-            record.add(state, run.take_peaks())
+            record.add(state, run.take_peaks(), run.take_work())
             follow(substeps, time)
     run.check_escapes()
     return SimulationResult(
@@ -131,6 +131,7 @@ def settle(
     dem = DemConfig() if dem is None else dem
     check_arguments(scene=(scene, Scene), dem=(dem, DemConfig))
     check_dem(dem)
+    dem = replace(dem, power=False)  # nobody looks at the energy of a bed that settles
     still, filling = scene.at_rest(), scene.filling
     state = scene.fresh_filling(seed)
     check_initial_state(still, state)
@@ -165,7 +166,9 @@ def settle(
 def _tuner(scene: Scene, largest_radius: float, count: int, dem: DemConfig) -> Tuner:
     single, full = dem.precision == "float32", dem.slip == "full_radius"
     physics = Physics.of(scene, largest_radius, dem.skin)
-    physics = replace(physics, threads=dem.threads or 1, single_precision=single, full_radius=full)
+    physics = replace(
+        physics, threads=dem.threads or 1, single_precision=single, full_radius=full, power=dem.power
+    )
     return Tuner(physics, count, dem.skin is not None, dem.threads)
 
 

@@ -13,12 +13,13 @@ import torch
 from gran_bench.baselines import ballistic, interpolated_statistics, rigid_rotation
 from gran_bench.config import JudgeConfig
 from gran_bench.dataset import Case, CaseSpec, dataset_digest, ensure_cases, read_case
+from gran_bench.dem.energy_balance import EnergyBalance
 from gran_bench.evaluation.plan import Plan, rollout_name
 from gran_bench.files import whole_file
 from gran_bench.metrics.judge import judge, nearest_case
 from gran_bench.metrics.judgement import Judgement
 from gran_bench.metrics.position_error import HORIZONS, short_horizon_errors, spread_starts
-from gran_bench.metrics.summary import TrajectorySummary, summarise
+from gran_bench.metrics.summary import STEADY_FROM, TrajectorySummary, summarise
 from gran_bench.state import FloatArray, Trajectory
 from gran_bench.surrogate.rollout import Rollout, extrapolations, rollout
 from gran_bench.surrogate.step import Surrogate
@@ -203,7 +204,9 @@ def predict_from(model: Surrogate, case: Case, start: int, frames: int) -> Float
 
 
 def _rollout_facts(result: Rollout, case: Case) -> dict[str, Any]:
-    """How fast a rollout was, beside the DEM's own time for the same frames, and where it failed."""
+    """How fast a rollout was, beside the DEM's own time for the same frames, and where it failed; and where the DEM's
+    energy goes once the flow is steady, W, if it was counted.
+    """
     computed = 1e3 * result.seconds_per_frame[np.isfinite(result.seconds_per_frame)]
     return {
         "failed_frame": result.failed_frame,
@@ -211,6 +214,7 @@ def _rollout_facts(result: Rollout, case: Case) -> dict[str, Any]:
         "ms_per_frame_median": float(np.median(computed)) if len(computed) else None,
         "ms_per_frame_90th": float(np.percentile(computed, 90)) if len(computed) else None,
         "dem_ms_per_frame": _dem_ms_per_frame(case),
+        "dem_energy": EnergyBalance.of(case.trajectory).figures(STEADY_FROM) if case.trajectory.energy else {},
     }
 
 

@@ -19,6 +19,7 @@ class Known(NamedTuple):
     second: np.ndarray
     slot: FloatArray  # ``(C, 4)`` elastic tangential force and overlap
     moment: FloatArray  # ``(C, 4)`` rolling moment and 0; ``(0, 4)`` where there is no rolling
+    ledger: FloatArray  # ``(C, 4)`` as of `ContactHistory`, or ``(C, 0)``
 
 
 def known_contacts(history: ContactHistory, name: np.ndarray, rolling: bool) -> tuple[Known, Known]:
@@ -26,18 +27,19 @@ def known_contacts(history: ContactHistory, name: np.ndarray, rolling: bool) -> 
     slot, moment = _in_fours(history.force, history.overlap), _in_fours(history.rolling_moment, 0.0)
     is_pair = history.second >= 0
     pairs, walls = (
-        Known(history.first[part], history.second[part], slot[part], moment[part] if rolling else np.zeros((0, 4)))
+        Known(history.first[part], history.second[part], slot[part], moment[part] if rolling else np.zeros((0, 4)),
+              history.ledger[part])
         for part in (is_pair, ~is_pair)
-    )
+    )  # fmt: skip
     return _renamed(pairs, walls, name)
 
 
 def contact_history(parts: list[tuple[Known, Known]], name: np.ndarray) -> ContactHistory:
     """What a state remembers: contacts of each part in turn, pairs and then walls, with row i called ``name[i]``."""
     named = [known for pairs, walls in parts for known in _renamed(pairs, walls, name)]
-    first, second, slot, moment = (np.concatenate(arrays) for arrays in zip(*named, strict=True))
+    first, second, slot, moment, ledger = (np.concatenate(arrays) for arrays in zip(*named, strict=True))
     rolling = moment[:, :3].copy() if len(moment) else None
-    return ContactHistory(first, second, slot[:, :3].copy(), slot[:, 3].copy(), rolling)
+    return ContactHistory(first, second, slot[:, :3].copy(), slot[:, 3].copy(), rolling, ledger)
 
 
 def _renamed(pairs: Known, walls: Known, name: np.ndarray) -> tuple[Known, Known]:
@@ -46,7 +48,7 @@ def _renamed(pairs: Known, walls: Known, name: np.ndarray) -> tuple[Known, Known
     turn = np.ones((len(first), 4))
     turn[second < first, :3] = -1.0
     slot, moment = pairs.slot * turn, pairs.moment * turn[: len(pairs.moment)]
-    pairs = Known(np.minimum(first, second), np.maximum(first, second), slot, moment)
+    pairs = Known(np.minimum(first, second), np.maximum(first, second), slot, moment, pairs.ledger)
     return pairs, walls._replace(first=name[walls.first], second=-1 - walls.second)
 
 

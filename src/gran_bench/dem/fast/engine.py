@@ -9,9 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from gran_bench.dem.energy import Work, followed
 from gran_bench.dem.fast import barrier
 from gran_bench.dem.fast.bodies import Known, as_given, bodies_in_order, contact_history, known_contacts
 from gran_bench.dem.fast.contact_blocks import take_peaks
+from gran_bench.dem.fast.energy_blocks import Books
 from gran_bench.dem.fast.lists import Lists, search, zeros
 from gran_bench.dem.fast.stretch import DUE, FIRST_POSE, PAIRS, PAUSE, SEARCH, STEP, TRAVELLED, WALLS, WHOLE, march
 from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, into_period
@@ -70,7 +72,11 @@ class Stretch:
         order = None if held is None else held.order
         self.bodies = bodies_in_order(*moving, radius, material, physics.density, physics.period, order)
         self._lists: list[Lists | None] = [None] * self.threads
-        self._known = [known_contacts(state.history, self.bodies.row, physics.rolling)] * self.threads
+        history = followed(state.history, physics.power)
+        self._known = [known_contacts(history, self.bodies.row, physics.rolling)] * self.threads
+        self._books, self._counted = [None] * self.threads, 0
+        if physics.power:
+            self._books = Books.of_threads(self.threads, chunks, walls.shape[1], state.count + 2)
         self._progress = np.array([(0, 0, 0, held is None, 1, 1, 1)] * self.threads)
         self._known_at = [self._last_evaluation(0)] * self.threads
         self._peaks = np.zeros((self.threads, 2, 3))
@@ -118,6 +124,7 @@ class Stretch:
             culprit = march(
                 thread, self.threads, self.gate, bounds, self._reach, self._told, progress, *self.bodies[2:],
                 *self._loads, *lists, self._physics.pair_laws, self._physics.wall_laws, self._walls, *self._constants,
+                self._books[thread],
             )  # fmt: skip
             for found, buffer in zip(self._peaks[thread], (lists.buffer, lists.wall_buffer), strict=True):
                 np.maximum(found, take_peaks(buffer), out=found)
@@ -165,6 +172,11 @@ class Stretch:
         pairs, walls = self._peaks.max(axis=0)
         self._peaks[:] = 0.0
         return Peaks(pairs[0], walls[0], max(pairs[1], walls[1]), max(pairs[2], walls[2]))
+
+    def take_work(self) -> Work:
+        """What walls and contacts did since it was last asked for."""
+        steps, self._counted = int(self._progress[0, STEP]) - self._counted, int(self._progress[0, STEP])
+        return self._books[0].take(steps)
 
     def _whole_velocities(self) -> dict[str, FloatArray]:
         """Velocities and spins with their step closed, as the kick of `stretch.march` would close it."""

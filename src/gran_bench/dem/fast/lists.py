@@ -17,6 +17,7 @@ import numpy as np
 
 from gran_bench.dem.fast.bodies import Bodies, Known
 from gran_bench.dem.fast.contact_blocks import BUFFER_SIZE, block_buffer
+from gran_bench.dem.fast.energy_blocks import ledger_room
 from gran_bench.dem.fast.rows import squared_gap
 from gran_bench.dem.fast.wall_list import list_wall_contacts
 from gran_bench.dem.integrate import Physics
@@ -33,7 +34,8 @@ LEAST_MARGIN = 0.2
 NEAR, NEAR_I, NEAR_J, NEAR_MEMORY = range(4)
 _FIELDS = (
     "pair_i pair_j start memory slot moment wall_i wall_w wall_memory wall_start wall_slot wall_moment margin "
-    "inverse_square searched_at pruned_at inner_list touching wall_touching geometry near_start buffer wall_buffer"
+    "inverse_square searched_at pruned_at inner_list touching wall_touching geometry near_start buffer wall_buffer "
+    "ledger wall_ledger"
 )
 
 
@@ -55,6 +57,7 @@ class Lists(namedtuple("Lists", _FIELDS)):
         touching, wall_touching: ``(2, ≥ M + 5)`` room for the places of touching pairs and walls in even and odd
             evaluations; those of walls that remember something are there.
         geometry, near_start, buffer, wall_buffer: ``(≥ M + 5, 4)`` room, ``(chunks + 1,)`` ones, `block_buffer`.
+        ledger, wall_ledger: as slot, what contacts have lost (energy_blocks.py); None where nobody asks.
     """
 
     def known(self, half: int, pairs: int, walls: int) -> tuple[Known, Known]:
@@ -64,9 +67,9 @@ class Lists(namedtuple("Lists", _FIELDS)):
         particle, wall = self.wall_i[on_walls], self.wall_w[on_walls]
         return (
             Known(first.astype(np.int64), second.astype(np.int64), self.slot[half, 1:pairs],
-                  self.moment[half, 1:pairs]),
+                  self.moment[half, 1:pairs], _ledger_rows(self.ledger, half, pairs)),
             Known(particle.astype(np.int64), wall.astype(np.int64), self.wall_slot[half, 1:walls],
-                  self.wall_moment[half, 1:walls]),
+                  self.wall_moment[half, 1:walls], _ledger_rows(self.wall_ledger, half, walls)),
         )  # fmt: skip
 
 
@@ -91,13 +94,22 @@ def search(
     inner, wall_touching = np.empty((4, slot.shape[1]), np.uint32), np.empty((2, wall_slot.shape[1]), np.uint32)
     inner[:, 0] = 0, count, count + 1, 0
     wall_touching[last % 2, wall_memory] = np.arange(len(wall_memory))
+    ledgers = (
+        ledger_room(kind, room.shape[1], last) if physics.power else None
+        for kind, room in ((pairs, slot), (on_walls, wall_slot))
+    )
     buffers = zeros(2, BUFFER_SIZE, dtype=np.float32 if physics.single_precision else np.float64)
     return Lists(
         pair_i, pair_j, start, memory, slot, moment, wall_i, wall_w, wall_memory, wall_start, wall_slot, wall_moment,
         margin, inverse_square, sphere.copy(), np.empty_like(sphere), inner, np.empty((2, slot.shape[1]), np.uint32),
         wall_touching, zeros(wall_slot.shape[1], 4), np.ones(stop - chunk + 1, np.int64),
         *(block_buffer(buffer, sphere[0, 3], velocity[0, 3], physics.pair_laws[0, 0]) for buffer in buffers),
+        *ledgers,
     )  # fmt: skip
+
+
+def _ledger_rows(ledger: FloatArray | None, half: int, end: int) -> FloatArray:
+    return np.zeros((end - 1, 0)) if ledger is None else ledger[half, 1:end]
 
 
 def _history(known: Known, contacts: int, evaluation: int, rolling: bool) -> tuple[np.ndarray, np.ndarray]:
