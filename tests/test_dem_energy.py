@@ -60,12 +60,11 @@ def test_both_engines_count_the_same(bed):
     start = bed[0], run(bed, 1.6, power=False).final
     fast, slow = (run(start, 1.63, engine=name).trajectory.energy for name in ("numba", "numpy"))
     assert fast.keys() == slow.keys()
+    assert all(slow[name][1:].any() for name in ("wall_power", "loss_sliding", "wall_loss_sliding", "spectrum_impact"))
     largest = max(np.abs(values[1:]).max() for name, values in slow.items() if "loss" in name)
     for name, values in slow.items():
         scale = largest if "loss" in name else np.abs(values[1:]).max()
         assert np.abs(fast[name][1:] - values[1:]).max() <= 1e-7 * scale, name
-        if name not in ("loss_rolling", "wall_loss_rolling", "elastic_rolling"):
-            assert scale > 0, name
 
 
 def test_unequal_spheres_of_two_materials_are_counted_alike():
@@ -89,7 +88,7 @@ def test_unequal_spheres_of_two_materials_are_counted_alike():
 
 def test_neither_skin_nor_threads_change_what_is_counted():
     scene = build_scene(
-        SceneConfig(name="two chunks", container=ContainerConfig(length=0.6),
+        SceneConfig(name="two_chunks", container=ContainerConfig(length=0.6),
                     filling=FillingConfig(count=1600, settled_speed=0.2),
                     rotation=RotationConfig(times=[1.5], speeds_rpm=[30.0]))
     )  # fmt: skip
@@ -138,7 +137,7 @@ def test_every_contact_that_begins_is_counted_until_it_ends(bed):
         begun, *ended = (round(float(rate * interval)) for rate in rates)
         touching = result.trajectory.diagnostics[count]
         assert ended == [begun + touching[0] - touching[-1]] * 2
-        assert begun > 50
+        assert begun > (5 if kind else 50)
 
 
 def test_the_torque_of_the_motion_is_the_torque_of_the_walls(bed):
