@@ -13,6 +13,7 @@ from gran_bench.dataset.scene_document import to_document
 from gran_bench.dem.energy_balance import EnergyBalance
 from gran_bench.dem.simulate import SimulationResult, settle, simulate
 from gran_bench.metrics.power import driving_power, driving_torque
+from gran_bench.plots.power import energy_balance
 from gran_bench.scene import Scene, build_scene
 from gran_bench.state import ParticleState
 
@@ -167,6 +168,11 @@ def test_a_case_file_keeps_what_was_counted(bed, tmp_path):
         assert np.array_equal(part.trajectory.energy[name], values[2:4], equal_nan=True), name
 
 
-def test_a_run_that_did_not_count_has_no_balance(bed):
+def test_the_figure_shows_power_losses_and_spectra(bed, tmp_path):
+    path = energy_balance(run(bed, 1.7).trajectory, tmp_path / "energy_balance.png", 1.6)
+    assert path.stat().st_size > 50_000
+
+
+def test_a_run_that_did_not_count_has_no_balance(bed, tmp_path):
     with pytest.raises(ValueError, match=r"dem\.power=true"):
-        EnergyBalance.of(run(bed, 1.52, power=False).trajectory)
+        energy_balance(run(bed, 1.52, power=False).trajectory, tmp_path / "none.png", 1.5)

@@ -24,7 +24,7 @@ def energy_balance(trajectory: Trajectory, path: Path | str, steady_from: float)
     A `ValueError` for a run that did not count its energy.
     """
     balance = EnergyBalance.of(trajectory)
-    with drawing(path, 11.0, 6.4) as figure:
+    with drawing(path, 12.5, 6.8) as figure:
         panels = figure.subplots(2, 3)
         _draw_power(panels[0, 0], balance)
         _draw_losses(panels[0, 1], balance)
@@ -67,7 +67,7 @@ def _draw_remainder(axes: Axes, balance: EnergyBalance) -> None:
     given, left = np.cumsum(balance.power * interval), np.cumsum(balance.unaccounted * interval)
     axes.plot(balance.time, left, color=DEM)
     axes.axhline(0.0, color=QUIET, linewidth=0.8)
-    share = f", {100.0 * left[-1] / given[-1]:.2g} % of what the walls gave" if given[-1] else ""
+    share = f": {100.0 * left[-1] / given[-1]:.2g} % of the work of the walls" if given[-1] else ""
     axes.set(title=f"Unaccounted{share}", xlabel="time, s", ylabel="energy since the start, J")
 
 
