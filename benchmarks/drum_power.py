@@ -18,18 +18,24 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from dem_page import keep
 from drum_flow import spec_of
 
 from gran_bench.config import DemConfig
-from gran_bench.dataset import ensure_cases, read_case, read_settled
+from gran_bench.dataset import CaseSpec, ensure_cases, read_case, read_settled
+from gran_bench.dataset.generation import Job
+from gran_bench.dem.energy import LOSSES
 from gran_bench.dem.energy_balance import EnergyBalance
+from gran_bench.files import markdown
 from gran_bench.metrics.angle_of_repose import center_of_mass_angles
 from gran_bench.metrics.power import driving_torque
 from gran_bench.metrics.summary import STEADY_FROM
 from gran_bench.plots.power import energy_balance
 from gran_bench.shipped import shipped_scene
 
+NAME = "drum_power"
 RPM, STEP = 30.0, 1.0e-4
+OMEGA = RPM * 2.0 * np.pi / 60.0  # rad/s
 
 
 def hogg_fuerstenau(angle_deg: float, mass: float, arm: float, omega: float) -> float:
@@ -43,7 +49,7 @@ def ours(packing: int, slip: str, root: Path, figure: Path | None = None) -> dic
     spec = spec_of(scene, packing, DemConfig(time_step=STEP, slip=slip, power=True))
     ensure_cases([spec], root, 1)
     case = read_case(spec.path(root))
-    trajectory, omega = case.trajectory, RPM * 2.0 * np.pi / 60.0
+    trajectory = case.trajectory
     found = EnergyBalance.of(trajectory).figures(STEADY_FROM)
     steady = trajectory.time > STEADY_FROM + 1e-6
     walls = trajectory.energy["wall_torque"][steady].mean(axis=0)
@@ -59,7 +65,7 @@ def ours(packing: int, slip: str, root: Path, figure: Path | None = None) -> dic
     angle = float(np.degrees(center_of_mass_angles(trajectory.position[steady].astype(float), trajectory.radius,
                                                    scene)).mean())  # fmt: skip
     found["com_angle_deg"] = angle
-    found["hogg_fuerstenau_W"] = hogg_fuerstenau(angle, mass, float(np.hypot(center[0], center[2])), omega)
+    found["hogg_fuerstenau_W"] = hogg_fuerstenau(angle, mass, float(np.hypot(center[0], center[2])), OMEGA)
     found["wall_seconds"] = float(case.attributes["wall_seconds"])
     if figure is not None:
         energy_balance(trajectory, figure, STEADY_FROM)
@@ -67,24 +73,52 @@ def ours(packing: int, slip: str, root: Path, figure: Path | None = None) -> dic
 
 
 def theirs(packing: int, python: str, root: Path) -> dict[str, float]:
-    """The same of LAMMPS, from the same bed."""
+    """The same of LAMMPS, from the same bed; its series are kept under ``root``."""
     spec = spec_of(shipped_scene("drum").at_speed(RPM), packing)
-    ensure_cases([spec], root, 1)
-    bed, _ = read_settled(spec.settled_path(root))
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
-        np.savez(place / "bed.npz", **{n: getattr(bed, n) for n in ("position", "velocity", "angular_velocity")})
-        words = [python, str(Path(__file__).with_name("lammps_drum.py")), str(place / "bed.npz"),
-                 str(place / "out.json"), "--rpm", str(RPM), "--step", str(STEP)]  # fmt: skip
-        subprocess.run(words, check=True)
-        series = json.loads((place / "out.json").read_text())
-    first = round((STEADY_FROM - 1.5) / 0.01)
+    kept = root / "lammps" / f"{spec.label}_power_dt{STEP:g}.json"
+    if not kept.exists():
+        ensure_beds(spec, root)
+        bed, _ = read_settled(spec.settled_path(root))
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory() as folder:
+            given = Path(folder) / "bed.npz"
+            np.savez(given, **{n: getattr(bed, n) for n in ("position", "velocity", "angular_velocity")})
+            words = [python, str(Path(__file__).with_name("lammps_drum.py")), str(given), str(kept)]
+            subprocess.run([*words, "--rpm", str(RPM), "--step", str(STEP)], check=True)
+    series = json.loads(kept.read_text())
+    first = round((STEADY_FROM - spec.scene.start_time) / spec.scene.frame_interval)
     momentum, weight = (np.array(series[name][first:]) for name in ("angular_momentum", "weight_torque"))
-    # (x × g) · e_y = z g_x − x g_z = g x.
     frames = len(momentum) - 1
-    torque = float((momentum[-1] - momentum[0]) / (0.01 * frames) - np.trapezoid(weight) / frames)
+    gained = (momentum[-1] - momentum[0]) / (spec.scene.frame_interval * frames)
+    torque = float(gained - np.trapezoid(weight) / frames)
     angle = float(np.mean(series["com_angle"][first + 1 :]))
-    return {"torque_Nm": torque, "power_W": torque * RPM * 2.0 * np.pi / 60.0, "com_angle_deg": angle}
+    return {"power_W": torque * OMEGA, "torque_of_motion_Nm": torque, "com_angle_deg": angle}
+
+
+def ensure_beds(spec: CaseSpec, root: Path) -> None:
+    """The settled bed of a case, made where it is missing."""
+    Job(spec, root, settles=True).run(lambda clock: None)
+
+
+def text_of(rows: list[dict[str, object]]) -> str:
+    """The table, and what it says of the balance."""
+    columns = {
+        "code": "code", "packing": "packing", "power_W": "power, W", "torque_Nm": "torque of the walls, N m",
+        "torque_of_motion_Nm": "of the motion, N m", "damping_W": "damping, W", "sliding_W": "sliding, W",
+        "tangential_damping_W": "tangential damping, W", "release_W": "release, W", "unaccounted_W": "unaccounted, W",
+        "com_angle_deg": "centre of mass, deg",
+    }  # fmt: skip
+    found = [
+        {**row, **{f"{name}_W": row[f"loss_{name}_W"] + row[f"wall_loss_{name}_W"] for name in LOSSES
+                   if f"loss_{name}_W" in row}}
+        for row in rows
+    ]  # fmt: skip
+    shown = [[_cell(row.get(name)) for name in columns] for row in found]
+    return "\n".join(markdown([list(columns.values()), *shown], aligned=True))
+
+
+def _cell(value: object) -> str:
+    return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 if __name__ == "__main__":
@@ -95,14 +129,15 @@ if __name__ == "__main__":
     parser.add_argument("--root", type=Path, default=Path("data"))
     parser.add_argument("--output", type=Path)
     given = parser.parse_args()
-    record: dict[str, dict[str, float]] = {}
+    rows: list[dict[str, object]] = []
     for packing in given.packings:
         for slip in given.slips:
-            figure = given.output and given.output / "drum_power.png"
-            drawn = figure if (packing, slip) == (0, "contact_point") else None
-            record[f"gran-bench, {slip}, packing {packing}"] = ours(packing, slip, given.root, drawn)
+            first = given.output is not None and (packing, slip) == (0, "contact_point")
+            figure = given.output / f"{NAME}.png" if first else None
+            found = ours(packing, slip, given.root, figure)
+            rows.append({"code": f"gran-bench, {slip}", "packing": packing} | found)
         if given.lammps_python:
-            record[f"LAMMPS, packing {packing}"] = theirs(packing, given.lammps_python, given.root)
-        print(json.dumps(record, indent=1), flush=True)
-    if given.output:
-        (given.output / "drum_power.json").write_text(json.dumps(record, indent=1) + "\n")
+            found = theirs(packing, given.lammps_python, given.root)
+            rows.append({"code": "LAMMPS", "packing": packing} | found)
+        print(rows[-2:], flush=True)
+    keep(NAME, text_of(rows), given.output, rows)
