@@ -42,7 +42,7 @@ def driving_torque(trajectory: Trajectory, scene: Scene) -> Series:
                 momentum[k] += inertia @ (trajectory.angular_velocity[k].astype(np.float64) @ axis)
         torque[1:] = np.diff(momentum) / np.diff(trajectory.time) - 0.5 * (weight[1:] + weight[:-1])
     torque[~np.isfinite(torque)] = np.nan
-    return Series(trajectory.time, torque, "N m", invalid_because="not finite, or no state before it")
+    return Series(trajectory.time, torque, "N m", invalid_because="it needs two states of finite motion")
 
 
 @register_metric("power that drives the drum", "W")
