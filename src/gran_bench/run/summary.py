@@ -121,6 +121,7 @@ def flat_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
     for name, row in summary["rollouts"].items():
         metrics[f"rollout/{name}/ms_per_frame"] = row["ms_per_frame_median"]
         metrics[f"rollout/{name}/dem_ms_per_frame"] = row["dem_ms_per_frame"]
+        metrics |= {f"dem_energy/{name}/{term}": value for term, value in row.get("dem_energy", {}).items()}
     metrics |= {f"wall_seconds/{name}": seconds for name, seconds in summary["wall_seconds"].items()}
     numbers = {name: value for name, value in metrics.items() if isinstance(value, int | float)}
     return {name: float(value) for name, value in numbers.items() if not isinstance(value, bool)}
