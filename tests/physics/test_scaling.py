@@ -172,6 +172,7 @@ def test_training_and_rollout_are_the_same(name, root, tmp_path):
 
 def test_the_judges_figures_floors_and_verdicts_are_the_same():
     factors = {"m": LENGTH, "m/s": SPEED, "J": ENERGY, "s": TIME, "deg": 1.0, "-": 1.0}
+    factors |= {"N m": ENERGY, "W": ENERGY / TIME}
     overrides = ["scene.filling.count=80", "scene.container.length=0.25", "scene.rotation.times=[0.5]"]
     found = []
     for scene in scenes("drum_small", [*overrides, "scene.end_time=2.5"]):

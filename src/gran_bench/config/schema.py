@@ -143,6 +143,7 @@ class DemConfig(Section, place="dem"):
     threads: int | None = key(None, at_least(1))  # of numba; null: chosen by the clock; changes no bit
     precision: str = key("float64", one_of("float64", "float32"))  # of contact forces; positions stay float64
     slip: str = key("contact_point", one_of("contact_point", "full_radius"))  # the arms of spins; full_radius: LAMMPS's
+    power: bool = False  # torque, power, losses and impact spectra of each frame; changes no bit of the trajectory
     allow_unsafe_step: bool = False  # true turns the error of a too large step into a recorded warning
 
 

@@ -7,6 +7,7 @@
     velocity          (F, N, 3)  float32  m/s      chunked by frame, fletcher32
     angular_velocity  (F, N, 3)  float32  rad/s    chunked by frame, fletcher32
     diagnostics/*     (F,)       float64  overlaps and energies, computed in the engine in float64
+    energy/*          (F, …)     float64  with dem.power: powers, losses, spectra (dem/energy.py)
     settled/          the state at the first frame in float64: position, velocity, angular_velocity (N, 3),
                       radius (N,), material (N,) uint8; attribute time
     settled/history/  first, second (M,) int64, force (M, 3) N, overlap (M,) m, rolling_moment (M, 3) N m
@@ -68,6 +69,8 @@ def write_case(
     arrays["time"] = np.asarray(trajectory.time, np.float64)
     for name, values in trajectory.diagnostics.items():
         arrays[f"diagnostics/{name}"] = np.asarray(values, np.float64)
+    for name, values in trajectory.energy.items():
+        arrays[f"energy/{name}"] = np.asarray(values, np.float64)
     attributes = {
         "scene": yaml.safe_dump(key["scene"], sort_keys=False),
         "scene_name": scene.name,
@@ -102,10 +105,13 @@ def read_case(path: Path | str, frames: slice | None = None) -> Case:
         arrays = {name: file[name][chosen] for name in (*_BY_FRAME, "time")}
         diagnostics = {name: values[chosen] for name, values in file["diagnostics"].items()}
         attributes = _checked_attributes(file)
+        energy = {name: values[chosen] for name, values in file.get("energy", {}).items()}
         named = arrays | {f"diagnostics/{name}": values for name, values in diagnostics.items()}
+        named |= {f"energy/{name}": values for name, values in energy.items()}
         settled = _read_state(file, attributes["digest"] if frames is None else None, attributes["key"], named)
         scene = from_document(yaml.safe_load(attributes["scene"]))
-        trajectory = Trajectory(**arrays, radius=settled.radius.astype(np.float32), diagnostics=diagnostics)
+        radius = settled.radius.astype(np.float32)
+        trajectory = Trajectory(**arrays, radius=radius, diagnostics=diagnostics, energy=energy)
         return Case(scene, trajectory, settled, attributes, attributes["digest"], path)
 
 
@@ -146,6 +152,8 @@ def _write(path: Path, key: dict, arrays: dict[str, np.ndarray], state: Particle
             if values.size:  # HDF5 knows no chunk of size zero
                 chunk = (1, *values.shape[1:]) if name in _BY_FRAME else values.shape
                 options = {"chunks": chunk, "fletcher32": True}
+                if name.startswith("energy/"):  # most bins of most frames are empty
+                    options |= {"compression": "gzip", "compression_opts": 1, "shuffle": True}
             file.create_dataset(name, data=values, **options)
         file.require_group("diagnostics")
         file["settled"].attrs["time"] = state_time

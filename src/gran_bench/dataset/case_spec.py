@@ -61,6 +61,8 @@ class CaseSpec:
         """What determines the case, as plain data; its hash names the file."""
         seed = int(self.nudge_seed) if self.nudge else 0
         own = {"settled": self.settling_key, "nudge": float(self.nudge), "nudge_seed": seed}
+        if self.dem.power:  # adds to the file, not to the trajectory
+            own["power"] = True
         return _key("case", self.scene, self.dem) | own
 
     @property

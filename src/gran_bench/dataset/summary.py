@@ -10,6 +10,7 @@ from gran_bench.dataset.case_file import read_attributes, read_case
 from gran_bench.dataset.case_spec import CaseSpec, DatasetError, dem_source_hash, own_case, rotation_label
 from gran_bench.dataset.ensure import ensure_cases
 from gran_bench.dataset.imported import ENGINE, split_cases
+from gran_bench.dem.energy_balance import EnergyBalance
 from gran_bench.scene import build_scene
 
 HEAD = ("case", "split", "N", "frames", "step, µs", "late speed, m/s", "wall time, s", "MB", "file")
@@ -36,7 +37,9 @@ def generate(config: GenerateConfig) -> list[Path]:
     print(
         _table([HEAD, *(_row(spec, path, sides.get(id(spec), "–")) for spec, path in zip(specs, paths, strict=True))])
     )
-    for path in paths:
+    for spec, path in zip(specs, paths, strict=True):
+        if spec.dem.power:
+            print(f"energy, {path.name}: {_power_words(path)}")
         for warning in read_attributes(path)["warnings"].splitlines():
             print(f"warning, {path.name}: {warning}")
     beds = {spec.settled_path(root) for spec in specs}
@@ -46,6 +49,19 @@ def generate(config: GenerateConfig) -> list[Path]:
         size = sum(path.stat().st_size for path in old) / 1e6
         print(f"{len(old)} files ({size:.0f} MB) are of older solver code and not used any more, such as {old[0]}")
     return paths
+
+
+def _power_words(path: Path) -> str:
+    """The mean power of a case over the later half of its frames, and where it goes, in W."""
+    motion = read_case(path).trajectory
+    since = float(motion.time[max(0, motion.frame_count // 2 - 1)])
+    found = EnergyBalance.of(motion).figures(since)
+    if not found:
+        return "no frame"
+    power = found.pop("power_W")
+    terms = {name.removesuffix("_W").replace("_", " "): value for name, value in found.items() if name != "loss_W"}
+    told = ", ".join(f"{name} {value:.3g} W" for name, value in terms.items() if value)
+    return f"from {since:g} s on the walls give {power:.4g} W: {told}"
 
 
 def _files_of_older_code(root: Path | str) -> list[Path]:

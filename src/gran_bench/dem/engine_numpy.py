@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gran_bench.dem.contact import ContactLaw, contact_force, dot, sphere_mass
+from gran_bench.dem.contact import ContactForce, ContactLaw, contact_force, dot, sphere_mass
+from gran_bench.dem.energy import Work, count_contacts, count_ended, count_walls, followed
 from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, into_period
 from gran_bench.dem.rolling import CONTACT_INERTIA, rolling_moment
 from gran_bench.dem.seams import wall_touching
@@ -67,8 +68,9 @@ class Stretch:
         self._inertia = 0.4 * self._mass * self._radius**2
         self._about_contact = CONTACT_INERTIA * self._mass * self._radius**2
         # What the velocity still gains until the end of the step, if the acceleration stays.
-        self._gain, self._peaks, self._step = np.zeros_like(self._velocity), Peaks(), 0
-        self._history = state.history
+        self._gain, self._spin_gain = np.zeros_like(self._velocity), np.zeros_like(self._spin)
+        self._peaks, self._work, self._step = Peaks(), Work.none(len(walls[0])), 0
+        self._history = followed(state.history, physics.power)
         self.set_walls(walls)
         self._list_pairs()
         if held is None:
@@ -131,6 +133,11 @@ class Stretch:
         peaks, self._peaks = self._peaks, Peaks()
         return peaks
 
+    def take_work(self) -> Work:
+        """What walls and contacts did since it was last asked for."""
+        work, self._work = self._work, Work.none(len(self._work.walls))
+        return work
+
     def _kick(self) -> None:
         """Half a step of the velocities."""
         self._velocity += self._gain
@@ -183,15 +190,16 @@ class Stretch:
         total = _sums(first, contact.force, count) - _sums(second, contact.force[of_pairs], count)
         torque = _sums(first, every.arm[:, None] * contact.twist, count)
         torque += _sums(second, pairs.other_arm[:, None] * contact.twist[of_pairs], count)
-        kept = None
+        kept = rolled = None
         if rolling:
-            moment, kept = rolling_moment(
+            rolled = moment, kept = rolling_moment(
                 *moment, every.spin, every.normal, every.overlap, overlap, every.effective_radius,
                 every.effective_inertia, law.effective_modulus, law.rolling_friction, duration,
             )  # fmt: skip
             torque += _sums(first, moment, count) - _sums(second, moment[of_pairs], count)
+        ledger = self._counted(every, contact, rolled, duration) if self._physics.power else None
         self._load(total, torque)
-        self._history = ContactHistory(first, every.second, contact.history, every.overlap, kept)
+        self._history = ContactHistory(first, every.second, contact.history, every.overlap, kept, ledger)
         found = Peaks(
             overlap=float(pairs.overlap.max(initial=0.0)),
             wall_overlap=float(walls.overlap.max(initial=0.0)),
@@ -199,6 +207,28 @@ class Stretch:
             approach=float(dot(every.velocity, every.normal).max(initial=0.0)),
         )
         self._peaks = Peaks(*map(max, self._peaks, found))
+
+    def _counted(
+        self, every: Contacts, contact: ContactForce, rolled: tuple[FloatArray, FloatArray] | None, duration: float
+    ) -> FloatArray:
+        """Counts the energy of a step (energy.py), before its loads; returns what its contacts have lost so far."""
+        first, second, history, work = every.first, every.second, self._history, self._work
+        names, walls = ("force", "overlap", "rolling_moment", "ledger"), np.flatnonzero(second < 0)
+        before = ContactHistory(first, second, *_recall(history, first, second, *names))
+        radius = self._radius if self._physics.full_radius else None
+        ledger = count_contacts(work, every, contact, rolled, before, self._spin_gain, radius, duration)
+        at_walls = Contacts(*(_at(array, walls) for array in every))
+        distance = self._radius[at_walls.first] - at_walls.overlap
+        point, poses = _at(self._position, at_walls.first) + distance[:, None] * at_walls.normal, self._poses()
+        moment = None if rolled is None else rolled[0][walls]
+        count_walls(work, at_walls, contact.force[walls], moment, point, poses, duration)
+        if duration:
+            count_ended(work, history, ~np.isin(_numbers(history.first, history.second), _numbers(first, second)))
+        return ledger
+
+    def _poses(self) -> FloatArray:
+        """Of the walls at this instant."""
+        return self._walls[self._step - self._first_pose]
 
     def _touching_pairs(self) -> Contacts:
         """The listed pairs that touch."""
@@ -230,7 +260,7 @@ class Stretch:
 
     def _touching_walls(self) -> Contacts:
         """What touches a wall, wall by wall; the history may go over between pieces of a surface."""
-        poses, physics = self._walls[self._step - self._first_pose], self._physics
+        poses, physics = self._poses(), self._physics
         touching, self._history = wall_touching(poses, self._position, self._radius, self._history)
         wall = np.repeat(np.arange(len(poses)), [len(i) for i, _, _ in touching])
         i, distance, normal = map(_joined, zip(*touching, strict=True)) if len(poses) else NOBODY
@@ -270,10 +300,14 @@ def _sums(index: np.ndarray, values: FloatArray, count: int) -> FloatArray:
 
 def _recall(history: ContactHistory, first: np.ndarray, second: np.ndarray, *names: str) -> list[FloatArray]:
     """What contacts (first, second) remember, by the names of the history; zeros where they are new."""
-    # One number for each contact; walls (negative seconds) included.
-    keys, old_keys = (a * 2**32 + b for a, b in ((first, second), (history.first, history.second)))
+    keys, old_keys = _numbers(first, second), _numbers(history.first, history.second)
     _, known, old = np.intersect1d(keys, old_keys, assume_unique=True, return_indices=True)
     row = np.full(len(first), -1)  # the last row, which is zero
     row[known] = old
     kept = [getattr(history, name) for name in names]
     return [_at(_joined((array, np.zeros((1, *array.shape[1:])))), row) for array in kept]
+
+
+def _numbers(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """One number for each contact; walls (negative seconds) included."""
+    return first * 2**32 + second

@@ -12,6 +12,7 @@ from types import ModuleType
 
 import numpy as np
 
+from gran_bench.dem.energy import Work, energy_figures
 from gran_bench.dem.fast.tuning import Tuner
 from gran_bench.dem.integrate import Divergence, Peaks
 from gran_bench.dem.outlet import leaked, part_of, rejoined, taking_part
@@ -55,6 +56,7 @@ class Run:
         # State and what is held of all where the stretch began; the stretch is None where it is still to begin.
         self._whole, self._held, self._stretch = state, None, None
         self._start, self._steps, self._peaks = state.time, 0, Peaks()
+        self._work = Work.none(len(scene.walls))
         with _compiling_notice():
             # Where the run goes on, this tells what the first frame's contacts do, and nothing else.
             self._begin()
@@ -130,13 +132,23 @@ class Run:
         else:
             overlaps = self._stretch.overlaps()
         self.moving(self._record.room())
-        self._record.add(time, overlaps, self.take_peaks())
+        self._record.add(time, overlaps, self.take_peaks(), self._energy(time))
 
     def take_peaks(self) -> Peaks:
         """Largest overlaps and approach since they were last asked for."""
         self._take_from_stretch()
         peaks, self._peaks = self._peaks, Peaks()
         return peaks
+
+    def _energy(self, time: float) -> dict[str, FloatArray]:
+        """What a frame says of energy, by name, of the steps since the frame before; nothing where nobody asks."""
+        physics = self._tuner.physics
+        if not physics.power:
+            return {}
+        self._take_from_stretch()
+        work, self._work = self._work, Work.none(len(self._scene.walls))
+        laws = physics.pair_laws, physics.wall_laws
+        return energy_figures(self._scene, self.state(time), work, self._time_step, laws)
 
     def check_escapes(self, walls: bool = True) -> None:
         """Looks whether anybody came through a wall, who would be found at the next look.
@@ -221,6 +233,8 @@ class Run:
         if self._stretch is not None and self._seen != self._steps:
             self._seen = self._steps
             self._peaks = Peaks(*map(max, self._peaks, self._stretch.take_peaks()))
+            if self._tuner.physics.power:
+                self._work.add(self._stretch.take_work())
 
     def _key(self, state: ParticleState) -> str:
         """Of everything that a continuation holds for; frames, threads, skin and engine are not part of it."""

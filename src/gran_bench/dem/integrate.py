@@ -78,6 +78,7 @@ class Physics:
     threads: int = 1  # how many work together, where there are particles enough; changes no bit of the result
     single_precision: bool = False  # whether the contact laws, never positions and velocities, are computed in float32
     full_radius: bool = False  # whether slip is measured with full radii instead of at the contact point (contact.py).
+    power: bool = False  # whether the work of walls and contacts is counted (energy.py); changes no bit of the result
 
     @classmethod
     def of(cls, scene: Scene, largest_radius: float, skin: float | None = None) -> Physics:

@@ -77,12 +77,13 @@ def impact_warnings(
 
 
 class FrameRecord:
-    """Frames and diagnostics as they come, with room for so many and a failed one."""
+    """Frames, diagnostics and counted energies as they come, with room for so many and a failed one."""
 
     def __init__(self, scene: Scene, state: ParticleState, frames: int = 0) -> None:
         self._scene, self._radius, self._inertias = scene, state.radius, inertias(scene, state)
         self._moving = np.empty((3, frames + 1, state.count, 3))
         self._figures: list[dict[str, float]] = []
+        self._energy: list[dict[str, FloatArray]] = []
         self.time: list[float] = []
         self.peaks: list[Peaks] = []
 
@@ -90,14 +91,17 @@ class FrameRecord:
         """Arrays for the next frame."""
         return tuple(self._moving[:, len(self.time)])
 
-    def add(self, time: float, overlaps: tuple[FloatArray, FloatArray], peaks: Peaks) -> None:
-        """Takes what the room now holds as a frame, s, with the overlaps of its contacts, m.
+    def add(
+        self, time: float, overlaps: tuple[FloatArray, FloatArray], peaks: Peaks, energy: dict[str, FloatArray]
+    ) -> None:
+        """Takes what the room now holds as a frame, s, with the overlaps of its contacts, m, and `energy_figures`.
 
         Peaks are the most of any contact in any step since the last frame (of the first, in itself alone).
         """
         figures = contact_diagnostics(self._scene, self._inertias, self.room(), overlaps)
         self.time.append(time)
         self.peaks.append(peaks)
+        self._energy.append(energy)
         names = ("overlap_peak", "wall_overlap_peak", "overlap_share_peak", "approach_peak")
         self._figures.append(figures | dict(zip(names, peaks, strict=True)))
 
@@ -111,4 +115,9 @@ class FrameRecord:
             name: np.array([of[name] for of in self._figures] + [np.nan for _ in failed])
             for name in (self._figures or [{}])[0]
         }
-        return Trajectory(np.array(time), *self._moving[:, : len(time)], self._radius, diagnostics=diagnostics)
+        energy = {
+            name: np.stack([of[name] for of in self._energy] + [np.full_like(first, np.nan) for _ in failed])
+            for name, first in (self._energy or [{}])[0].items()
+        }
+        moving = self._moving[:, : len(time)]
+        return Trajectory(np.array(time), *moving, self._radius, diagnostics=diagnostics, energy=energy)

@@ -129,6 +129,7 @@ def settle(
     dem = DemConfig() if dem is None else dem
     check_arguments(scene=(scene, Scene), dem=(dem, DemConfig))
     check_dem(dem)
+    dem = replace(dem, power=False)  # nobody looks at the energy of a bed that settles
     still, filling = scene.at_rest(), scene.filling
     state = scene.fresh_filling(seed)
     check_initial_state(still, state)
@@ -163,7 +164,7 @@ def settle(
 def _tuner(scene: Scene, largest_radius: float, count: int, dem: DemConfig) -> Tuner:
     single, full = dem.precision == "float32", dem.slip == "full_radius"
     physics = Physics.of(scene, largest_radius, dem.skin)
-    physics = replace(physics, threads=dem.threads or 1, single_precision=single, full_radius=full)
+    physics = replace(physics, threads=dem.threads or 1, single_precision=single, full_radius=full, power=dem.power)
     return Tuner(physics, count, dem.skin is not None, dem.threads)
 
 

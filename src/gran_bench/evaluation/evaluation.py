@@ -13,6 +13,7 @@ import torch
 from gran_bench.baselines import ballistic, interpolated_statistics, rigid_rotation
 from gran_bench.config import JudgeConfig
 from gran_bench.dataset import Case, CaseSpec, dataset_digest, ensure_cases, read_case
+from gran_bench.dem.energy_balance import EnergyBalance
 from gran_bench.evaluation.plan import Plan, rollout_name
 from gran_bench.files import whole_file
 from gran_bench.metrics.judge import judge, nearest_case
@@ -81,6 +82,7 @@ def evaluate(
         judgements[packing] = found = judge(candidate, doubles[packing], judged_scene, beside, replays, asked)
         candidates[packing] = replace(candidate, phases=found.phases)
         doubles[packing] = [replace(run, phases=found.phases) for run in doubles[packing]]
+    steady = next(iter(judgements.values())).phases.steady_from
     summary = {
         "judged_rpm": plan.judged_rpm,
         "judged_as": "validation" if plan.validates else "held out",
@@ -88,7 +90,7 @@ def evaluate(
         "baselines": _baselines(plan, judged, doubles["shared"], replays),
         "nearest_case": _nearest(plan, rollouts, cases),
         "position_error": _short_horizon(model, judged, plan.judge),
-        "rollouts": {name: _rollout_facts(result, cases[name]) for name, result in rollouts.items()},
+        "rollouts": {name: _rollout_facts(result, cases[name], steady) for name, result in rollouts.items()},
         "data_digest": dataset_digest(list(cases.values())),
     }
     return Evaluation(judgements, rollouts, cases, candidates, doubles, summary)
@@ -215,8 +217,11 @@ def predict_from(model: Surrogate, case: Case, start: int, frames: int) -> Float
     return np.stack(found)
 
 
-def _rollout_facts(result: Rollout, case: Case) -> dict[str, Any]:
-    """How fast a rollout was, beside the DEM's own time for the same frames, and where it failed."""
+def _rollout_facts(result: Rollout, case: Case, steady_from: float | None) -> dict[str, Any]:
+    """How fast a rollout was, beside the DEM's own time for the same frames, and where it failed; and where the DEM's
+    energy goes once the flow is steady (else in the whole run), W, if it was counted.
+    """
+    start = case.scene.start_time if steady_from is None else steady_from
     computed = 1e3 * result.seconds_per_frame[np.isfinite(result.seconds_per_frame)]
     return {
         "failed_frame": result.failed_frame,
@@ -224,6 +229,7 @@ def _rollout_facts(result: Rollout, case: Case) -> dict[str, Any]:
         "ms_per_frame_median": float(np.median(computed)) if len(computed) else None,
         "ms_per_frame_90th": float(np.percentile(computed, 90)) if len(computed) else None,
         "dem_ms_per_frame": _dem_ms_per_frame(case),
+        "dem_energy": EnergyBalance.of(case.trajectory).figures(start) if case.trajectory.energy else {},
     }
 
 

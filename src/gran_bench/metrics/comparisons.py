@@ -176,6 +176,7 @@ COMPARISONS = (
     Comparison("translational_energy", "translational energy over the series", "J", _series("translational_energy")),
     Comparison("rotational_energy", "rotational energy over the series", "J", _series("rotational_energy")),
     Comparison("mixing", "mixing entropy over the series", "-", _series("mixing")),
+    Comparison("driving_torque", "torque that drives the drum, over the series", "N m", _series("driving_torque")),
 )
 FIGURES = (
     *(*SURFACE[1:], *CENTER[1:]),
@@ -187,4 +188,6 @@ FIGURES = (
     Comparison("wall_overlap_mean", "overlap with walls, mean", "m", _series("wall_overlap_mean")),
     Comparison("wall_overlap_max", "overlap with walls, largest", "m", _largest("wall_overlap_max")),
     Comparison("mixing_end", "mixing entropy, steady", "-", _steady("mixing")),
+    Comparison("driving_torque_steady", "torque that drives the drum, steady", "N m", _steady("driving_torque")),
+    Comparison("driving_power_steady", "power that drives the drum, steady", "W", _steady("driving_power")),
 )

@@ -6,6 +6,7 @@ import numpy as np
 
 from gran_bench.config.registry import METRICS
 from gran_bench.config.rules import ConfigError, check_arguments
+from gran_bench.metrics import power  # noqa: F401 — registers its metrics
 from gran_bench.metrics.angle_of_repose import SurfaceAngle
 from gran_bench.metrics.bed import overlap_series, sphere_masses
 from gran_bench.metrics.measured import Measured, Series, within

@@ -14,6 +14,7 @@ from gran_bench.metrics.measured import Measured, Series, frame_at
 from gran_bench.metrics.position_error import DIVERGED, divergence_horizon, mean_spread, separation
 from gran_bench.metrics.summary import TrajectorySummary
 from gran_bench.plots.flow import default_title, flow_animation, flow_pattern
+from gran_bench.plots.power import energy_balance
 from gran_bench.plots.style import BAND, DEM, SURROGATE, coloured, drawing, mark_place, say, speed_label, titled
 from gran_bench.state import FloatArray
 
@@ -53,6 +54,9 @@ def draw_evaluation(
             paths.append(flow_pattern(runs, case.scene, folder / f"flow_pattern{suffix}.png", instant))
             for draw in (angle_of_repose, speed_distribution, position_error, speed_by_depth, diagnostics):
                 paths.append(draw(candidate, replicas, folder / f"{draw.__name__}{suffix}.png"))
+            if case.trajectory.energy:
+                path = folder / f"energy_balance{suffix}.png"
+                paths.append(energy_balance(case.trajectory, path, replicas[0].phases.steady_from))
             if gif and not unseen:
                 paths.append(flow_animation(runs, case.scene, folder / "flow.gif"))
     rows = evaluation.summary["nearest_case"].values()

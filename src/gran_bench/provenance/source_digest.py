@@ -26,7 +26,10 @@ _READING = (
 # What decides the weights of a training, beside the model's modules.
 TRAINING = (*_READING, "losses", "trainer")
 # What a judge says of given weights, beside the model's modules. The DEM's runs are in its key by their names.
-JUDGING = (*_READING, "dataset/generation.py", "surrogate/rollout.py", "metrics", "baselines.py", "evaluation")
+JUDGING = (
+    *(*_READING, "dem/energy_balance.py", "dataset/generation.py"),
+    *("surrogate/rollout.py", "metrics", "baselines.py", "evaluation"),
+)
 # What a benchmark measures of a method.
 COMPARING = (
     *(*JUDGING, *SOLVER, "surrogate"),

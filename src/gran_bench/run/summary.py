@@ -123,6 +123,7 @@ def flat_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
     for name, row in summary["rollouts"].items():
         metrics[f"rollout/{name}/ms_per_frame"] = row["ms_per_frame_median"]
         metrics[f"rollout/{name}/dem_ms_per_frame"] = row["dem_ms_per_frame"]
+        metrics |= {f"dem_energy/{name}/{term}": value for term, value in row.get("dem_energy", {}).items()}
     for packing, table in summary.get("statistics", {}).get("averages", {}).items():
         for name, row in table.items():
             metrics |= {f"{packing}/{key}/{name}": row[key] for key in ("ratio", "spread", "energy", "energy_of_runs")}

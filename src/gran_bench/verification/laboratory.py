@@ -80,12 +80,13 @@ def mass_of(radius: FloatArray, density: float | FloatArray = 2500.0) -> FloatAr
 
 
 def run(
-    scene: Scene, state: ParticleState, time_step: float, steps: int, stride: int | None = None, engine: str = "numba"
-) -> SimulationResult:
+    scene: Scene, state: ParticleState, time_step: float, steps: int, stride: int | None = None, engine: str = "numba",
+    power: bool = False,
+) -> SimulationResult:  # fmt: skip
     """Run ``steps`` steps of ``time_step``, with a frame every ``stride`` steps (at the end alone where None)."""
     stride = stride or steps
     scene = replace(scene, frame_interval=stride * time_step)
-    dem = DemConfig(engine=engine, time_step=time_step, allow_unsafe_step=True)
+    dem = DemConfig(engine=engine, time_step=time_step, allow_unsafe_step=True, power=power)
     return simulate(scene, state, state.time + steps // stride * scene.frame_interval, dem=dem)
 
 

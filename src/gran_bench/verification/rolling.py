@@ -15,7 +15,7 @@ DRUM = 0.5  # m, radius
 WALL = Cylinder((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), DRUM)
 
 
-class _Ball:
+class Ball:
     """A ball that lies on a soft wall, sloped by rad, under its weight; arm and reach depend on the overlap."""
 
     def __init__(self, modulus: float, e: float, friction: float, resistance: float = 0.0, slope: float = 0.0) -> None:
@@ -44,7 +44,7 @@ def slip_to_roll() -> Iterator[Check]:
     for modulus in (lab.SOFT, lab.STIFF):
         expected, found = [], []
         for friction in frictions:
-            ball = _Ball(modulus, 0.5, friction)
+            ball = Ball(modulus, 0.5, friction)
             lever = 2.5 * (ball.arm / lab.RADIUS) ** 2
             stop = speed / (friction * lab.GRAVITY * (1.0 + lever))
             step, state = min(ball.period / 60, stop / 2000), lab.spheres([0, 0, ball.arm], [speed, 0, 0])
@@ -69,7 +69,7 @@ def rolling_stop() -> Iterator[Check]:
     for modulus in (lab.SOFT, lab.STIFF):
         expected, found, left = [], [], []
         for resistance in resistances:
-            ball = _Ball(modulus, 0.5, 0.6, resistance)
+            ball = Ball(modulus, 0.5, 0.6, resistance)
             rate = resistance * lab.GRAVITY * ball.arm * lab.RADIUS / (ball.arm**2 + 0.4 * lab.RADIUS**2)
             step, state = ball.period / 60, lab.spheres([0, 0, ball.arm], [speed, 0, 0], [0, speed / ball.arm, 0])
             stride = math.ceil(speed / rate / 100 / step)
@@ -90,7 +90,7 @@ def _down_the_slope(modulus: float, slope_deg: float, friction: float, resistanc
     """Acceleration along the slope, spin rate, and distance gone in 0.4 s, of a ball put on it at rest, SI."""
     angle = math.radians(slope_deg)
     along, normal = np.array([math.cos(angle), 0.0, -math.sin(angle)]), (math.sin(angle), 0.0, math.cos(angle))
-    ball = _Ball(modulus, 0.3, friction, resistance, angle)
+    ball = Ball(modulus, 0.3, friction, resistance, angle)
     step = ball.period / 60
     stride = math.ceil(0.4 / 80 / step)
     scene = ball.on(Plane((0.0, 0.0, 0.0), normal, turns=False))
@@ -109,7 +109,7 @@ def incline() -> Iterator[Check]:
         label = f"E {modulus:g} Pa"
 
         def arm_of(slope: float, modulus: float = modulus) -> float:
-            return 1.0 - _Ball(modulus, 1.0, 0.0, slope=slope).overlap / lab.RADIUS
+            return 1.0 - Ball(modulus, 1.0, 0.0, slope=slope).overlap / lab.RADIUS
 
         slopes = np.radians([2.0, 10.0, 25.0])
         rolling = [lab.GRAVITY * math.sin(s) / (1.0 + 0.4 / arm_of(s) ** 2) for s in slopes]
@@ -144,7 +144,7 @@ def swing() -> Iterator[Check]:
     for modulus in (lab.SOFT, lab.STIFF):
         expected, found = [], []
         for friction in (0.8, 0.0):
-            ball = _Ball(modulus, 0.3, friction)
+            ball = Ball(modulus, 0.3, friction)
             turning = 0.4 * (lab.RADIUS / ball.arm) ** 2 if friction else 0.0
             period = 2.0 * math.pi * math.sqrt(ball.reach * (1.0 + turning) / lab.GRAVITY) * (1.0 + amplitude**2 / 16.0)
             start = lab.spheres(ball.reach * np.array([math.sin(amplitude), 0.0, -math.cos(amplitude)]))
@@ -164,10 +164,10 @@ def steady_place() -> Iterator[Check]:
     for modulus in (lab.SOFT, lab.STIFF):
         wanted, found = [], []
         for resistance in resistances:
-            ball = _Ball(modulus, 0.3, 0.8, resistance)
+            ball = Ball(modulus, 0.3, 0.8, resistance)
             step = ball.period / 40
             # Torque balance: friction m g sin θ on the arm carries the rolling moment μ_r R m g cos θ.
-            ball = _Ball(modulus, 0.3, 0.8, resistance, math.atan(resistance * lab.RADIUS / ball.arm))
+            ball = Ball(modulus, 0.3, 0.8, resistance, math.atan(resistance * lab.RADIUS / ball.arm))
             place = math.atan(resistance * lab.RADIUS / ball.arm)
             spin = rpm * 2.0 * math.pi / 60.0 * DRUM / ball.arm
             # The bed of a drum that turns with +y climbs towards −x.
@@ -190,7 +190,7 @@ def set_going() -> Iterator[Check]:
     """A ball at rest in a drum that starts at once: while it slips, the wall drags it with μ g and spins it up."""
     friction, rpm = 0.1, 60.0
     for modulus in (lab.SOFT, lab.STIFF):
-        ball = _Ball(modulus, 0.3, friction)
+        ball = Ball(modulus, 0.3, friction)
         step = ball.period / 60
         steps = math.ceil(0.05 / step)
         final = lab.run(ball.on(WALL, rpm), lab.spheres([0.0, 0.0, -ball.reach]), step, steps).final

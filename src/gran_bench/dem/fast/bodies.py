@@ -21,15 +21,17 @@ class Known(NamedTuple):
     second: np.ndarray
     slot: FloatArray  # ``(C, 4)`` elastic tangential force and overlap
     moment: FloatArray  # ``(C, 4)`` rolling moment and 0; ``(0, 4)`` where there is no rolling
+    ledger: FloatArray  # ``(C, 4)`` ledger of `ContactHistory` and a place; ``(0, 4)`` where nobody asks
 
 
 def known_contacts(history: ContactHistory, name: np.ndarray, rolling: bool) -> tuple[Known, Known]:
     """Pairs and walls of a state, with particle i called ``name[i]`` and the lower name first."""
     memory, known = _in_fours(history.force, history.overlap), []
     moment = _in_fours(history.rolling_moment, 0.0) if rolling else None
+    ledger = _in_fours(history.ledger, 0.0) if history.ledger.shape[1] else None
     for part in (np.flatnonzero(history.second >= 0), np.flatnonzero(history.second < 0)):
-        moments = moment[part] if rolling else np.zeros((0, 4))
-        known.append(Known(history.first[part], history.second[part], memory[part], moments))
+        more = (np.zeros((0, 4)) if array is None else array[part] for array in (moment, ledger))
+        known.append(Known(history.first[part], history.second[part], memory[part], *more))
     pairs, walls = known
     return renamed(pairs, walls._replace(second=-1 - walls.second), name)
 
@@ -38,9 +40,9 @@ def contact_history(pairs: Known, walls: Known, name: np.ndarray) -> ContactHist
     """What a state remembers: pairs and then walls, with row i called ``name[i]``."""
     pairs, walls = renamed(pairs, walls, name)
     both = pairs, walls._replace(second=-1 - walls.second)
-    first, second, slot, moment = (np.concatenate(arrays) for arrays in zip(*both, strict=True))
-    rolling = moment[:, :3].copy() if len(moment) else None
-    return ContactHistory(first, second, slot[:, :3].copy(), slot[:, 3].copy(), rolling)
+    first, second, slot, *more = (np.concatenate(arrays) for arrays in zip(*both, strict=True))
+    rolling, ledger = (array[:, :3].copy() if len(array) else None for array in more)
+    return ContactHistory(first, second, slot[:, :3].copy(), slot[:, 3].copy(), rolling, ledger)
 
 
 def renamed(pairs: Known, walls: Known, name: np.ndarray) -> tuple[Known, Known]:

@@ -5,6 +5,7 @@ import numpy as np
 from gran_bench.dem.fast import contact_blocks as block
 from gran_bench.dem.fast import rows
 from gran_bench.dem.fast.contact_blocks import BLOCK, contact_laws, fill_law, pair_geometry, slip_spins, torques, watch
+from gran_bench.dem.fast.energy_blocks import pair_losses, recall, wall_losses
 from gran_bench.dem.fast.lists import overlapping
 from gran_bench.dem.fast.wall_list import shape_of, toward_wall
 from gran_bench.dem.rolling import CONTACT_INERTIA
@@ -16,7 +17,7 @@ from gran_bench.neighbors.kernel import kernel
 def pair_forces(
     sphere, velocity, spin, ahead, material, force, torque, near_i, near_j, memory, begin, end, touched, remembered,
     active, contacts, old_slot, slot, old_moment, moment, buffer, laws, period, tangential, rolling, unequal, several,
-    full_radius, dt,
+    full_radius, dt, old_ledger, ledger, books, chunk,
 ):  # fmt: skip
     """Adds the forces and torques of the touching pairs among places ``begin … end − 1`` of an inner list.
 
@@ -31,6 +32,7 @@ def pair_forces(
         old_slot, …, buffer: histories of the last evaluation and of this one, and scratch, as in `Lists`.
         laws, dt: ``(S, S, 5)`` (4/3 E*, 8 G*, α, μ, μ_r); s over which histories are loaded.
         tangential, …, full_radius: friction, rolling model, unequal sizes or masses, several materials, LAMMPS' slip.
+        old_ledger, …, chunk: as old_slot and slot, what contacts have lost; `Books`, or None; their chunk.
     """
     found = overlapping(sphere, near_i, near_j, begin, end, period, active, contacts)
     for row in range(found, found + 3):
@@ -45,6 +47,8 @@ def pair_forces(
             rows.gather_difference(buffer, block.OFFSET, k, sphere, j, i)
             rows.gather_difference(buffer, block.VELOCITY, k, velocity, i, j)
             rows.gather_difference(buffer, block.AHEAD, k, ahead, i, j)
+            if books is not None:
+                recall(books, k, old)
             if tangential:
                 rows.gather_sum(buffer, block.SPIN_SUM, k, spin, i, j)
                 rows.gather_rows(buffer, block.SLOT, k, old_slot, old)
@@ -72,6 +76,11 @@ def pair_forces(
             slip_spins(buffer, size, unequal, full_radius)
         contact_laws(buffer, size, tangential, rolling, dt)
         watch(buffer, size, block.REACH, buffer.dtype.type(1.0), unequal)
+        if books is not None:
+            pair_losses(
+                buffer, filled, first, sphere, near_i, near_j, active, old_slot, old_moment, old_ledger, ledger, books,
+                chunk, tangential, rolling, unequal, full_radius, dt,
+            )  # fmt: skip
         torques(buffer, size, unequal)
         for k in range(0, size, 4):
             q = rows.four_from(active, first + k)
@@ -93,7 +102,7 @@ def pair_forces(
 def wall_forces(
     sphere, velocity, spin, ahead, material, force, torque, wall_i, wall_w, memory, start, touched, remembered, active,
     contacts, geometry, old_slot, slot, old_moment, moment, buffer, laws, walls, tangential, rolling, unequal, several,
-    full_radius, dt,
+    full_radius, dt, old_ledger, ledger, books, chunk,
 ):  # fmt: skip
     """As :func:`pair_forces` of the touching walls of a chunk, whose contacts with each wall begin at ``start``;
     ``geometry`` gets direction and distance of the touching ones.
@@ -125,6 +134,8 @@ def wall_forces(
             rows.gather_rows(buffer, block.OFFSET, k, geometry, rows.four_on(first + k))
             rows.gather_rows(buffer, block.VELOCITY, k, velocity, body)
             rows.gather_rows(buffer, block.AHEAD, k, ahead, body)
+            if books is not None:
+                recall(books, k, old)
             if tangential:
                 rows.gather_rows(buffer, block.SPIN_SUM, k, spin, body)
                 rows.gather_rows(buffer, block.SLOT, k, old_slot, old)
@@ -163,6 +174,11 @@ def wall_forces(
             slip_spins(buffer, size, False, False)
         contact_laws(buffer, size, tangential, rolling, dt)
         watch(buffer, filled, block.RS, buffer.dtype.type(2.0), unequal)  # the lanes beyond hold nothing
+        if books is not None:
+            wall_losses(
+                buffer, filled, first, sphere, wall_i, wall_w, active, geometry, walls, old_slot, old_moment,
+                old_ledger, ledger, books, chunk, tangential, rolling, dt,
+            )  # fmt: skip
         torques(buffer, size, False)
         for k in range(0, size, 4):
             body, new = rows.four_of(wall_i, rows.four_from(active, first + k)), rows.four_on(first + k)

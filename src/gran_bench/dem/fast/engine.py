@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gran_bench.dem.energy import Work, followed
 from gran_bench.dem.fast import barrier
 from gran_bench.dem.fast.bodies import (
     Known,
@@ -22,7 +23,8 @@ from gran_bench.dem.fast.bodies import (
     zeros,
 )
 from gran_bench.dem.fast.contact_blocks import take_peaks
-from gran_bench.dem.fast.lists import Lists, search
+from gran_bench.dem.fast.energy_blocks import Books
+from gran_bench.dem.fast.lists import KEPT, Lists, search
 from gran_bench.dem.fast.stretch import DUE, FIRST_POSE, PAIRS, PAUSE, SEARCH, STEP, TRAVELLED, WALLS, WHOLE, march
 from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, into_period
 from gran_bench.dem.walls import PATH
@@ -30,7 +32,6 @@ from gran_bench.state import FloatArray, Held, Moving, ParticleState
 
 # Particles from which on a bed is cut into 2, 4, 8, 16 chunks: each large beside what lies at its rim.
 CHUNK_SIZES = (1500, 8000, 32000, 128000)
-KEPT = ("slot", "moment")  # what lists keep of their contacts
 
 
 def chunk_bounds(count: int) -> np.ndarray:
@@ -83,7 +84,9 @@ class Stretch:
         self.bodies = bodies_in_order(*moving, radius, material, physics.density, physics.period, order)
         if held is not None:
             self._load(*(load[self.bodies.order] for load in (held.force, held.torque)))
-        self._begin(known_contacts(state.history, self.bodies.row, physics.rolling), len(walls[0]))
+        self._books = Books.of_chunks(chunks, len(walls[0]), state.count + 2) if physics.power else [None] * chunks
+        self._counted, history = 0, followed(state.history, physics.power)
+        self._begin(known_contacts(history, self.bodies.row, physics.rolling), len(walls[0]))
         self.set_walls(walls)
         if held is None:
             self.run(0)
@@ -157,7 +160,7 @@ class Stretch:
             culprit = march(
                 thread, self.threads, self._gate, bounds, self._reach, self._told, progress, *self.bodies[2:],
                 *self._loads, *self._lists[thread], physics.pair_laws, physics.wall_laws, self._walls,
-                *self._constants,
+                *self._constants, self._books[thread],
             )  # fmt: skip
             if culprit != SEARCH:
                 return int(culprit)
@@ -224,6 +227,11 @@ class Stretch:
         """Largest overlaps and approach since they were last asked for."""
         (pairs, walls), self._peaks = self._watched(), np.zeros((2, 3))
         return Peaks(pairs[0], walls[0], max(pairs[1], walls[1]), max(pairs[2], walls[2]))
+
+    def take_work(self) -> Work:
+        """What walls and contacts did since it was last asked for."""
+        steps, self._counted = int(self._progress[0, STEP]) - self._counted, int(self._progress[0, STEP])
+        return self._books[0].take(steps)
 
     def _watched(self) -> FloatArray:
         """Peaks of pairs and walls, ``(2, 3)``, which the buffers of the blocks then begin anew."""

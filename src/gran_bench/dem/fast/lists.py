@@ -17,6 +17,7 @@ from collections import namedtuple
 
 import numpy as np
 
+from gran_bench.dem.energy import OWNER
 from gran_bench.dem.fast.bodies import Bodies, Known, zeros
 from gran_bench.dem.fast.contact_blocks import BUFFER_SIZE, block_buffer, wall_buffer
 from gran_bench.dem.fast.rows import squared_gap
@@ -36,11 +37,14 @@ PAIRS_A_PARTICLE = 8  # for which there is room at first
 NEAR, NEAR_I, NEAR_J, NEAR_MEMORY = range(4)
 _FIELDS = (
     "pair_i pair_j start memory slot moment wall_i wall_w wall_memory wall_start wall_slot wall_moment margin "
-    "inverse_square searched_at pruned_at inner_list touching wall_touching geometry near_start buffer wall_buffer"
+    "inverse_square searched_at pruned_at inner_list touching wall_touching geometry near_start buffer wall_buffer "
+    "ledger wall_ledger"
 )
+# What the lists keep of a contact, as `Known` names it.
+KEPT = ("slot", "moment", "ledger")
 # What grows with the pairs and with the wall contacts.
-_PAIR_ROOM = ("slot", "moment", "pair_i", "pair_j", "memory", "inner_list", "touching")
-_WALL_ROOM = ("wall_slot", "wall_moment", "wall_touching", "geometry")
+_PAIR_ROOM = (*KEPT, "pair_i", "pair_j", "memory", "inner_list", "touching")
+_WALL_ROOM = (*(f"wall_{name}" for name in KEPT), "wall_touching", "geometry")
 
 
 class Lists(namedtuple("Lists", _FIELDS)):
@@ -62,6 +66,8 @@ class Lists(namedtuple("Lists", _FIELDS)):
         inner_list: ``(4, ≥ M + 5)``; place 0 is the spare pair.
         touching, wall_touching: ``(2, ≥ M + 5)`` places of touching pairs and walls in even and odd evaluations.
         geometry, near_start, buffer, wall_buffer: ``(≥ M + 5, 4)``, ``(chunks + 1,)``, `block_buffer`.
+        ledger, wall_ledger: as slot, what contacts have lost and who counts it (energy_blocks.py); one row where nobody
+            asks.
     """
 
     @classmethod
@@ -69,7 +75,9 @@ class Lists(namedtuple("Lists", _FIELDS)):
         """Room for the particles of ``chunk … stop − 1`` and so many walls, and nothing in it."""
         count, own, rolling = len(bodies.sphere) - 2, int(bounds[stop] - bounds[chunk]), physics.rolling
         rows, wall_rows = PAIRS_A_PARTICLE * own + 64, own + 64
-        slots = [zeros(2, n, 4) for n in (rows, rows if rolling else 1, wall_rows, wall_rows if rolling else 1)]
+        slots, wall_slots = (
+            [zeros(2, n if wanted else 1, 4) for wanted in (True, rolling, physics.power)] for n in (rows, wall_rows)
+        )
         spare = np.array((0, count, count + 1, 0), np.uint32)
         inner_list = np.repeat(spare[:, None], rows, axis=1)
         buffers = zeros(2, BUFFER_SIZE, dtype=np.float32 if physics.single_precision else np.float64)
@@ -78,10 +86,10 @@ class Lists(namedtuple("Lists", _FIELDS)):
         wall_buffer(buffers[1], radius, inverse_mass, physics.wall_laws[0, 0] if walls else law)
         return cls(
             *np.empty((2, rows), np.uint32), np.empty(own + 2, np.uint32), np.empty(rows, np.uint32), *slots[:2],
-            *np.empty((3, own * walls + 2), np.uint32), np.empty((stop - chunk) * walls + 1, np.int64), *slots[2:],
+            *np.empty((3, own * walls + 2), np.uint32), np.empty((stop - chunk) * walls + 1, np.int64), *wall_slots[:2],
             *np.empty((2, count)), *zeros(2, count, 4), inner_list, np.empty((2, rows), np.uint32),
             np.empty((2, wall_rows), np.uint32), np.empty((wall_rows, 4)), np.ones(stop - chunk + 1, np.int64),
-            *buffers,
+            *buffers, slots[2], wall_slots[2],
         )  # fmt: skip
 
     def with_room(self, pairs: int, walls: int) -> Lists:
@@ -97,11 +105,13 @@ class Lists(namedtuple("Lists", _FIELDS)):
     def remember(self, known: tuple[Known, Known], evaluation: int) -> Lists:
         """The lists with what was found touching in an evaluation in rows 1, 2, … of its histories."""
         lists = self.with_room(*(len(contacts.first) for contacts in known))
-        for contacts, slot, moment in zip(
-            known, (lists.slot, lists.wall_slot), (lists.moment, lists.wall_moment), strict=True
-        ):
-            slot[evaluation % 2, 1 : len(contacts.slot) + 1] = contacts.slot
-            moment[evaluation % 2, 1 : len(contacts.moment) + 1] = contacts.moment
+        for kind, contacts in zip(("", "wall_"), known, strict=True):
+            for name in KEPT:
+                kept = getattr(contacts, name)
+                rows = getattr(lists, kind + name)[evaluation % 2, 1 : len(kept) + 1]
+                rows[:] = kept
+                if name == "ledger" and len(kept):
+                    rows[:, OWNER] = contacts.first
         return lists
 
     def touched(self, evaluation: int, pairs: int, walls: int) -> tuple[np.ndarray, np.ndarray]:

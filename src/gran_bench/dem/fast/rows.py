@@ -186,6 +186,12 @@ def twist_row(e, body, load, i, closing, opening):
     _kick(e, body, load, i, None, closing, opening)
 
 
+@emitted(types.void, _Rows)
+def twist_row_ahead(e, body, load, i, closing, ahead, opening):
+    """`twist_row` that keeps opening × a = ahead[i]."""
+    e.store(_kick(e, body, load, i, None, closing, opening), e.row(ahead, i))
+
+
 def _kick(e, body, load, i, gravity, closing, opening) -> ir.Value:
     """Emits two kicks; returns what the second adds."""
     builder, place, source = e.builder, e.row(body, i), e.row(load, i)

@@ -13,7 +13,8 @@ import numpy as np
 from gran_bench.dem.fast import lists
 from gran_bench.dem.fast.barrier import meet
 from gran_bench.dem.fast.contact_forces import pair_forces, wall_forces
-from gran_bench.dem.fast.rows import drift_row, kick_row, move_row, twist_row
+from gran_bench.dem.fast.energy_blocks import AHEAD, PAIR, WALL, close_contacts
+from gran_bench.dem.fast.rows import drift_row, kick_row, move_row, twist_row, twist_row_ahead
 from gran_bench.neighbors.kernel import entry, kernel
 
 # What threads tell each other. The last are a thread's own: how far the fastest went, in margins, since its inner list
@@ -32,8 +33,8 @@ def march(
     thread, threads, gate, bounds, reach, told, progress, sphere, velocity, spin, ahead, material, force, torque,
     pair_i, pair_j, start, memory, slot, moment, wall_i, wall_w, wall_memory, wall_start, wall_slot, wall_moment,
     margin, inverse_square, searched_at, pruned_at, inner_list, touching, wall_touching, geometry, near_start,
-    buffer, wall_buffer, pair_laws, wall_laws, walls, gravity, period, dt, fastest_allowed, tangential, rolling,
-    unequal, several, full_radius,
+    buffer, wall_buffer, ledger, wall_ledger, pair_laws, wall_laws, walls, gravity, period, dt, fastest_allowed,
+    tangential, rolling, unequal, several, full_radius, books,
 ):  # fmt: skip
     """One thread's share of the steps, until the next lists are needed or it is to pause.
 
@@ -43,10 +44,11 @@ def march(
     Args:
         bounds, reach: ``(C + 1,)`` first particle of each chunk; ``(C,)`` end of what its pairs touch.
         told, progress: ``(threads, ≥ 7)`` and ``(7,)``, see above.
-        sphere, …, material; pair_i, …, wall_buffer: of `Bodies`, which hold the state at the end; of `Lists`.
+        sphere, …, material; pair_i, …, wall_ledger: of `Bodies`, which hold the state at the end; of `Lists`.
         force, torque: ``(C, N + 2, 4)`` zeros where forces are due; else a chunk's rows hold those of its particles.
         walls, fastest_allowed: ``(≥ steps + 1, W, 22)`` poses; m²/s², beyond which a particle diverges.
         tangential, …, full_radius: what is needed, as in :func:`contact_forces.pair_forces`.
+        books: what a thread counts of energy, `Books`; None where nobody asks.
     """
     chunk, stop = thread * (len(bounds) - 1) // threads, (thread + 1) * (len(bounds) - 1) // threads
     begin, end = bounds[chunk], bounds[stop]
@@ -75,6 +77,7 @@ def march(
                     near_start[c - chunk], near_start[c - chunk + 1], touching[old], remembered, touching[new], pairs,
                     slot[old], slot[new], moment[old], moment[new],
                     buffer, pair_laws, period, tangential, rolling, unequal, several, full_radius, span,
+                    ledger[old], ledger[new], books, c,
                 )  # fmt: skip
                 wall_contacts = wall_forces(
                     sphere, velocity, spin, ahead, material, force[c], torque[c], wall_i, wall_w, wall_memory,
@@ -82,8 +85,11 @@ def march(
                     wall_touching[new], wall_contacts, geometry,
                     wall_slot[old], wall_slot[new], wall_moment[old], wall_moment[new],
                     wall_buffer, wall_laws, walls[step - progress[FIRST_POSE]], tangential, rolling, unequal, several,
-                    full_radius, span,
+                    full_radius, span, wall_ledger[old], wall_ledger[new], books, c,
                 )  # fmt: skip
+            if books is not None and span > 0.0:
+                close_contacts(ledger[old], remembered, bounds, chunk, stop, books, PAIR)
+                close_contacts(wall_ledger[old], walls_remembered, bounds, chunk, stop, books, WALL)
             remembered, walls_remembered = pairs, wall_contacts
             progress[PAIRS], progress[WALLS], progress[DUE] = pairs, wall_contacts, 0
             meet(gate, threads)
@@ -93,7 +99,7 @@ def march(
             return np.int64(PAUSED)
         told[thread, PACE], told[thread, CULPRIT] = kick(
             velocity, spin, ahead, force, torque, inverse_square, bounds, chunk, stop, gravity,
-            0.0 if progress[WHOLE] else 0.5 * dt, 0.5 * dt, tangential, fastest_allowed,
+            0.0 if progress[WHOLE] else 0.5 * dt, 0.5 * dt, tangential, fastest_allowed, books,
         )  # fmt: skip
         progress[WHOLE] = 0
         drifts = told[thread, CULPRIT] < 0.0
@@ -174,7 +180,7 @@ def _take_over(force, torque, bounds, reach, chunk, stop, tangential):
 @kernel
 def kick(
     velocity, spin, ahead, force, torque, inverse_square, bounds, chunk, stop, gravity, closing, opening, tangential,
-    fastest_allowed,
+    fastest_allowed, books,
 ):  # fmt: skip
     """Velocities forward by what is left of a step and, in a kick of its own, by what opens the next: ``ahead``.
 
@@ -191,7 +197,10 @@ def kick(
                 culprit = float(i)
         if tangential:
             for i in range(bounds[c], bounds[c + 1]):
-                twist_row(spin, torque[c], i, closing, opening)
+                if books is None:
+                    twist_row(spin, torque[c], i, closing, opening)
+                else:
+                    twist_row_ahead(spin, torque[c], i, closing, books[AHEAD], opening)
     return pace, culprit
 
 
