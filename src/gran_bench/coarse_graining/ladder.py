@@ -170,7 +170,7 @@ def shown(table: pd.DataFrame, aligned: bool = False) -> list[str]:
         found = [runs[key].mean(skipna=False) for key in keys]
         multiples = [runs[f"{key}_floors"].mean(skipna=False) for key in COMPARED]
         cells = f"{one.spheres}", f"{1e3 * one.step_s:.3g}", f"{mean.share_of_the_fine:.2f}"
-        fitted = _figure(mean.surface_angle_as_fitted_deg), f"{100 * mean.valid_surfaces:.0f}"
+        fitted = map(_figure, (mean.surface_angle_as_fitted_deg, 100.0 * mean.valid_surfaces))
         rows.append((name, *cells, *map(_figure, found), ", ".join(map(_figure, multiples)), *fitted))
     return markdown(rows, aligned)
 
