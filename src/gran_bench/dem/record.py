@@ -22,10 +22,10 @@ class SimulationError(RuntimeError):
 
 
 def inertias(scene: Scene, state: ParticleState) -> tuple[FloatArray, FloatArray]:
-    """Mass, kg, and moment of inertia, kg m², of each sphere of a scene, ``(N, 1)``."""
+    """Mass, kg, and moment of inertia, kg m², of each sphere of a scene, ``(N, 3)``, for each axis the same."""
     density = np.array([material.density for material in scene.materials])[state.material]
-    mass = sphere_mass(density, state.radius)[:, None]
-    return mass, 0.4 * mass * state.radius[:, None] ** 2
+    mass = sphere_mass(density, state.radius)
+    return tuple(np.repeat(of[:, None], 3, axis=1) for of in (mass, 0.4 * mass * state.radius**2))
 
 
 def contact_diagnostics(
@@ -46,7 +46,7 @@ def contact_diagnostics(
         "kinetic_energy_rotational": 0.5 * float(np.vdot(inertia * spin, spin)),
     }
     for prefix, overlap in zip(("", "wall_"), overlaps, strict=True):
-        figures[f"{prefix}overlap_mean"] = float(overlap.mean()) if len(overlap) else 0.0
+        figures[f"{prefix}overlap_mean"] = float(overlap.sum()) / max(1, len(overlap))
         figures[f"{prefix}overlap_max"] = float(overlap.max(initial=0.0))
         figures[f"{prefix}contact_count"] = float(len(overlap))
     if scene.outlet is not None:
