@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 import json
 import math
+import re
+from types import SimpleNamespace
 
 import benchmark_records
 import pytest
@@ -32,6 +34,7 @@ class Replicas:
 
     ranked = ()
     own = {"speed_w1": [0.9, 1.0, 1.1]}  # noqa: RUF012
+    floor = SimpleNamespace(between="packings")
 
     def __init__(self, floor: float = 0.02) -> None:
         self._floor = floor
@@ -49,8 +52,35 @@ def test_kept_results_are_told_anew_without_measuring(found):
     anew = judged_anew(found, Replicas(), 3)
     assert anew["reference"]["accepted"] == anew["reference"]["noise"] == 1.2
     assert anew["methods"] == found["methods"]
+    assert anew["reference"]["floor_between"] == "packings"
     with pytest.raises(ResultsError, match="other replicas"):
         judged_anew(found, Replicas(floor=0.03), 3)
+    found["reference"]["ranked"].append({"key": "center_height"})
+    with pytest.raises(ResultsError, match="ranked by center_height, speed_w1, and now by speed_w1"):
+        judged_anew(found, Replicas(), 3)
+
+
+def test_statistics_have_a_table_of_their_own_and_no_place_in_the_ranking(found):
+    claim = {"label": "speeds, W1 a frame", "multiple": 1.62, "mean_multiple": 1.55, "spread": 0.0}
+    found["methods"].append(row("interpolation, 25 and 35 rpm", "baseline", 1e-4, None, statistics={"speed_w1": claim}))
+    text = part_text("quick/drum", found)
+    cells = ("interpolation, 25 and 35 rpm", "0.0001", "speeds, W1 a frame", "1.62", "1.55", "0.00")
+    assert re.search(r"\| " + r" +\| ".join(map(re.escape, cells)), text)
+    assert text.count("| interpolation") == 1
+    assert "interpolation" not in winner(found)
+    assert not any(entry.name.startswith("interpolation") for entry in entries(found))
+    assert table_of(found)["speed_w1_energy_score"].tolist()[-1] == 1.62
+
+
+def test_a_floor_between_packings_is_told(found):
+    assert "between packings" not in part_text("quick/drum", found)
+    found["reference"]["floor_between"] = "packings"
+    assert "one floor is the distance between packings" in part_text("quick/drum", found)
+
+
+def test_the_worst_of_three_errors_is_named_as_such(found):
+    found["reference"]["ranked"] = [{"key": key, "label": key, "unit": "-"} for key in ("a", "b", "c")]
+    assert "Error: the worst of a, b and c, beside" in part_text("quick/drum", found)
 
 
 def test_results_that_were_never_measured_cannot_be_told_anew(tmp_path):

@@ -14,7 +14,7 @@ from gran_bench.benchmark.turns import PREPARED_AT_A_TIME, Record, round_file, t
 from gran_bench.config import BenchmarkConfig, DemConfig
 from gran_bench.config.reading import validate
 from gran_bench.config.rules import ConfigError
-from gran_bench.dataset import ensure_cases, from_document, read_case, rotation_label
+from gran_bench.dataset import Case, ensure_cases, from_document, read_case, rotation_label
 from gran_bench.dem.time_step import choose_time_step
 from gran_bench.files import locked, markdown, write_text
 from gran_bench.plots.style import titled
@@ -51,7 +51,13 @@ def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
         tell("DEM runs that the methods start from and are held against")
         ensure_cases(contest.cases if config.measure else contest.replicas, data.root, data.workers)
         tell("summarising the replicas")
-        reference = Reference(scene, [read_case(spec.path(data.root)) for spec in contest.replicas])
+
+        def packings() -> list[Case]:
+            tell("nudges hardly grow in this scene: runs of the DEM from other packings, which give the noise floor")
+            ensure_cases(contest.packings, data.root, data.workers)
+            return [read_case(spec.path(data.root)) for spec in contest.packings]
+
+        reference = Reference(scene, [read_case(spec.path(data.root)) for spec in contest.replicas], packings)
         if config.measure:
             found = _compare(contest, folder, reference)
         else:
@@ -81,11 +87,14 @@ def summary(found: dict[str, Any]) -> str:
     """The end of the terminal output: a row for each method, who wins, and who is faster at equal accuracy."""
     rows = [("method", "time, s", "min … max", "floors")]
     for row in sorted(found["methods"], key=lambda row: row["wall"]["median"] if row["wall"] else 1e9):
-        wall, error = row["wall"], "-" if row["floors"] is None else f"{row['floors']:.2f}"
+        wall, error = row["wall"], "statistics" if row.get("statistics") else "-"
+        error = error if row["floors"] is None else f"{row['floors']:.2f}"
         times = (f"{wall['median']:.3g}", f"{wall['low']:.3g} … {wall['high']:.3g}") if wall else ("", "")
         rows.append((row["name"], *times, row["unfit_because"] or shorten(row["failure"], 60) or error))
     said = [page.winner(found), *(f"{name}: {words}" for name, words, *_ in page.surrogate_rows(found))]
-    return "\n".join([*markdown(rows, aligned=True), "", *said, *page.busy_sentences(found)])
+    return "\n".join(
+        [*markdown(rows, aligned=True), "", *page.statistics_table(found), *said, *page.busy_sentences(found)]
+    )
 
 
 def draw(found: dict[str, Any], folder: Path) -> None:
@@ -93,7 +102,7 @@ def draw(found: dict[str, Any], folder: Path) -> None:
     # The colour of a mark says already that it is a DEM.
     contenders = [replace(entry, name=entry.name.removeprefix("DEM ")) for entry in kept.entries(found)]
     lost = [name.removeprefix("DEM ") for name in kept.untimed(found)]
-    labels = " and ".join(row["label"] for row in found["reference"]["ranked"])
+    labels = page.listed([row["label"] for row in found["reference"]["ranked"]])
     scene, packing = f"{found['scene']}, {found['motion'].replace('rpm', ' rpm')}", "a packing that no training saw"
     with titled(f"{scene}, {found['spheres']} spheres, {packing}"):
         time_against_error(contenders, labels, folder / "time_error.png", found["reference"]["accepted"], lost)
@@ -122,7 +131,7 @@ def benchmark_cost(contest: Contest, folder: Path) -> Cost:
     turns = [(method, profile.rounds) for method in contest.methods]
     turns += [(method, profile.study_rounds) for line in studies for _, method in line]
     runs = methods = judged = timed = 0
-    for method, rounds in (turn for turn in turns if turn[0].job):
+    for method, rounds in (turn for turn in turns if turn[0].job and not turn[0].unfit_because):
         place = folder / method.key(*conditions)
         if left := sum(not round_file(place, k).exists() for k in range(rounds)):
             runs, methods, timed = runs + left, methods + 1, timed + left * _run_seconds(method, scene, paces)

@@ -58,6 +58,10 @@ class Contest:
         self.case = CaseSpec(self.scene, config.dem, data.unseen_packing_seed)
         # What errors are measured from: nudged runs of the DEM at half its automatic step.
         self.replicas = replicas(half_step(self.case), data.replicas)
+        # What errors are measured in where nudges hardly grow: as many other packings, beside the first replica.
+        seeds = range(data.unseen_packing_seed + 1, data.unseen_packing_seed + data.replicas)
+        others = [replace(half_step(self.case), packing_seed=seed) for seed in seeds]
+        self.packings = [self.replicas[0], *others]
         # The training speeds below and above, rpm, from the packing of training; none where a side lacks one.
         found = neighbouring_speeds(self.rpm, data.training_speeds_rpm) if self.takes_speeds else None
         self.neighbours = {rpm: CaseSpec(scene.at_speed(rpm), config.dem, data.packing_seed) for rpm in found or ()}

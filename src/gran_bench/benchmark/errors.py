@@ -2,8 +2,8 @@
 
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, astuple, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +15,18 @@ from gran_bench.benchmark.jobs import read_trajectory, training_summaries
 from gran_bench.benchmark.turns import trajectory_file
 from gran_bench.dataset import Case
 from gran_bench.files import write_text
-from gran_bench.metrics.comparisons import COMPARISONS, Comparison
+from gran_bench.metrics.comparisons import Comparison
+from gran_bench.metrics.ensembles import claims_of, judge_ensemble, plain
+from gran_bench.metrics.floor import Floor, beside_floor, nudges_grow, thinned
 from gran_bench.metrics.judge import judge
-from gran_bench.metrics.measured import prediction_interval
+from gran_bench.metrics.measured import Series, prediction_interval
+from gran_bench.metrics.phases import find_phases
+from gran_bench.metrics.requirements import held_rows
+from gran_bench.metrics.sample import SAMPLE
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.scene import Scene
 from gran_bench.state import Trajectory
 
-# What a method is ranked by: the worst of those that the DEM itself has in the scene. The height of the bed stands in
-# where there is no angle of repose.
-RANKED = ("surface_angle", "speed_w1")
-RANKED_WITHOUT_ANGLE = ("center_height", "speed_w1")
 ERRORS = "errors"
 VELOCITY = "instantaneous"  # of the replicas: what the DEM has
 LEAST_REPLICAS = 3  # that say how far the DEM's own errors scatter
@@ -45,32 +46,48 @@ class Scored:
     reason: str  # why there is none
     outside: int  # spheres that left the container
     judgement: dict[str, Any]  # everything else that was found (`Judgement.to_dict`)
+    statistics: dict[str, Any] | None = None  # of a method without particles: what its energy score says, by quantity
 
 
 class Reference:
-    """The replicas, as cases of the scene with its motion, that all methods are held against."""
+    """The replicas, as cases of the scene with its motion, that all methods are held against.
 
-    def __init__(self, scene: Scene, cases: Sequence[Case]) -> None:
-        self.scene, self.digest = scene, "-".join(case.digest[:8] for case in cases)
-        self._cases, self._summaries = list(cases), {}
-        truth = self.summaries(VELOCITY)
-        rows = {row.key: row for row in COMPARISONS}
-        keys = RANKED if _pairs(rows[RANKED[0]], truth) else RANKED_WITHOUT_ANGLE
-        self.ranked: list[Comparison] = [rows[key] for key in keys if _pairs(rows[key], truth)]
+    Where their nudges do not grow, ``packings`` are read: runs of the DEM from different packings, whose distances are
+    then the noise floors.
+    """
 
-    def summaries(self, kind: str) -> list[TrajectorySummary]:
-        """The replicas, summarised with one definition of velocity."""
-        if kind not in self._summaries:
-            self._summaries[kind] = [summarise(case.trajectory, self.scene, kind) for case in self._cases]
-        return self._summaries[kind]
+    def __init__(self, scene: Scene, cases: Sequence[Case], packings: Callable[[], Sequence[Case]] = tuple) -> None:
+        self.scene, self._cases, self._packings = scene, list(cases), []
+        self._summaries: dict[tuple[str, bool], list[TrajectorySummary]] = {}
+        if not nudges_grow(self.summaries(VELOCITY)):
+            self._packings = list(packings())
+        self.digest = "-".join(case.digest[:8] for case in (*self._cases, *self._packings))
+        self.floor = self._floor(VELOCITY)
+        held = held_rows(self.summaries(VELOCITY))
+        self.ranked: list[Comparison] = [row for row in held if (one := self.floor.of(row)).defined and one.number]
+
+    def summaries(self, kind: str, packings: bool = False) -> list[TrajectorySummary]:
+        """The replicas, or the packings, summarised with one definition of velocity and with the replicas' phases."""
+        if (kind, packings) not in self._summaries:
+            found = [summarise(case.trajectory, self.scene, kind) for case in self._of(packings)]
+            like = self.summaries(kind) if packings else found
+            phases = find_phases([run.series for run in like], self.scene)
+            self._summaries[kind, packings] = [replace(run, phases=phases) for run in found]
+        return self._summaries[kind, packings]
+
+    def _of(self, packings: bool) -> list[Case]:
+        return self._packings if packings else self._cases
+
+    def _floor(self, kind: str) -> Floor:
+        truth = self.summaries(kind)
+        return beside_floor(truth[0], truth, self.summaries(kind, packings=True))[1]
 
     @property
     def own(self) -> dict[str, list[float]]:
-        """The ranked errors of each replica, judged by the others, in noise floors; their mean is 1."""
-        truth, found = self.summaries(VELOCITY), {}
+        """The ranked errors of each run of the floor, judged by the others, in noise floors; their mean is 1."""
+        found, floors = {}, self.floors()
         for row in self.ranked:
-            errors = [_mean(_distances(row, one, truth[:k] + truth[k + 1 :])) for k, one in enumerate(truth)]
-            found[row.key] = [error / _mean(errors) for error in errors]  # that mean is the floor
+            found[row.key] = [error.number / floors[row.key] for error in self.floor.own(row)]
         return found
 
     def noise(self, runs: int) -> float | None:
@@ -81,17 +98,33 @@ class Reference:
     def score(self, candidate: TrajectorySummary | Trajectory) -> Scored:
         """Hold one run of a method against the replicas."""
         mine = candidate if isinstance(candidate, TrajectorySummary) else summarise(candidate, self.scene)
-        truth, found = self.summaries(mine.velocity_kind), {}
-        judgement = judge(mine, truth, self.scene)
+        kind, found = mine.velocity_kind, {}
+        truth, packings = self.summaries(kind), self.summaries(kind, packings=True)
+        mine = replace(mine, phases=truth[0].phases)
+        judgement = judge(mine, truth, self.scene, packings=packings)
         outside = 0 if mine.failures is None else mine.failures.outside_spheres
+        if mine.position is None:
+            statistics = plain(judge_ensemble(claims_of(mine, self.claimed), packings or truth, self.claimed))
+            return Scored(None, None, None, "", "", outside, judgement.to_dict(), statistics)
+        mine = thinned(mine, truth[0].sorted_speed.shape[1])
         for row in self.ranked:
-            error = judgement.error(row.key).error
-            if not error.defined:
-                return Scored(None, None, None, row.key, f"{row.label}: {error.note}", outside, judgement.to_dict())
-            floor = _mean(_pairs(row, truth))
-            found[row.key] = [distance / floor for distance in _distances(row, mine, truth)]
+            said = judgement.error(row.key)
+            if not said.error.defined:
+                reason = f"{row.label}: {said.error.note}"
+                return Scored(None, None, None, row.key, reason, outside, judgement.to_dict())
+            found[row.key] = [row.distance(mine, replica).number / said.floor.number for replica in truth]
+        for row in judgement.requirements:
+            if row.key in SAMPLE and row.verdict == "fail":
+                reason = f"no sample of the flow: {row.label}: {row.figure}"
+                return Scored(None, None, None, "", reason, outside, judgement.to_dict())
         worst = max(found, key=lambda key: _mean(found[key]))
         return Scored(*_interval(found[worst], math.inf), worst, "", outside, judgement.to_dict())
+
+    @property
+    def claimed(self) -> list[Comparison]:
+        """What a method without particles is held to: the ranked series, and the speeds."""
+        truth = self.summaries(VELOCITY)[0]
+        return [row for row in self.ranked if row.measure is None or isinstance(row.measure(truth), Series)]
 
     def pooled(self, runs: Sequence[Scored]) -> Scored:
         """A method's error from several runs; a single run (no particles) keeps its interval over the replicas."""
@@ -106,7 +139,7 @@ class Reference:
 
     def floors(self) -> dict[str, float]:
         """The noise floor of each ranked error, in its unit."""
-        return {row.key: _mean(_pairs(row, self.summaries(VELOCITY))) for row in self.ranked}
+        return {row.key: self.floor.of(row).number for row in self.ranked}
 
 
 def noise_bound(own: Sequence[float], runs: int) -> float | None:
@@ -171,18 +204,6 @@ def _pooled_row(table: str, rows: Sequence[Row]) -> Row:
         inside = [row["inside_interval"] for row in rows]
         pooled["inside_interval"], pooled["rounds_inside"] = None if None in inside else all(inside), inside.count(True)
     return pooled
-
-
-def _distances(row: Comparison, mine: TrajectorySummary, truth: Sequence[TrajectorySummary]) -> list[float]:
-    return [row.distance(mine, replica).number for replica in truth]
-
-
-def _pairs(row: Comparison, truth: Sequence[TrajectorySummary]) -> list[float]:
-    """Distances of all pairs of replicas; empty where the DEM has no such figure, or no scatter in it."""
-    found = [row.distance(truth[i], truth[j]) for i in range(len(truth)) for j in range(i)]
-    if not all(distance.defined for distance in found) or not any(distance.number for distance in found):
-        return []
-    return [distance.number for distance in found]
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -11,6 +11,7 @@ import pandas as pd
 from gran_bench.benchmark import results as claims
 from gran_bench.benchmark.results import SPREAD, Entry, EqualAccuracy, entries, read_all, succeeded
 from gran_bench.files import markdown, write_part
+from gran_bench.metrics.floor import PACKINGS
 from gran_bench.plots.time_error import frontier
 from gran_bench.provenance import stamp
 
@@ -53,6 +54,8 @@ def table_of(found: Found) -> pd.DataFrame:
         for key, error in ((row["judgement"] or {}).get("errors") or {}).items():
             unit = error["unit"].replace("/", "_per_")
             flat |= {f"{key}_{unit}": error["value"], f"{key}_floors": error["multiple_of_floor"]}
+        for key, one in (row.get("statistics") or {}).items():
+            flat |= {f"{key}_energy_score": one["multiple"], f"{key}_spread": one["spread"]}
         rows.append(flat)
     return pd.DataFrame(rows)
 
@@ -60,17 +63,21 @@ def table_of(found: Found) -> pd.DataFrame:
 def part_text(place: str, found: Found) -> str:
     """What the page says of one benchmark; its place is ``profile/scene``."""
     reference = found["reference"]
-    labels, noise = " and ".join(row["label"] for row in reference["ranked"]), f"undefined, {why_no_accuracy(found)}."
+    labels, noise = listed([row["label"] for row in reference["ranked"]]), f"undefined, {why_no_accuracy(found)}."
     if reference["accepted"] is not None:
         noise = f"{reference['noise']:.2f} floors; the DEM's own accuracy: {reference['accepted']:.2f} floors."
     setting = f"{found['spheres']} spheres, {found['simulated_seconds']:g} s, {found['motion']}, "
-    setting += f"E = {found['modulus']:.0e} Pa; {found['rounds']} rounds. Error: the worse of {labels}, "
+    setting += f"E = {found['modulus']:.0e} Pa; {found['rounds']} rounds. "
+    setting += f"Error: the {'worse' if len(reference['ranked']) < 3 else 'worst'} of {labels}, "
     setting += f"beside {reference['replicas']} replicas. Noise: {noise}"
+    if reference.get("floor_between") == PACKINGS:
+        setting += " Nudges hardly grow here, so one floor is the distance between packings."
     studies = [*_stiffness(found), *_counts(found), *_failed_points(found)]
     heads = ("surrogate", "at equal accuracy", "DEMs as exact: its speed beside theirs", "best DEM in no more time")
     heads += ("data, s", "training, s", "paid back after, simulated s")
     beside = markdown([heads, *surrogate_rows(found)])
-    lines = [winner(found), "", *beside, "", setting.replace("e+0", "e"), "", *_table(found), "", *studies]
+    tables = [*_table(found), "", *statistics_table(found), *studies]
+    lines = [winner(found), "", *beside, "", setting.replace("e+0", "e"), "", *tables]
     shown = [figure for figure in FIGURES if figure == "time_error" or found[figure]]
     lines += ["", *(f"![{FIGURES[figure]}]({place}/{figure}.png)" for figure in shown), ""]
     made = " ".join([stamp(found["provenance"]), *busy_sentences(found)])
@@ -84,6 +91,8 @@ def _table(found: Found) -> Iterator[str]:
     for row in found["methods"]:
         if row["failed"]:
             failed.append(f"- ✗ {row['name']} failed: {shorten(row['failure'], 80, placeholder=' …')}")
+        elif row.get("statistics"):
+            continue  # in a table of their own
         elif row["name"] in names or row["name"] == found["automatic"] or row["kind"] != "dem":
             time = relative = ""
             if wall := row["wall"]:
@@ -98,6 +107,27 @@ def _table(found: Found) -> Iterator[str]:
             name = f"**{row['name']}**" if row["name"] in names else row["name"]
             rows.append((name, time, relative, error))
     yield from [*markdown(rows), "", *failed]
+
+
+def statistics_table(found: Found) -> Iterator[str]:
+    """The methods without particles, in a class of their own; nothing where there is none."""
+    methods = [row for row in found["methods"] if row.get("statistics")]
+    if not methods:
+        return
+    rows = [("statistics, no particles", "time, s", "quantity", "energy score", "of the DEM's mean", "spread")]
+    for row in methods:
+        name, time = row["name"], f"{row['wall']['median']:.3g}" if row["wall"] else ""
+        for one in row["statistics"].values():
+            cells = (one[key] for key in ("multiple", "mean_multiple", "spread"))
+            rows.append((name, time, one["label"], *("undefined" if cell is None else f"{cell:.2f}" for cell in cells)))
+            name = time = ""
+    said = "Statistics are not ranked beside samples. A run of the DEM has an energy score of 1; replicas have a spread"
+    yield from [f"{said} of 1, a mean without a spread has 0.", "", *markdown(rows), ""]
+
+
+def listed(labels: list[str]) -> str:
+    """Words in a row: ``a, b and c``."""
+    return " and ".join(filter(None, (", ".join(labels[:-1]), labels[-1])))
 
 
 def winner(found: Found) -> str:

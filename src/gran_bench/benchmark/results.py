@@ -62,9 +62,10 @@ def method_row(
     spent |= {"wall": spread(wall), "relative": spread(ratios), "cpu_seconds": cpu}
     spent |= {key: max((turn[key] for turn in turns), default=None) for key in ("peak_bytes", "own_bytes")}
     found = {"floors": None, "floors_low": None, "floors_high": None, "by": "", "outside": 0, "judgement": None}
+    found["statistics"] = None
     if scored is not None:
         found = {"floors": scored.floors, "floors_low": scored.low, "floors_high": scored.high, "by": scored.by}
-        found |= {"outside": scored.outside, "judgement": scored.judgement}
+        found |= {"outside": scored.outside, "judgement": scored.judgement, "statistics": scored.statistics}
         lost = f"{scored.outside} spheres left the container" if scored.outside else ""
         spent["failure"] = spent["failure"] or scored.reason or lost
     return spent | found | {"failed": bool(spent["failure"])}
@@ -94,14 +95,18 @@ def reference_facts(reference: Reference, replicas: int, runs: int, automatic: f
     noise = reference.noise(runs)
     # Where a bed comes to rest, nudges hardly grow, and the step of the DEM counts for more than its noise.
     accepted = None if noise is None else max(noise, automatic or 0.0)
-    ranked = [{"key": row.key, "label": row.label, "unit": row.unit} for row in reference.ranked]
+    ranked = [{"key": row.key, "label": row.short_label, "unit": row.unit} for row in reference.ranked]
     facts = {"replicas": replicas, "judged_runs": runs, "own": reference.own, "noise": noise}
+    facts["floor_between"] = reference.floor.between
     return facts | {"accepted": accepted, "ranked": ranked}
 
 
 def judged_anew(found: dict[str, Any], reference: Reference, replicas: int) -> dict[str, Any]:
     """Kept results with the accuracy by today's rule; a `ResultsError` where they were held against other replicas."""
-    floors = reference.floors()
+    floors, then = reference.floors(), {row["key"] for row in found["reference"]["ranked"]}
+    if then != {*floors}:
+        raise ResultsError(f"methods were ranked by {', '.join(sorted(then))}, and now by {', '.join(sorted(floors))}; "
+                           "give measure=true")  # fmt: skip
     for row in found["methods"]:
         if row["judgement"] is None or row["judgement"]["velocity_kind"] != VELOCITY:
             continue

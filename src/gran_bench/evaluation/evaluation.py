@@ -79,7 +79,9 @@ def evaluate(
         if not unseen and not plan.imported:
             beside["half_step"] = plan.finer
         beside = {name: _summary(spec, plan, candidate.velocity_kind) for name, spec in beside.items()}
-        judgements[packing] = found = judge(candidate, doubles[packing], judged_scene, beside, replays, asked)
+        packings = [doubles[packing][0], beside["other_packing"]] if "other_packing" in beside else []
+        found = judge(candidate, doubles[packing], judged_scene, beside, replays, asked, packings)
+        judgements[packing] = found
         candidates[packing] = replace(candidate, phases=found.phases)
         doubles[packing] = [replace(run, phases=found.phases) for run in doubles[packing]]
     steady = next(iter(judgements.values())).phases.steady_from

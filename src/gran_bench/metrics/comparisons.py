@@ -1,18 +1,20 @@
 """The rows of a judgement: what is compared of two runs, and which figures of one are held against the replicas."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gran_bench.config.registry import METRICS
 from gran_bench.metrics.measured import LEAST_VALID_SHARE, Measured, Series, frame_at, within
 from gran_bench.metrics.position_error import separation
+from gran_bench.metrics.purpose import discharge_rate, packing_fraction
 from gran_bench.metrics.speeds import wasserstein, wasserstein_series
 from gran_bench.metrics.summary import TrajectorySummary
 
 Measure = Callable[[TrajectorySummary], Measured | Series]
 Between = Callable[[TrajectorySummary, TrajectorySummary], Measured]
+OVER = ", over the series"
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,11 @@ class Comparison:
     unit: str
     measure: Measure | None = None
     between: Between | None = None
+
+    @property
+    def short_label(self) -> str:
+        """The label of a series without the words that it is one."""
+        return self.label.removesuffix(OVER)
 
     def figure(self, run: TrajectorySummary) -> Measured:
         """What a run has, of a series the mean over its states."""
@@ -100,7 +107,7 @@ def _position_distance(frame: int) -> Between:
             if len(run.time) <= frame:
                 return Measured.undefined("m", f"no state {frame} frames after the start")
         if a.position.shape[1] != b.position.shape[1]:
-            return Measured.undefined("m", "other spheres")
+            return Measured.undefined("m", "another number of spheres")
         apart = separation(a.position[[frame]], b.position[[frame]], a.period)[0]
         return Measured.of(apart, "m", "position is not finite, or missing, in 1 of 1 states")
 
@@ -142,7 +149,7 @@ def _largest(name: str) -> Measure:
 def _angles(name: str, label: str) -> tuple[Comparison, ...]:
     """Over the series, steady, the first peak, and when it is."""
     return (
-        Comparison(name, f"{label}, over the series", "deg", _series(name)),
+        Comparison(name, f"{label}{OVER}", "deg", _series(name)),
         Comparison(f"{name}_steady", f"{label}, steady mean", "deg", _steady(name)),
         Comparison(f"{name}_peak", f"{label}, first peak", "deg", _peak(name, 0)),
         Comparison(f"{name}_peak_time", f"{label}, time of the peak", "s", _peak(name, 1)),
@@ -162,7 +169,9 @@ def added() -> tuple[Comparison, ...]:
 SURFACE, CENTER = _angles("surface_angle", "angle of repose"), _angles("com_angle", "centre-of-mass angle")
 COMPARISONS = (
     *(*SURFACE, *CENTER),
-    Comparison("center_height", "height of the centre of mass, over the series", "m", _series("center_height")),
+    Comparison("center_height", f"height of the centre of mass{OVER}", "m", _series("center_height")),
+    DISCHARGE := Comparison("discharge_rate", f"discharge rate{OVER}", "kg/s", _series(discharge_rate.__name__)),
+    PACKED := Comparison("packing_fraction", "packing fraction, at rest", "-", _steady(packing_fraction.__name__)),
     Comparison("speed_w1", "speeds, W1 a frame", "m/s", between=speed_distance),
     Comparison("speed_w1_pattern", "speeds a quarter into the scene, W1", "m/s", between=_speed_distance_at_pattern),
     Comparison("speed_w1_steady", "steady speeds, W1 pooled", "m/s", between=_speed_distance_pooled),
@@ -187,6 +196,8 @@ FIGURES = (
     Comparison("overlap_max", "overlap of pairs, largest", "m", _largest("overlap_max")),
     Comparison("wall_overlap_mean", "overlap with walls, mean", "m", _series("wall_overlap_mean")),
     Comparison("wall_overlap_max", "overlap with walls, largest", "m", _largest("wall_overlap_max")),
+    replace(DISCHARGE, label=f"{DISCHARGE.short_label}, mean"),
+    PACKED,
     Comparison("mixing_end", "mixing entropy, steady", "-", _steady("mixing")),
     Comparison("driving_torque_steady", "torque that drives the drum, steady", "N m", _steady("driving_torque")),
     Comparison("driving_power_steady", "power that drives the drum, steady", "W", _steady("driving_power")),

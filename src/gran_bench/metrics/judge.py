@@ -8,8 +8,9 @@ import numpy as np
 from gran_bench.config import RequirementsConfig
 from gran_bench.config.rules import check_arguments
 from gran_bench.metrics.comparisons import COMPARISONS, FIGURES, Comparison, added
+from gran_bench.metrics.floor import Floor, beside_floor
 from gran_bench.metrics.judgement import ErrorRow, FigureRow, Judgement
-from gran_bench.metrics.measured import Measured, mean_of, noise_floor, prediction_interval, score, shared_states
+from gran_bench.metrics.measured import Measured, mean_of, prediction_interval, score, shared_states
 from gran_bench.metrics.outside import distance_outside
 from gran_bench.metrics.phases import find_phases
 from gran_bench.metrics.requirements import acceptance
@@ -23,7 +24,7 @@ Run = Trajectory | TrajectorySummary
 
 def judge(
     candidate: Run, replicas: Sequence[Run], scene: Scene, others: Mapping[str, Run] | None = None,
-    replays: Mapping[str, Run] | None = None, asked: RequirementsConfig | None = None,
+    replays: Mapping[str, Run] | None = None, asked: RequirementsConfig | None = None, packings: Sequence[Run] = (),
 ) -> Judgement:  # fmt: skip
     """Hold a candidate against the replicas of the DEM.
 
@@ -37,12 +38,14 @@ def judge(
         others: further runs of the DEM by name, each a column of its own beside the noise floor.
         replays: the DEM's runs at the speeds of training, by name, which a model has to be better than.
         asked: what counts as met; by default so many noise floors of the scene.
+        packings: runs of the DEM from different packings, which give the noise floor where nudges hardly grow.
 
     Raises:
         ValueError: no replica, or runs that are not of the scene or not comparable.
     """
     others, replays, asked = others or {}, replays or {}, asked or RequirementsConfig()
     check_arguments(candidate=(candidate, Run), replicas=(replicas, list[Run]), scene=(scene, Scene))
+    check_arguments(packings=(packings, list[Run]))
     check_arguments(others=(others, Mapping), replays=(replays, Mapping), asked=(asked, RequirementsConfig))
     for what, given in (("others", others), ("replays", replays)):
         check_arguments(**{f"{what}[{name}]": (run, Run) for name, run in given.items()})
@@ -50,6 +53,7 @@ def judge(
         raise ValueError("no replica to judge against; make at least one run of the DEM")
     kind = candidate.velocity_kind
     runs = {"candidate": candidate, **{f"replica {i}": run for i, run in enumerate(replicas)}, **others, **replays}
+    runs |= {f"packing {i}": run for i, run in enumerate(packings)}
     for name, run in runs.items():
         _hold_scene(name, run, scene, is_dem=run is not candidate)
     mine, *theirs = (
@@ -60,18 +64,20 @@ def judge(
     # One clock for all: a run's own would compare a mean over one span with a mean over another.
     phases = find_phases([run.series for run in theirs[: len(replicas)]], scene, asked)
     mine, *theirs = (replace(run, phases=phases) for run in (mine, *theirs))
-    truth, further = theirs[: len(replicas)], dict(zip((*others, *replays), theirs[len(replicas) :], strict=True))
-    beside, again = ({name: further[name] for name in group} for group in (others, replays))
-    failures, more = [run.failures for run in truth], added()
+    truth, more = theirs[: len(replicas)], theirs[len(replicas) :]
+    beside, again = dict(zip(others, more, strict=False)), dict(zip(replays, more[len(others) :], strict=False))
+    mine, floor = beside_floor(mine, truth, more[len(others) + len(replays) :])
+    failures, plugins = [run.failures for run in truth], added()
     return Judgement(
-        errors=[_error_row(row, mine, truth, beside) for row in (*COMPARISONS, *more)],
-        figures=[_figure_row(row, mine, truth) for row in (*FIGURES, *more)],
-        requirements=list(acceptance(mine, truth, scene, again, asked)),
+        errors=[_error_row(row, mine, truth, beside, floor) for row in (*COMPARISONS, *plugins)],
+        figures=[_figure_row(row, mine, truth) for row in (*FIGURES, *plugins)],
+        requirements=list(acceptance(mine, truth, scene, again, asked, floor)),
         failures=mine.failures,
         dem_outside=None if None in failures else float(np.mean([count.share(count.outside) for count in failures])),
         velocity_kind=kind,
         replicas=len(truth),
         phases=phases,
+        floor_between=floor.words,
     )
 
 
@@ -89,11 +95,14 @@ def _hold_scene(name: str, run: Run, scene: Scene, is_dem: bool) -> None:
 
 
 def _hold_alike(name: str, summary: TrajectorySummary, mine: TrajectorySummary) -> None:
-    """Refuse runs of different spheres, times or velocities; one that ended early is counted as such."""
+    """Refuse runs of different spheres, times or velocities; one that ended early is counted as such.
+
+    Fewer and larger spheres of the same volume are the same bed, coarse-grained.
+    """
     own, other = (run.sorted_speed.shape[1] for run in (mine, summary))
     if own != other and not of_one_bed(mine, summary):
         told = f"candidate has {own} spheres and {name} has {other}"
-        raise ValueError(f"{told}; compare runs of one scene's spheres")
+        raise ValueError(f"{told}; compare runs of one scene's spheres, or of fewer spheres of the same volume")
     if summary.velocity_kind != mine.velocity_kind:
         kinds = f"({mine.velocity_kind}, {summary.velocity_kind}) are not comparable"
         raise ValueError(f"speeds of two definitions {kinds}; summarise both with one velocity_kind")
@@ -105,10 +114,11 @@ def _error_row(
     mine: TrajectorySummary,
     truth: Sequence[TrajectorySummary],
     beside: Mapping[str, TrajectorySummary],
+    floor: Floor,
 ) -> ErrorRow:
-    error, floor = score(row.distance, mine, truth, row.unit), noise_floor(row.distance, truth, row.unit)
+    error = score(row.distance, mine, truth, row.unit)
     further = {name: score(row.distance, run, truth, row.unit) for name, run in beside.items()}
-    return ErrorRow(row.key, row.label, row.unit, error, floor, further)
+    return ErrorRow(row.key, row.label, row.unit, error, floor.of(row), further)
 
 
 def _figure_row(row: Comparison, mine: TrajectorySummary, truth: Sequence[TrajectorySummary]) -> FigureRow:

@@ -76,6 +76,7 @@ class Judgement:
     velocity_kind: str  # on both sides
     replicas: int  # how many runs of the DEM it was held against
     phases: Phases  # when their flow is steady, and when its first peak is over
+    floor_between: str  # which runs of the DEM the noise floors are between
 
     @property
     def accepted(self) -> bool:
@@ -110,6 +111,7 @@ class Judgement:
             "velocity_kind": self.velocity_kind,
             "replicas": self.replicas,
             "phases": self.phases.to_dict(),
+            "floor_between": self.floor_between,
             "accepted": self.accepted,
             "requirements": {
                 row.key: _plain(row.label, row.figure) | {"bound": row.bound, "verdict": row.verdict}
@@ -132,7 +134,8 @@ class Judgement:
         return "\n".join(self._lines())
 
     def _lines(self) -> Iterator[str]:
-        yield f"{'distance from the DEM':<38}{'value':>10} {'floor':>10} {'floors':>7}"
+        head = f"{'distance from the DEM':<38}{'value':>10} {'floor':>10} {'floors':>7}"
+        yield f"{head}   (one floor: between {self.floor_between})"
         for row in self.errors:
             values = f"{_shown(row.error):>10} {_shown(row.floor):>10} {shown_multiple(row.multiple):>7}"
             yield _with_note(f"{row.label:<38}{values} {_unit(row.unit)}", row.error.note or row.floor.note)

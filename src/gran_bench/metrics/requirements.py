@@ -7,33 +7,38 @@ import numpy as np
 
 from gran_bench.config import RequirementsConfig
 from gran_bench.metrics.comparisons import CENTER, COMPARISONS, SURFACE, Comparison, speed_distance
+from gran_bench.metrics.floor import Floor
 from gran_bench.metrics.judgement import Requirement
-from gran_bench.metrics.measured import Measured, mean_of, noise_floor, prediction_interval, score
+from gran_bench.metrics.measured import Measured, mean_of, prediction_interval, score
+from gran_bench.metrics.sample import sample_rows
 from gran_bench.metrics.summary import TrajectorySummary
 from gran_bench.scene import Scene
 
-ANGLES, HEIGHT, SPEEDS = ("surface_angle", "com_angle"), "center_height", "speed_w1"
+ANGLES, SPEEDS = ("surface_angle", "com_angle"), "speed_w1"
+WITHOUT_ANGLE = ("center_height", "discharge_rate", "packing_fraction")  # as far as a scene has them
 FLOORS = "noise floors"
 Runs = Sequence[TrajectorySummary]
 Replays = Mapping[str, TrajectorySummary]
 
 
 def held_rows(replicas: Runs) -> list[Comparison]:
-    """The errors that a method is held to in a scene: of its angles, or of the bed's height without one, and speeds.
+    """The errors that a method is ranked by and held to: of both angles and the speeds.
 
-    Those that the DEM itself has, which are the ones that are 0 between a run and itself.
+    Without an angle they are of the bed's height, what the scene is for, and the speeds; those that the DEM itself
+    has, which are 0 between a run and itself.
     """
     rows = {row.key: row for row in COMPARISONS}
 
     def known(*keys: str) -> list[Comparison]:
         return [rows[key] for key in keys if all(rows[key].distance(run, run).defined for run in replicas)]
 
-    return [*(known(*ANGLES) or known(HEIGHT)), *known(SPEEDS)]
+    return [*(known(*ANGLES) or known(*WITHOUT_ANGLE)), *known(SPEEDS)]
 
 
 def acceptance(
-    candidate: TrajectorySummary, replicas: Runs, scene: Scene, replays: Replays, asked: RequirementsConfig
-) -> Iterator[Requirement]:
+    candidate: TrajectorySummary, replicas: Runs, scene: Scene, replays: Replays, asked: RequirementsConfig,
+    floor: Floor,
+) -> Iterator[Requirement]:  # fmt: skip
     """What a method has to show; a figure that the DEM has and the candidate lacks is a failure.
 
     No bound is tighter than what a further run of the DEM would keep (95 %), so that a noisy scene is not asked for
@@ -48,17 +53,18 @@ def acceptance(
         else:
             unknown = Measured(None, "sphere states", "no wall of this scene has a side that is inside")
             yield Requirement(key, label, unknown, 0.0, "undefined")
+    yield from sample_rows(candidate, replicas)
     absolute = list(_absolute_angles(candidate, replicas, asked))
     yield from absolute
     # A bound on what the DEM does not have holds nobody to anything.
     by_floors = all(row.verdict == "undefined" for row in absolute)
     for row in held_rows(replicas):
         if row.key == SPEEDS and asked.speed_w1 is not None:
-            yield _speed_row(asked.speed_w1, candidate, replicas)
+            yield _speed_row(asked.speed_w1, candidate, replicas, floor)
         elif by_floors or row.key not in ANGLES:
-            yield _floors_row(row, asked.floors, candidate, replicas)
+            yield _floors_row(row, asked.floors, candidate, replicas, floor)
     if replays:
-        yield from _replay_rows(candidate, replicas, replays)
+        yield from _replay_rows(candidate, replicas, replays, floor)
 
 
 def _absolute_angles(candidate: TrajectorySummary, replicas: Runs, asked: RequirementsConfig) -> Iterator[Requirement]:
@@ -87,32 +93,28 @@ def _angle_row(row: Comparison, label: str, asked: float, candidate: TrajectoryS
     return _row(row.key, f"{label}, within {bound:.3g}°", row.figure(candidate).difference(truth), bound, why)
 
 
-def _speed_row(asked: float, candidate: TrajectorySummary, replicas: Runs) -> Requirement:
-    bound, why = _kept_by_the_dem(asked, _own_errors(speed_distance, replicas, "m/s"), 0.0, "m/s")
+def _speed_row(asked: float, candidate: TrajectorySummary, replicas: Runs, floor: Floor) -> Requirement:
+    own = floor.own(next(row for row in COMPARISONS if row.key == SPEEDS))
+    bound, why = _kept_by_the_dem(asked, own, 0.0, "m/s")
     distance = score(speed_distance, candidate, replicas, "m/s")
     return _row(SPEEDS, f"speeds, W1 a frame, at most {bound:.3g} m/s", distance, bound, why)
 
 
-def _floors_row(row: Comparison, asked: float, candidate: TrajectorySummary, replicas: Runs) -> Requirement:
-    floor = noise_floor(row.distance, replicas, row.unit)
-    label = row.label.removesuffix(", over the series")
-    if not (floor.defined and floor.number):
-        unknown = Measured(None, FLOORS, floor.note or "runs of the DEM do not differ in it")
+def _floors_row(
+    row: Comparison, asked: float, candidate: TrajectorySummary, replicas: Runs, floor: Floor
+) -> Requirement:
+    one, label = floor.of(row), row.short_label
+    if not (one.defined and one.number):
+        unknown = Measured(None, FLOORS, one.note or "runs of the DEM do not differ in it")
         return Requirement(row.key, f"{label}, at most {asked:g} {FLOORS}", unknown, asked, "undefined")
-    own = [_in_floors(error, floor) for error in _own_errors(row.distance, replicas, row.unit)]
+    own = [_in_floors(error, one) for error in floor.own(row)]
     bound, why = _kept_by_the_dem(asked, own, 0.0, FLOORS)
-    error = _in_floors(score(row.distance, candidate, replicas, row.unit), floor)
+    error = _in_floors(score(row.distance, candidate, replicas, row.unit), one)
     return _row(row.key, f"{label}, at most {bound:.3g} {FLOORS}", error, bound, why)
 
 
 def _in_floors(error: Measured, floor: Measured) -> Measured:
     return Measured(error.number / floor.number if error.defined else None, FLOORS, error.note)
-
-
-def _own_errors(distance, replicas: Runs, unit: str) -> list[Measured]:
-    """Of each replica from the others, as if it were a candidate; none of a single one."""
-    rests = [[*replicas[:k], *replicas[k + 1 :]] for k in range(len(replicas))] if len(replicas) > 1 else []
-    return [score(distance, one, rest, unit) for one, rest in zip(replicas, rests, strict=False)]
 
 
 def _kept_by_the_dem(asked: float, own: Sequence[Measured], middle: float, unit: str) -> tuple[float, str]:
@@ -125,18 +127,16 @@ def _kept_by_the_dem(asked: float, own: Sequence[Measured], middle: float, unit:
     return bound, f"not {asked:g} {unit}: runs of the DEM itself scatter more; a further one keeps {bound:.3g} {unit}"
 
 
-def _replay_rows(candidate: TrajectorySummary, replicas: Runs, replays: Replays) -> Iterator[Requirement]:
+def _replay_rows(candidate: TrajectorySummary, replicas: Runs, replays: Replays, floor: Floor) -> Iterator[Requirement]:
     """Runs of the DEM at other speeds err more, and the candidate's speeds are not theirs.
 
     The first row holds a model to be of use. The second finds a replay that errs less by chance. A replay that cannot
     be told from runs of the DEM holds nobody to anything.
     """
-    rows = held_rows(replicas)
-    floors = [noise_floor(row.distance, replicas, row.unit) for row in rows]
-    held = [(row, floor) for row, floor in zip(rows, floors, strict=True) if floor.defined and floor.number]
+    held = [(row, one) for row in held_rows(replicas) if (one := floor.of(row)).defined and one.number]
 
     def worst(run: TrajectorySummary, truth: Runs) -> Measured:
-        errors = [_in_floors(score(row.distance, run, truth, row.unit), floor) for row, floor in held]
+        errors = [_in_floors(score(row.distance, run, truth, row.unit), one) for row, one in held]
         lacking = next((error for error in errors if not error.defined), None)
         return lacking or max(errors, key=lambda error: error.number)
 

@@ -13,6 +13,7 @@ from gran_bench.metrics.measured import Measured, Series, within
 from gran_bench.metrics.outside import FailureCount, count_failures
 from gran_bench.metrics.phases import Phases, find_phases
 from gran_bench.metrics.speeds import depth_profile, layer_sums, sorted_frames, speeds, velocities
+from gran_bench.neighbors import nearest_image
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray, Trajectory
 
@@ -33,6 +34,7 @@ class TrajectorySummary:
     volume: float  # of all spheres, m³
     period: float  # of the y axis, m
     position: FloatArray | None = None  # (F, N, 3) m; None for statistics without particles
+    jump: float = np.nan  # d, mean of what a frame's displacement is off its velocities; NaN where one is not finite
     failures: FailureCount | None = None  # None for statistics without particles
 
     @property
@@ -80,8 +82,20 @@ def summarise(trajectory: Trajectory, scene: Scene, velocity_kind: str | None = 
         volume=float(sphere_masses(trajectory.radius, 1.0).sum()),
         period=scene.period,
         position=run.position,
+        jump=_jump(run.position, velocity, kind, scene),
         failures=count_failures(trajectory, scene),
     )
+
+
+def _jump(position: FloatArray, velocity: FloatArray, kind: str, scene: Scene) -> float:
+    """Mean over spheres and frames of ‖Δx − v̄ Δt‖ / d, v̄ the mean of the velocities at both ends of a frame."""
+    if len(position) < 2:
+        return np.nan
+    between = velocity[1:] if kind == "mean" else 0.5 * (velocity[1:] + velocity[:-1])
+    with np.errstate(invalid="ignore", over="ignore"):
+        step = nearest_image(np.diff(position.astype(np.float64), axis=0), scene.period)
+        off = np.sqrt(((step - between * scene.frame_interval) ** 2).sum(axis=2))
+        return float(off.mean() / scene.filling.diameter) if off.size else np.nan
 
 
 def _measured(name: str, trajectory: Trajectory, scene: Scene) -> Measured | Series:
