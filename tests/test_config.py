@@ -258,7 +258,7 @@ def test_every_number_of_the_schema_has_bounds():
         ("rollout.frames=500", ["rollout.frames=500", "400"]),
         ("trainer=paper trainer.budget=time", ["trainer.budget=time", "trainer.minutes"]),
         ("optim.final_learning_rate=1", ["optim.final_learning_rate=1", "optim.learning_rate"]),
-        ("model=emulator model.batch=2", ["model.batch=2", "model.committee=3"]),
+        ("model=emulator model.batch=2 model.committee=3", ["model.batch=2", "model.committee=3"]),
         ("model=emulator model.schedules.slowest_rpm=50", ["slowest_rpm=50", "below model.schedules.fastest_rpm=42"]),
         ("model=emulator model.schedules.twins=200", ["model.schedules.twins=200", "at most"]),
         ("model=emulator trainer.start_from=x", ["trainer.start_from=x", "model=emulator", "null"]),
