@@ -218,7 +218,7 @@ def test_a_touching_pair_is_answered_in_full_at_the_smallest_radius(models):
 
 
 @pytest.mark.parametrize("model", ["radial", "ccnn"])
-@pytest.mark.parametrize("name", [name for name in choices("boundary") if name not in ("contact", "ccnn", "radial")])
+@pytest.mark.parametrize("name", [name for name in choices("boundary") if name not in choices("model")])
 def test_each_boundary_trains_and_its_features_are_learnt(model, name, models, root, tmp_path):
     boundary = checked_config(compose("train", ["model=ccnn", f"boundary={name}"]), TrainConfig).boundary
     trained = Trained(replace(models[model], boundary=boundary), root, tmp_path)
