@@ -38,7 +38,7 @@ class Contacts(NamedTuple):
     overlap: FloatArray  # (M,) m
     velocity: FloatArray  # (M, 3) of the first relative to the second, m/s
     gain: FloatArray  # (M, 3) what that velocity still gains until the end of the step, m/s
-    spin: FloatArray  # (M, 3) of the first relative to the second, rad/s
+    spin: FloatArray  # (M, 3) of the first relative to the second, rad/s; (0, 3) where nothing resists rolling
     surface_spin: FloatArray  # (M, 3) Σ arm × ω, with which spins add to the slip, m/s
     arm: FloatArray  # (M,) lever arm of the first, m
     other_arm: FloatArray  # (M,) of the second, m
@@ -92,9 +92,10 @@ class Stretch:
         fastest = 0.25 * self._radius.min() / self._dt
         for _ in range(steps):
             self._kick()
-            wild = np.flatnonzero(~(dot(self._velocity, self._velocity) <= fastest**2))
-            if len(wild):
-                raise Divergence(int(wild[0]), self._step, self._position, self._velocity, self._spin)
+            squared = dot(self._velocity, self._velocity)
+            if not squared.max() <= fastest**2:
+                wild = int(np.argmax(~(squared <= fastest**2)))
+                raise Divergence(wild, self._step, self._position, self._velocity, self._spin)
             self._position += self._dt * self._velocity
             self._step += 1
             self._evaluate(self._dt)
@@ -252,7 +253,7 @@ class Stretch:
             overlap=reach - distance,
             velocity=_at(self._velocity, i) - _at(self._velocity, j),
             gain=_at(self._gain, i) - _at(self._gain, j),
-            spin=spin_i - spin_j,
+            spin=spin_i - spin_j if self._physics.rolling else NOBODY[2],
             surface_spin=slip_i[:, None] * spin_i + slip_j[:, None] * spin_j,
             arm=arm,
             other_arm=distance - arm,
@@ -275,7 +276,7 @@ class Stretch:
             velocity=_at(self._velocity, i) - velocity,
             gain=_at(self._gain, i),
             # What rolls on a turning wall rolls against the wall's own rotation.
-            spin=spin - pose[:, SPIN],
+            spin=spin - pose[:, SPIN] if physics.rolling else NOBODY[2],
             surface_spin=arm[:, None] * spin,
             arm=arm,
             other_arm=arm,

@@ -119,9 +119,9 @@ def wall_contact(pose: FloatArray, position: FloatArray) -> tuple[FloatArray, Fl
     along = offset @ direction
     if kind == PLANE:
         return along, np.broadcast_to(-direction, position.shape)
-    radial = offset - np.outer(along, direction)
+    radial = offset - along[:, None] * direction
     reach = np.sqrt(dot(radial, radial))
-    outward = np.divide(radial, reach[:, None], out=np.zeros_like(radial), where=reach[:, None] > 0)
+    outward = np.divide(1.0, reach, out=np.zeros_like(reach), where=reach > 0)[:, None] * radial
     if kind == CYLINDER:
         return pose[7] - reach, outward
     across, up = toward_segment(pose[SIZES], reach, along)
