@@ -157,11 +157,16 @@ def test_a_run_of_more_spheres_is_thinned_itself(replicas):
 
 
 def test_where_nudges_do_not_grow_the_floor_is_between_packings(replicas):
-    assert nudges_grow(replicas)
+    apart = [replace(run, position=run.position + np.float32(0.01 * k)) for k, run in enumerate(replicas)]
+    late = [replace(run, position=run.position.copy()) for run in apart]
+    for run in late:
+        run.position[: len(run.time) // 2 + 1] = 0.0
+    assert nudges_grow(apart)
+    assert not nudges_grow(late)
     still = [replace(run, position=run.position * 0.0) for run in replicas[:3]]
     assert not nudges_grow(still)
     assert beside_floor(still[0], still, replicas)[1].between == "packings"
-    assert beside_floor(replicas[0], replicas, still)[1].between == "replicas"
+    assert beside_floor(apart[0], apart, still)[1].between == "replicas"
     floor, row = Floor.of_runs(replicas, 10_000), held_rows(replicas)[-1]
     judgement = judge(still[0], still, SCENE, packings=replicas)
     assert judgement.floor_between == "packings"
