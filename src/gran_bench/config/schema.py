@@ -291,8 +291,7 @@ class TrainerConfig(Section, place="trainer"):
 class JudgeConfig(Section, place="judge"):
     """What is rolled out and judged after training."""
 
-    # Null: the judged speed, and the two nearest training speeds of its sense of rotation on either side.
-    speeds_rpm: list[float] | None = key(None, Range(unit="rpm"))
+    speeds_rpm: list[float] | None = key(None, Range(unit="rpm"))  # null: the judged one and its training neighbours
     unseen_packing: bool = True
     short_horizon_starts: int = key(20, at_least(1))  # start frames of the 1, 3, 10 frame position errors
     gif: bool = True

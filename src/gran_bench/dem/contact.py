@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -72,6 +73,26 @@ class ContactLaw:
         """The laws of contacts, each attribute an array, from ``(..., 5)`` rows (4/3 E*, 8 G*, α, μ, μ_r)."""
         modulus, shear, damping, friction, rolling = np.moveaxis(constants, -1, 0)
         return cls(0.75 * modulus, 0.125 * shear, damping, friction, rolling)
+
+
+class Contacts(NamedTuple):
+    """What touches, with all that its laws ask for; M contacts."""
+
+    first: np.ndarray  # (M,) particles
+    second: np.ndarray  # (M,) particles, or −1 − w for wall w
+    diameter: FloatArray  # (M,) m, mean of the two; of the sphere at a wall
+    law: FloatArray  # (M, 5) constants
+    effective_radius: FloatArray  # (M,) R*, m
+    effective_mass: FloatArray  # (M,) m*, kg
+    effective_inertia: FloatArray  # (M,) I_r of rolling.py, kg m²
+    normal: FloatArray  # (M, 3) from first to second
+    overlap: FloatArray  # (M,) m
+    velocity: FloatArray  # (M, 3) of the first relative to the second, m/s
+    gain: FloatArray  # (M, 3) what that velocity still gains until the end of the step, m/s
+    spin: FloatArray  # (M, 3) of the first relative to the second, rad/s; (0, 3) where nothing resists rolling
+    surface_spin: FloatArray  # (M, 3) Σ arm × ω, with which spins add to the slip, m/s
+    arm: FloatArray  # (M,) lever arm of the first, m
+    other_arm: FloatArray  # (M,) of the second, m
 
 
 @dataclass(frozen=True)

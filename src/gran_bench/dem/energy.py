@@ -26,19 +26,15 @@ U_t, which is `release`. What the terms leave open is `unaccounted`: the error o
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gran_bench.dem.contact import ContactForce, ContactLaw, cross, dot, sphere_mass
+from gran_bench.dem.contact import ContactForce, ContactLaw, Contacts, cross, dot, sphere_mass
 from gran_bench.dem.outlet import taking_part
 from gran_bench.dem.rolling import rolling_stiffness
 from gran_bench.dem.walls import SPIN, surface_velocity
 from gran_bench.scene import Scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState
-
-if TYPE_CHECKING:
-    from gran_bench.dem.engine_numpy import Contacts
 
 LOSSES = ("damping", "sliding", "tangential_damping", "release", "rolling")
 SPECTRA = ("impact", "normal", "shear")  # ½ m* v_n² at first touch; lost by a contact along and across its normal
@@ -107,7 +103,7 @@ def count_contacts(
     """Counts what touching contacts lose in a step; returns their rows of the ledger, ``(M, 3)`` J.
 
     Args:
-        work, contacts: what is added to; of engine_numpy.py.
+        work, contacts: what is added to; what touches.
         force, rolled: what `contact_force` gave; what `rolling_moment` gave, None where nothing rolls.
         before: what these contacts, row by row, remember of the last step.
         spin_gain: ``(N, 3)`` what spins still gain until the end of the step, rad/s.

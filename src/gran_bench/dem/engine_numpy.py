@@ -5,11 +5,10 @@ A step of velocity Verlet is a kick, a drift, the forces of all contacts, and an
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
-from gran_bench.dem.contact import ContactForce, ContactLaw, contact_force, dot, sphere_mass
+from gran_bench.dem.contact import ContactForce, ContactLaw, Contacts, contact_force, dot, sphere_mass
 from gran_bench.dem.energy import Work, count_contacts, count_ended, count_walls, followed
 from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, into_period
 from gran_bench.dem.rolling import CONTACT_INERTIA, rolling_moment
@@ -22,26 +21,6 @@ from gran_bench.state import ContactHistory, FloatArray, Held, Moving, ParticleS
 SKIN = 0.3
 # Indices, distances and directions where there is no wall.
 NOBODY = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3))
-
-
-class Contacts(NamedTuple):
-    """What touches, with all that its laws ask for; M contacts."""
-
-    first: np.ndarray  # (M,) particles
-    second: np.ndarray  # (M,) particles, or −1 − w for wall w
-    diameter: FloatArray  # (M,) m, mean of the two; of the sphere at a wall
-    law: FloatArray  # (M, 5) constants
-    effective_radius: FloatArray  # (M,) R*, m
-    effective_mass: FloatArray  # (M,) m*, kg
-    effective_inertia: FloatArray  # (M,) I_r of rolling.py, kg m²
-    normal: FloatArray  # (M, 3) from first to second
-    overlap: FloatArray  # (M,) m
-    velocity: FloatArray  # (M, 3) of the first relative to the second, m/s
-    gain: FloatArray  # (M, 3) what that velocity still gains until the end of the step, m/s
-    spin: FloatArray  # (M, 3) of the first relative to the second, rad/s; (0, 3) where nothing resists rolling
-    surface_spin: FloatArray  # (M, 3) Σ arm × ω, with which spins add to the slip, m/s
-    arm: FloatArray  # (M,) lever arm of the first, m
-    other_arm: FloatArray  # (M,) of the second, m
 
 
 def advance(state: ParticleState, physics: Physics, time_step: float, walls: FloatArray) -> ParticleState:
