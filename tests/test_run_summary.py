@@ -77,6 +77,15 @@ def test_what_is_undefined_is_absent_from_the_metrics_and_the_rest_is_a_number()
     assert all(isinstance(value, float) for value in metrics.values())
 
 
+def test_where_the_energy_of_the_dem_goes_is_among_the_metrics():
+    summary = summary_of(broken(3))
+    name = next(iter(summary["rollouts"]))
+    summary["rollouts"][name]["dem_energy"] = {"power_W": 2096.0, "unaccounted_W": -0.6}
+    metrics = flat_metrics(summary)
+    assert metrics[f"dem_energy/{name}/power_W"] == 2096.0
+    assert metrics[f"dem_energy/{name}/unaccounted_W"] == -0.6
+
+
 def test_a_summary_is_read_as_it_was_written_and_only_where_it_is(tmp_path: Path):
     summary = summary_of(flowing(SCENE, seed=3))
     assert read_summary(tmp_path) is None
