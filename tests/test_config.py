@@ -270,7 +270,7 @@ def test_every_number_of_the_schema_has_bounds():
         ("+scene.materail.friction=0.4", ["scene.materail", "did you mean scene.material?"]),
         ("+restitution=0.4", ["restitution=0.4", "did you mean scene.material.restitution?"]),
         ("+qwertzuiop=1", ["qwertzuiop=1", "experiment, seed"]),
-        ("+model.width=3", ["model.width=3", "model=ccnn or radial"]),
+        ("+model.width=3", ["model.width=3", "model=emulator or ccnn or radial"]),
     ],
 )
 def test_an_impossible_value_is_refused_in_one_line(override, words):

@@ -91,7 +91,7 @@ def refuse(monkeypatch, capsys, tmp_path):
     [
         ("+sede=1", ["sede=1", "did you mean seed?"]),
         ("model.widht=3", ["model.widht=3", "did you mean model.width?"]),
-        ("model.width=3", ["model.width=3", "model=ccnn or radial"]),
+        ("model.width=3", ["model.width=3", "model=emulator or ccnn or radial"]),
         ("scene.material.restitution=1.2", ["scene.material.restitution=1.2", "(0, 1]"]),
         ("scene.wall_material.friction=1", ["scene.wall_material is null", "+scene.wall_material.friction=1"]),
         ("dem.time_step=0.01", ["dem.time_step=0.01", "largest safe step"]),
