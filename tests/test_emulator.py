@@ -28,8 +28,9 @@ from gran_bench.config.reading import validate
 from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import CaseSpec, DatasetError
 from gran_bench.emulator.judging import distance, judge_schedule, judgement
-from gran_bench.emulator.network import Emulator, Modes, load_emulator, settled_angles
+from gran_bench.emulator.network import Emulator, load_emulator, settled_angles
 from gran_bench.emulator.runs import FIGURES, RunStatistics, ensure_runs, measure, quantiles, read_run, run_path
+from gran_bench.emulator.scan import Scan, scan_by_frames
 from gran_bench.emulator.schedules import Judged, judged_schedules, random_rotation, refuse_unfair, training_cases
 from gran_bench.run.experiment import run_experiment
 from gran_bench.run.identity import emulator_plan, identify
@@ -116,16 +117,18 @@ def test_a_shipped_scene_of_another_drum_is_refused_by_name(tmp_path):
 # ---- the recurrence --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("frames", [1, 20, 21, 22, 65])
-def test_modes_taken_in_blocks_are_the_recurrence_frame_by_frame(frames):
-    torch.manual_seed(0)
-    modes = Modes(6, 5, 0.07, 0.01).double()
-    signal = torch.randn(3, frames, 6, dtype=torch.float64)
-    force, state, found = modes.driven(signal), torch.zeros(3, 5, dtype=torch.complex128), []
-    for frame in range(frames):
-        state = torch.exp(modes.exponent) * state + force[:, frame]
-        found.append(modes.read(torch.cat([state.real, state.imag], dim=-1)))
-    torch.testing.assert_close(modes(signal), torch.stack(found, dim=1))
+@pytest.mark.parametrize("frames", [1, 2, 37])
+def test_the_compiled_recurrence_is_the_one_by_frames_and_so_is_its_gradient(frames):
+    rng = torch.Generator().manual_seed(0)
+    factor, force, slope = (torch.randn(3, frames, 5, dtype=torch.complex128, generator=rng) for _ in range(3))
+    found = []
+    for scan in (Scan.apply, scan_by_frames):
+        given = [(0.5 * factor).requires_grad_(), force.clone().requires_grad_()]
+        state = scan(*given)
+        gradients = torch.autograd.grad(state, given, slope, allow_unused=True, materialize_grads=True)
+        found.append([state.detach(), *gradients])
+    for compiled, plain in zip(*found, strict=True):
+        torch.testing.assert_close(compiled, plain)
 
 
 def test_a_frame_follows_from_the_speed_up_to_it_and_not_beyond():

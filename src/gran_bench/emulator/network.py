@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.signal import lfilter
 from torch import Tensor, nn
 
 from gran_bench.config import EmulatorConfig, SceneConfig
 from gran_bench.config.reading import read_config
 from gran_bench.emulator.runs import FIGURES, columns_of
+from gran_bench.emulator.scan import Scan
 from gran_bench.metrics.angle_of_repose import center_of_mass_angles, surface_lines, why_no_angle
 from gran_bench.scene import Scene, build_scene
 from gran_bench.state import FloatArray, ParticleState
@@ -18,7 +20,7 @@ from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, load_car
 
 # Of the first modes, in √(d/g): decay times from the shortest to the longest, and the highest frequency.
 DECAYS, FREQUENCY = (0.4, 60.0), 0.14
-BLOCK = 21  # frames that the recurrence takes at once
+LOG_PACE = (-4.0, 2.0)  # least and largest ln γ
 INPUTS = ("speed", "speed over the frame", "turns", "settled surface angle", "settled centre", "filling", "friction")
 LEAST_SPREAD = 1e-3  # of the scatter of runs
 
@@ -35,10 +37,10 @@ class Statistics:
 
 
 class Modes(nn.Module):
-    """Decaying oscillations that a signal drives: h_t = λ h_{t−1} + (1 − |λ|) B u_t, y_t = Re(C h_t).
+    """Decaying oscillations that a signal drives and hastens: h_t = λ_t h_{t−1} + (1 − |λ_t|) B u_t, y_t = Re(C h_t).
 
-    λ = e^{(−1/τ + 2πi f) Δt}; τ and f of each mode are learned. A block of frames is a product with the powers of λ;
-    so are the ends of blocks.
+    λ_t = e^{(−1/τ + 2πi f) γ_t Δt}, γ_t = e^{G u_t}. τ and f of each mode and G are learned. The pace γ lets a bed that
+    stands keep what it remembers, and one that flows forget it.
     """
 
     def __init__(self, width: int, modes: int, fall_time: float, interval: float) -> None:
@@ -48,36 +50,23 @@ class Modes(nn.Module):
         turns = torch.linspace(0.0, FREQUENCY, modes)[torch.randperm(modes)]
         self.frequency = nn.Parameter(turns * interval / fall_time)  # f in 1/frame
         self.drive, self.read = nn.Linear(width, 2 * modes), nn.Linear(2 * modes, width)
+        self.pace = nn.Linear(width, modes)
+        nn.init.zeros_(self.pace.weight)
+        nn.init.zeros_(self.pace.bias)
 
-    @property
-    def exponent(self) -> Tensor:
-        """ln λ of a frame, ``(K,)`` complex."""
-        return torch.complex(-torch.exp(-self.log_decay), 2.0 * math.pi * self.frequency)
-
-    def driven(self, signal: Tensor) -> Tensor:
-        """(1 − |λ|) B u of ``(B, F, W)``, complex ``(B, F, K)``."""
+    def driven(self, signal: Tensor) -> tuple[Tensor, Tensor]:
+        """λ_t and (1 − |λ_t|) B u_t of ``(B, F, W)``, complex ``(B, F, K)`` each."""
+        pace = torch.exp(self.pace(signal).clamp(*LOG_PACE))
+        size = torch.exp(-torch.exp(-self.log_decay) * pace)
+        angle = 2.0 * math.pi * self.frequency * pace
+        factor = torch.complex(size * torch.cos(angle), size * torch.sin(angle))
         real, imaginary = self.drive(signal).chunk(2, dim=-1)
-        return torch.complex(real, imaginary) * (1.0 - torch.exp(self.exponent.real))
+        return factor, torch.complex(real * (1.0 - size), imaginary * (1.0 - size))
 
     def forward(self, signal: Tensor) -> Tensor:
         """Of ``(B, F, W)``, the same shape."""
-        force, exponent = self.driven(signal), self.exponent
-        runs, frames, modes = force.shape
-        blocks = -(-frames // BLOCK)
-        force = nn.functional.pad(torch.view_as_real(force), (0, 0, 0, 0, 0, blocks * BLOCK - frames))
-        force = torch.view_as_complex(force).view(runs, blocks, BLOCK, modes)
-        inside = torch.einsum("mij,rbjm->rbim", _powers(exponent, BLOCK, 1), force)
-        ends = torch.einsum("mij,rjm->rim", _powers(exponent, blocks, BLOCK), inside[:, :, -1])
-        before = torch.cat([torch.zeros_like(ends[:, :1]), ends[:, :-1]], dim=1)
-        since = torch.exp(exponent * torch.arange(1, BLOCK + 1)[:, None])
-        state = (inside + before[:, :, None] * since).reshape(runs, blocks * BLOCK, modes)[:, :frames]
+        state = Scan.apply(*self.driven(signal))
         return self.read(torch.cat([state.real, state.imag], dim=-1))
-
-
-def _powers(exponent: Tensor, size: int, stride: int) -> Tensor:
-    """λ^((i − j) stride) for i ≥ j and 0 above, ``(K, size, size)``."""
-    apart = torch.arange(size)[:, None] - torch.arange(size)
-    return torch.exp(exponent[:, None, None] * (apart.clamp(min=0) * stride)) * (apart >= 0)
 
 
 class Layer(nn.Module):
@@ -190,9 +179,7 @@ class Emulator(nn.Module):
         kicks = torch.randn(count, *mean.shape, generator=random, dtype=torch.float64) @ self.together.double().T
         stay = float(self.persistence)
         kicks[:, 1:] *= math.sqrt(1.0 - stay**2)
-        for frame in range(1, kicks.shape[1]):
-            kicks[:, frame] += stay * kicks[:, frame - 1]
-        drawn = mean + spread * kicks
+        drawn = mean + spread * torch.as_tensor(lfilter([1.0], [1.0, -stay], kicks.numpy(), axis=1))
         found = torch.cat([mean[None], drawn])
         speed = self.columns["speed"]
         found[..., speed] = found[..., speed].sort(dim=-1).values
