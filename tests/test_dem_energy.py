@@ -10,6 +10,7 @@ import pytest
 from gran_bench.config import ContainerConfig, DemConfig, FillingConfig, MaterialConfig, RotationConfig, SceneConfig
 from gran_bench.dataset.case_file import read_case, write_case
 from gran_bench.dataset.scene_document import to_document
+from gran_bench.dataset.summary import power_words
 from gran_bench.dem.energy_balance import EnergyBalance
 from gran_bench.dem.simulate import SimulationResult, settle, simulate
 from gran_bench.metrics.power import driving_power, driving_torque
@@ -174,6 +175,8 @@ def test_a_case_file_keeps_what_was_counted(bed, tmp_path):
     trajectory = run(bed, 1.55).trajectory
     write_case(tmp_path / "case.h5", {"scene": to_document(scene)}, scene, trajectory, state, {})
     kept, part = read_case(tmp_path / "case.h5"), read_case(tmp_path / "case.h5", slice(2, 4))
+    later = EnergyBalance.of(trajectory).figures(trajectory.time[2])["power_W"]
+    assert f"the walls give {later:.4g} W: " in power_words(tmp_path / "case.h5")
     for name, values in trajectory.energy.items():
         assert np.array_equal(kept.trajectory.energy[name], values, equal_nan=True), name
         assert np.array_equal(part.trajectory.energy[name], values[2:4], equal_nan=True), name

@@ -39,7 +39,7 @@ def generate(config: GenerateConfig) -> list[Path]:
     )
     for spec, path in zip(specs, paths, strict=True):
         if spec.dem.power:
-            print(f"energy, {path.name}: {_power_words(path)}")
+            print(f"energy, {path.name}: {power_words(path)}")
         for warning in read_attributes(path)["warnings"].splitlines():
             print(f"warning, {path.name}: {warning}")
     beds = {spec.settled_path(root) for spec in specs}
@@ -51,7 +51,7 @@ def generate(config: GenerateConfig) -> list[Path]:
     return paths
 
 
-def _power_words(path: Path) -> str:
+def power_words(path: Path) -> str:
     """The mean power of a case over the later half of its frames, and where it goes, in W."""
     motion = read_case(path).trajectory
     since = float(motion.time[max(0, motion.frame_count // 2 - 1)])
