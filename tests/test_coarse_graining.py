@@ -153,7 +153,7 @@ def test_other_spheres_of_one_bed_are_judged_and_those_of_another_refused():
     judgement = judge(coarser(runs[0], 8), runs[1:], scene)
     assert judgement.error("speed_w1").error.defined
     assert judgement.error("com_angle").multiple > 0
-    assert judgement.error("position_10").error.note == "other spheres"
+    assert judgement.error("position_10").error.note == "another number of spheres"
     assert judgement.failures.spheres == 25
     few = replace(coarser(runs[0], 8), radius=runs[0].radius[::8])
     with pytest.raises(ValueError, match="candidate has 25 spheres and replica 0 has 200"):

@@ -29,9 +29,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gran_bench.dem.contact import ContactForce, ContactLaw, Contacts, cross, dot, sphere_mass
+from gran_bench.dem.contact import ContactForce, ContactLaw, Contacts, sphere_mass
 from gran_bench.dem.outlet import taking_part
 from gran_bench.dem.rolling import rolling_stiffness
+from gran_bench.dem.vectors import cross, dot
 from gran_bench.dem.walls import SPIN, surface_velocity
 from gran_bench.scene import Scene
 from gran_bench.state import ContactHistory, FloatArray, ParticleState

@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from gran_bench.dem.contact import ContactForce, ContactLaw, Contacts, contact_force, dot, sphere_mass
+from gran_bench.dem.contact import ContactForce, ContactLaw, Contacts, contact_force, sphere_mass
 from gran_bench.dem.energy import Work, count_contacts, count_ended, count_walls, followed
 from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, into_period
 from gran_bench.dem.rolling import CONTACT_INERTIA, rolling_moment
 from gran_bench.dem.seams import wall_touching
+from gran_bench.dem.vectors import dot, take_rows
 from gran_bench.dem.walls import SPIN, surface_velocity
 from gran_bench.neighbors import nearest_image, tree_pairs
 from gran_bench.state import ContactHistory, FloatArray, Held, Moving, ParticleState
@@ -197,9 +198,9 @@ class Stretch:
         before = ContactHistory(first, second, *_recall(history, first, second, *names))
         radius = self._radius if self._physics.full_radius else None
         ledger = count_contacts(work, every, contact, rolled, before, self._spin_gain, radius, duration)
-        at_walls = Contacts(*(_at(array, walls) for array in every))
+        at_walls = Contacts(*(take_rows(array, walls) if len(array) else array for array in every))
         distance = self._radius[at_walls.first] - at_walls.overlap
-        point, poses = _at(self._position, at_walls.first) + distance[:, None] * at_walls.normal, self._poses()
+        point, poses = take_rows(self._position, at_walls.first) + distance[:, None] * at_walls.normal, self._poses()
         moment = None if rolled is None else rolled[0][walls]
         count_walls(work, at_walls, contact.force[walls], moment, point, poses, duration)
         if duration:
@@ -213,25 +214,25 @@ class Stretch:
     def _touching_pairs(self) -> Contacts:
         """The listed pairs that touch."""
         i, j = self._pairs
-        offset = nearest_image(_at(self._position, j) - _at(self._position, i), self._physics.period)
+        offset = nearest_image(take_rows(self._position, j) - take_rows(self._position, i), self._physics.period)
         distance = np.sqrt(dot(offset, offset))
         near = np.flatnonzero(distance < self._pair_sizes[1])
-        i, j, offset, distance = (_at(array, near) for array in (i, j, offset, distance))
-        law, reach, *effective = (_at(sizes, near) for sizes in self._pair_sizes)
+        i, j, offset, distance = (take_rows(array, near) for array in (i, j, offset, distance))
+        law, reach, *effective = (take_rows(sizes, near) for sizes in self._pair_sizes)
         # Both lever arms end on the plane of the circle in which the spheres intersect.
-        radius_i, radius_j = _at(self._radius, i), _at(self._radius, j)
+        radius_i, radius_j = take_rows(self._radius, i), take_rows(self._radius, j)
         arm = 0.5 * (distance + (radius_i - radius_j) * reach / distance)
         # Those that slip is measured with; LAMMPS' are longer (contact.py).
         slip_i, slip_j = arm, distance - arm
         if self._physics.full_radius:
             slip_i, slip_j = radius_i, radius_j
-        spin_i, spin_j = _at(self._spin, i), _at(self._spin, j)
+        spin_i, spin_j = take_rows(self._spin, i), take_rows(self._spin, j)
         return Contacts(
             i, j, reach, law, *effective,
             normal=offset / distance[:, None],
             overlap=reach - distance,
-            velocity=_at(self._velocity, i) - _at(self._velocity, j),
-            gain=_at(self._gain, i) - _at(self._gain, j),
+            velocity=take_rows(self._velocity, i) - take_rows(self._velocity, j),
+            gain=take_rows(self._gain, i) - take_rows(self._gain, j),
             spin=spin_i - spin_j if self._physics.rolling else NOBODY[2],
             surface_spin=slip_i[:, None] * spin_i + slip_j[:, None] * spin_j,
             arm=arm,
@@ -244,27 +245,22 @@ class Stretch:
         touching, self._history = wall_touching(poses, self._position, self._radius, self._history)
         wall = np.repeat(np.arange(len(poses)), [len(i) for i, _, _ in touching])
         i, distance, normal = map(_joined, zip(*touching, strict=True)) if len(poses) else NOBODY
-        pose, radius, spin = _at(poses, wall), _at(self._radius, i), _at(self._spin, i)
-        velocity = surface_velocity(pose, _at(self._position, i) + distance[:, None] * normal)
+        pose, radius, spin = take_rows(poses, wall), take_rows(self._radius, i), take_rows(self._spin, i)
+        velocity = surface_velocity(pose, take_rows(self._position, i) + distance[:, None] * normal)
         arm = radius if physics.full_radius else distance
         return Contacts(
             i, -1 - wall, 2.0 * radius, physics.wall_laws[self._given.material[i], wall],
-            radius, _at(self._mass, i), _at(self._about_contact, i),
+            radius, take_rows(self._mass, i), take_rows(self._about_contact, i),
             normal=normal,
             overlap=radius - distance,
-            velocity=_at(self._velocity, i) - velocity,
-            gain=_at(self._gain, i),
+            velocity=take_rows(self._velocity, i) - velocity,
+            gain=take_rows(self._gain, i),
             # What rolls on a turning wall rolls against the wall's own rotation.
             spin=spin - pose[:, SPIN] if physics.rolling else NOBODY[2],
             surface_spin=arm[:, None] * spin,
             arm=arm,
             other_arm=arm,
         )  # fmt: skip
-
-
-def _at(array: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """``array[index]`` of rows, several times as fast."""
-    return np.take(array.T, index, axis=-1).T
 
 
 def _joined(arrays: Iterable[np.ndarray]) -> np.ndarray:
@@ -285,7 +281,7 @@ def _recall(history: ContactHistory, first: np.ndarray, second: np.ndarray, *nam
     row = np.full(len(first), -1)  # the last row, which is zero
     row[known] = old
     kept = [getattr(history, name) for name in names]
-    return [_at(_joined((array, np.zeros((1, *array.shape[1:])))), row) for array in kept]
+    return [take_rows(_joined((array, np.zeros((1, *array.shape[1:])))), row) for array in kept]
 
 
 def _numbers(first: np.ndarray, second: np.ndarray) -> np.ndarray:

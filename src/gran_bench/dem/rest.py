@@ -12,9 +12,9 @@ import math
 
 import numpy as np
 
-from gran_bench.dem.contact import dot
 from gran_bench.dem.outlet import taking_part
 from gran_bench.dem.time_step import NOMINAL_FALL
+from gran_bench.dem.vectors import dot
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
 

@@ -15,7 +15,7 @@ A row of a pose table is one wall at one instant, in SI and world coordinates:
 
 import numpy as np
 
-from gran_bench.dem.contact import cross, dot
+from gran_bench.dem.vectors import cross, dot
 from gran_bench.scene import Motion, Plane, Rotation, Scene, Wall
 from gran_bench.scene.walls import any_normal_to, toward_segment, turns_into_itself
 from gran_bench.state import FloatArray

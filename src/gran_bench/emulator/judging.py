@@ -19,6 +19,7 @@ from gran_bench.emulator.network import Emulator, Statistics
 from gran_bench.emulator.rivals import Rival
 from gran_bench.emulator.runs import COMPARED, FIGURES, RunStatistics, columns_of, measure, read_run
 from gran_bench.emulator.schedules import Judged
+from gran_bench.metrics.floor import REPLICAS
 from gran_bench.metrics.judgement import ErrorRow, Judgement, Requirement
 from gran_bench.metrics.measured import LEAST_VALID_SHARE, Measured
 from gran_bench.metrics.position_error import HORIZONS
@@ -147,7 +148,7 @@ def judgement(runs: Sequence[JudgedRun], unseen: bool, faster: float | None = No
         good = faster is not None and faster >= FASTER
         words = f"at least {FASTER:g} × faster than the fastest DEM within {DEM_WORST:g} floors"
         requirements.append(Requirement("faster", words, _measured(faster, "×"), FASTER, "pass" if good else "fail"))
-    return Judgement(errors, [], requirements, None, None, "instantaneous", len(held.replicas))
+    return Judgement(errors, [], requirements, None, None, "instantaneous", len(held.replicas), None, REPLICAS)
 
 
 def _measured(value: float | None, unit: str) -> Measured:

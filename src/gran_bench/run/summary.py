@@ -167,7 +167,7 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
         yield from ("", f"{judged_rpm} rpm, {summary['judged_as']}, {packing} packing", _row("", "found", "verdict"))
         for row in judged["requirements"].values():
             yield _row(row["label"], _figure(row), f"{row['verdict']}{_note(row)}")
-        if "phases" in judged:
+        if judged.get("phases"):
             yield f"  the DEM's flow: {judged['phases']['label']}"
         yield _row("distance from the DEM", "found", "noise floor")
         for name in ("surface_angle", "com_angle", "speed_w1", *registered_metrics(judged)):
