@@ -191,7 +191,8 @@ def _check_clock(step: FloatArray, velocity: FloatArray, interval: float, radius
         right = f"frames {ratio * interval:.3g} s apart would agree: " if 0.0 < ratio < np.inf else ""
         raise DatasetError(
             f"at frames {interval:g} s apart the positions move {ratio:.2g} times as fast as the velocities say "
-            f"(median of the spheres that move); {right}correct --time-step (or --frame-interval), or leave the velocities out"
+            f"(median of the spheres that move); {right}correct --time-step (or --frame-interval), or leave the "
+            "velocities out"
         )
 
 
