@@ -66,6 +66,18 @@ def test_stiff_spheres_name_the_price_and_what_softer_ones_change():
     assert softer(shipped_scene("drum")) == []
 
 
+def test_values_in_another_unit_are_a_warning_each():
+    scene = with_modulus(shipped_scene("drum"), 5.0e3)
+    light = replace(scene.material, density=2.5)
+    scene = replace(scene, material=light, filling=replace(scene.filling, diameter=6.0), drum_radius=500.0)
+    assert flow_cost(scene, DemConfig()).lines[2:] == [
+        "warning: scene.filling.diameter=6 m is unusual; lengths are in m",
+        "warning: scene.material.density=2.5 kg/m³ is unusual; densities are in kg/m³",
+        "warning: scene.material.youngs_modulus=5000 Pa is unusual; moduli are in Pa",
+    ]
+    assert len(flow_cost(shipped_scene("drum"), DemConfig()).lines) == 2
+
+
 # ---- arithmetic, from a given pace -----------------------------------------------------------------------
 
 

@@ -186,7 +186,8 @@ def test_a_bed_that_never_rests_is_an_error(scene):
 
 def test_a_filling_that_does_not_fit_says_how_many_do(scene):
     crowded = replace(scene, filling=replace(scene.filling, count=10_000))
-    with pytest.raises(SceneError, match="this container has room for"):
+    words = r"has room for \d+, at scene\.filling\.lattice_spacing=.* choose fewer or smaller"
+    with pytest.raises(SceneError, match=words):
         settle(crowded, 0)
 
 

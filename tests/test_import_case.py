@@ -5,6 +5,7 @@ import os
 import pickle
 from dataclasses import replace
 from pathlib import Path
+from shutil import copyfile
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from gran_bench.run.experiment import run_experiment
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
 from gran_bench.state import StateError, Trajectory
+from gran_bench.sweep.task import REFUSED, complain
 
 COUNT = 60
 SCENE = shipped_scene("drum_small", {"filling.count": COUNT, "end_time": 1.62})
@@ -99,7 +101,9 @@ def test_a_dump_becomes_the_case_that_the_dem_would_have_written(name, step, run
     assert len(case.settled.history) == 0
     said = capsys.readouterr().out
     assert f"{COUNT} spheres, 13 frames every 0.01 s" in said
-    assert said.strip().endswith(f"dataset=imported dataset.files=[{tmp_path}/imported]")
+    hint = "dataset.training_speeds_rpm=[…] dataset.holdout_speeds_rpm=[…]"
+    assert said.strip().endswith(f"dataset=imported dataset.files=[{tmp_path}/imported] {hint}")
+    assert "taken for" not in said
 
 
 def test_overlaps_and_energies_are_those_that_the_dem_computes(run, tmp_path):
@@ -294,6 +298,49 @@ def test_a_file_that_is_not_there_and_a_command_without_a_scene(tmp_path, capsys
     assert "the following arguments are required: --scene" in capsys.readouterr().err
 
 
+def test_an_import_without_a_speed_says_which_one_it_is_taken_for(run, scene_file, tmp_path, capsys):
+    imported([str(written(tmp_path, dump(run))), "--scene", scene_file, "--time-step", "2e-4"], tmp_path)
+    assert "taken for a run at 30 rpm, the speed of scene 'of_lammps'; where it had another" in capsys.readouterr().out
+
+
+def test_files_that_are_no_text_are_answered_with_what_an_import_takes(tmp_path, capsys):
+    case, noise = tmp_path / "case.h5", tmp_path / "noise.dump"
+    for path, said in ((case, "is an HDF5 file; give a text dump"), (noise, "is no text; give a text dump of LAMMPS")):
+        path.write_bytes(b"\x89HDF\r\n\xff\xfe")
+        assert import_command([str(path), "--scene", "drum"]) == 2
+        assert f"{path} {said}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("factor", "ratio"), [(10.0, "0.1"), (0.5, "2"), (1.4, None)])
+def test_times_that_contradict_the_velocities_are_refused(factor, ratio, run, tmp_path):
+    given = arrays(run, time=1.5 + factor * (run.time - 1.5))
+    if ratio is None:
+        assert import_arrays(scene=SCENE, root=tmp_path, tell=lambda line: None, **given).exists()
+        return
+    words = (
+        rf"positions move {ratio}\d* times as fast as the velocities say .* frames 0\.0[01]\d* s apart .* --time-step"
+    )
+    with pytest.raises(DatasetError, match=words):
+        import_arrays(scene=SCENE, root=tmp_path, **given)
+    assert not list(tmp_path.rglob("*.h5"))
+
+
+def test_impacts_and_spheres_at_rest_say_nothing_of_the_times(tmp_path):
+    scene, frames = shipped_scene("drum_small"), np.arange(12)
+    position = np.zeros((12, 2, 3))
+    position[:, 0, 0] = 0.01 * (frames % 2)  # to and fro, with an impact in every frame
+    position[:, 1, 1] = 0.1 + 1e-6 * (frames % 3)  # the rounding of a dump
+    velocity = np.zeros_like(position)
+    velocity[:, 0, 0] = 5.0 * (-1.0) ** frames
+    options = {"frame_interval": 0.01, "root": tmp_path, "tell": lambda line: None}
+    assert import_arrays(position, scene, velocity=velocity, **options).exists()
+    still = np.zeros_like(position)
+    still[..., 1] = 0.1
+    still[:, 0, 0] = 0.01 * frames
+    with pytest.raises(DatasetError, match="inf times as fast as the velocities say"):
+        import_arrays(still, scene, velocity=np.zeros_like(position), **options)
+
+
 def test_deep_overlaps_are_a_warning(run, tmp_path):
     said: list[str] = []
     pressed = arrays(run)
@@ -330,14 +377,21 @@ def train_config(cases: Path, *overrides: str) -> TrainConfig:
     return read_config(TrainConfig, OmegaConf.to_container(composed, resolve=True))
 
 
-def test_imported_cases_are_split_by_the_speed_of_their_walls(cases):
+def test_imported_cases_are_split_by_the_speed_of_their_walls(cases, tmp_path):
     config = train_config(cases)
     scene = replace(SCENE, name="of_lammps")
     split = split_cases(scene, config.dem, config.dataset)
     assert [spec.path("nowhere").name.split("_")[2] for spec in split.all] == ["30rpm", "40rpm", "50rpm"]
     assert len(imported_cases([cases / "imported"])) == 5
-    with pytest.raises(DatasetError, match=r"dataset\.files has 20rpm of packing 0 0 times; it has of_lammps_30rpm"):
+    with pytest.raises(DatasetError, match=r"has no 20rpm of packing 0; it has of_lammps_30rpm") as missing:
         split_cases(scene, DemConfig(), replace(config.dataset, training_speeds_rpm=[20.0]))
+    assert complain(missing.value, TrainConfig) == REFUSED
+    one, two = (tmp_path / f"{name}.h5" for name in "ab")
+    for path in (one, two):
+        copyfile(split.training[0].path("nowhere"), path)
+    with pytest.raises(DatasetError, match=rf"has 30rpm of packing 0 2 times; delete one of: {one}, {two}$") as twice:
+        split_cases(scene, DemConfig(), replace(config.dataset, files=[str(tmp_path)], training_speeds_rpm=[30.0]))
+    assert complain(twice.value, TrainConfig) == REFUSED
     with pytest.raises(DatasetError, match=r"scene\.frame_interval is 0.02 and .* was imported with 0.01"):
         split_cases(replace(scene, frame_interval=0.02), DemConfig(), config.dataset)
     with pytest.raises(DatasetError, match=r"scene\.filling\.count is 70"):

@@ -32,6 +32,7 @@ from gran_bench.plots.time_error import Contender, time_against_error
 from gran_bench.plots.training import PANELS, RUN_TIMES, loss_curves, sweep_axis
 from gran_bench.plots.verification import HopperDischarge, draw_discharge, draw_drum_flow
 from gran_bench.shipped import shipped_scene
+from gran_bench.state import Trajectory
 
 SCENE = replace(drum(end_time=2.6), frame_interval=0.1)
 
@@ -273,6 +274,30 @@ def test_case_card_shows_a_case_and_what_has_no_angle(tmp_path, texts):
     assert is_png(tmp_path / "card.png")
     assert "drum, 60 rpm, 3000 spheres of 50 mm" in texts
     assert any("undefined" in text for text in texts)
+
+
+def test_case_card_of_a_box_has_one_scale_that_holds_all_that_it_shows_and_no_angle(tmp_path, monkeypatch, texts):
+    scene = shipped_scene("packing", {"filling.count": 20, "end_time": 0.12})
+    bed = scene.fresh_filling(0).position
+    position = np.stack([bed * [1.0, 1.0, 4.0 - 0.25 * k] for k in range(scene.frame_count)])  # a column that sinks
+    still, time = np.zeros_like(position), 0.01 * np.arange(scene.frame_count)
+    run = Trajectory(time, position, still, still, np.full(20, 0.025))
+    drawn: list[Figure] = []
+    save = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *a, **keys: drawn.append(figure) or save(figure, *a, **keys))
+    case_card(run, scene, tmp_path / "card.png")
+    panels = [axes for axes in drawn[0].axes if axes.get_xlabel() == "x, m"]
+    assert "Angle of repose" not in texts
+    assert {"Speeds of the spheres", "packing, 20 spheres of 50 mm"} <= set(texts)
+    limits = {(axes.get_xlim(), axes.get_ylim()) for axes in panels}
+    assert len(panels) == 3
+    assert len(limits) == 1
+    ((left, right), (bottom, top)) = limits.pop()
+    assert left <= bed[:, 0].min() - 0.025
+    assert right >= bed[:, 0].max() + 0.025
+    assert bottom <= 0.0
+    assert top >= position[1, :, 2].max() + 0.025
+    assert all(len(axes.collections[0].get_offsets()) == 20 for axes in panels)
 
 
 def test_a_failed_method_stays_in_the_picture_of_time_and_error(tmp_path, texts):

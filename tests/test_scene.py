@@ -195,6 +195,33 @@ def test_a_scene_config_that_contradicts_itself_is_refused(scene, words):
         read_config(GenerateConfig, {"scene": {"name": "mine", **scene}})
 
 
+def scene_of(**sections) -> Scene:
+    return build_scene(read_config(GenerateConfig, {"scene": {"name": "mine", **sections}}).scene)
+
+
+@pytest.mark.parametrize(
+    ("container", "words"),
+    [
+        ({"diameter": 200.0, "length": 0.2}, r"scene\.container\.diameter=200 m holds 3e\+10 sites"),
+        ({"diameter": 0.2, "length": 1e6}, r"scene\.container\.length=1e\+06 m holds 1e\+11 sites"),
+        ({"kind": "box", "width": 70.0, "length": 50.0}, r"scene\.container\.width=70 m holds \de\+10 sites"),
+        ({"kind": "hopper", "height": 900.0}, r"scene\.container\.height=900 m holds \de\+08 sites"),
+    ],
+)
+def test_a_container_in_millimetres_is_refused_before_its_lattice_is_made(container, words):
+    scene = scene_of(container=container, filling={"diameter": 0.006, "count": 600})
+    with pytest.raises(SceneError, match=words + r" of a lattice for 600 spheres of 0\.006 m; lengths are in m"):
+        scene.fresh_filling(0)
+
+
+def test_spheres_that_their_own_weight_crushes_are_refused_with_the_unit_of_their_modulus():
+    words = r"scene\.material\.youngs_modulus=63 Pa .* it is in Pa: choose at least 1\.5e\+03"
+    with pytest.raises(SceneError, match=words):
+        scene_of(material={"youngs_modulus": 63.0}, filling={"diameter": 0.006})
+    assert scene_of(material={"youngs_modulus": 1.6e3}, filling={"diameter": 0.006}).materials
+    assert scene_of(material={"youngs_modulus": 63.0}, filling={"settles": False}, gravity=[0.0, 0.0, 0.0]).materials
+
+
 # ---- cases ---------------------------------------------------------------------------------------------------
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from gran_bench.config import DatasetConfig, DemConfig
+from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import case_spec
 from gran_bench.dataset.case_file import read_attributes
 from gran_bench.dataset.case_spec import CaseSpec, DatasetError, Split, rotation_label
@@ -17,6 +18,10 @@ from gran_bench.scene import Scene
 ENGINE = "imported"  # the attribute ``engine`` of such a case
 # What may differ from the scene that a command names: cases may be of different lengths, and nothing is filled.
 _FREE = ("name", "end_time", "rotation", "room", "filling")
+
+
+class FilesError(DatasetError, ConfigError):
+    """``dataset.files`` that do not have the cases that a config asks for, once each."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,8 @@ def split_cases(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> Split:
     """The cases of a data set, one for each speed: to be made, or imported where ``dataset.files`` names some.
 
     Raises:
-        DatasetError: as :func:`case_spec.split_cases`, or no imported case of a speed.
+        DatasetError: as :func:`case_spec.split_cases`.
+        FilesError: no imported case of a speed, or several.
     """
     sides = vars(case_spec.split_cases(scene, dem, dataset)).values()
     return Split(*([case_at(spec.scene, dem, dataset, dataset.packing_seed) for spec in side] for side in sides))
@@ -50,15 +56,20 @@ def case_at(scene: Scene, dem: DemConfig, dataset: DatasetConfig, packing: int) 
     """The case of a scene from a packing: to be made, or imported where ``dataset.files`` names some.
 
     Raises:
-        DatasetError: no imported case, or several; one of another scene.
+        FilesError: no imported case, or several; one of another scene.
     """
     if not dataset.files:
         return CaseSpec(scene, dem, packing)
     found = [case for case in _like(scene, dataset, packing) if not case.nudge_seed]
-    if len(found) != 1:
+    if len(found) > 1:
+        raise FilesError(
+            f"dataset.files has {rotation_label(scene)} of packing {packing} {len(found)} times; delete one of: "
+            f"{', '.join(sorted(str(case.file) for case in found))}"
+        )
+    if not found:
         there = ", ".join(sorted(case.file.stem for case in imported_cases(dataset.files)))
-        raise DatasetError(
-            f"dataset.files has {rotation_label(scene)} of packing {packing} {len(found)} times; it has {there}. "
+        raise FilesError(
+            f"dataset.files has no {rotation_label(scene)} of packing {packing}; it has {there}. "
             "Import it (python -m gran_bench.import_case), or change dataset.*_speeds_rpm or dataset.packing_seed; "
             "without a packing that training never saw, judge.unseen_packing=false"
         )
@@ -74,17 +85,18 @@ def imported_cases(files: Iterable[Path | str]) -> list[ImportedCase]:
     """The imported cases among files and in folders.
 
     Raises:
-        DatasetError: a file that is missing, damaged or no imported case; a folder without any.
+        FilesError: a file that is no imported case; a folder without any.
+        DatasetError: a file that is missing or damaged.
     """
     found = []
     for place in map(Path, files):
         inside = sorted(place.glob("*.h5")) if place.is_dir() else [place]
         if not inside:
-            raise DatasetError(f"dataset.files={place} is a folder without a case; import one into it, or name another")
+            raise FilesError(f"dataset.files={place} is a folder without a case; import one into it, or name another")
         for path in inside:
             facts = read_attributes(path)
             if facts["engine"] != ENGINE:
-                raise DatasetError(f"dataset.files has {path}, which this DEM made; leave it out, speeds name it")
+                raise FilesError(f"dataset.files has {path}, which this DEM made; leave it out, speeds name it")
             scene, seeds = from_document(yaml.safe_load(facts["scene"])), (facts["packing_seed"], facts["nudge_seed"])
             found.append(ImportedCase(scene, DemConfig(), seeds[0], 0.0, seeds[1], file=path, digest=facts["digest"]))
     return found
@@ -101,7 +113,7 @@ def _like(scene: Scene, dataset: DatasetConfig, packing: int) -> list[ImportedCa
             document |= {f"filling.{name}": document["filling"][name] for name in ("count", "diameter")}
         for name in here:
             if name not in _FREE and here[name] != there.get(name):
-                raise DatasetError(
+                raise FilesError(
                     f"scene.{name} is {here[name]} and {case.file} was imported with {there.get(name)}; give the "
                     f"command the scene of the import, such as scene.{name}={there.get(name)}"
                 )

@@ -27,6 +27,8 @@ from gran_bench.state import FloatArray, ParticleState, Trajectory
 
 FOLDER = "imported"  # of the cases, in the data cache
 ROUNDING = 1e-4  # of the frame interval and of a radius: text dumps round
+MOVES = 1e-3  # radii from frame to frame: less may be the rounding of a dump
+TIMES_APART = 1.5  # by which positions and velocities may differ in how fast spheres move
 
 
 def import_arrays(
@@ -98,8 +100,10 @@ def import_arrays(
     for key, values in {"position": position, **moving}.items():
         refuse(~(abs(values) < np.finfo(np.float32).max).all(axis=2), f"a {key} that is not finite; repair it")
     radius, material = _radii(scene, radius, frames, refuse, said), _materials(scene, type, count)
-    if "velocity" not in moving:
-        step = nearest_image(np.diff(position, axis=0).reshape(-1, 3), scene.period).reshape(-1, count, 3)
+    step = nearest_image(np.diff(position, axis=0).reshape(-1, 3), scene.period).reshape(-1, count, 3)
+    if "velocity" in moving:
+        _check_clock(step, moving["velocity"], scene.frame_interval, radius)
+    else:
         path = np.concatenate([position[:1], position[:1] + np.cumsum(step, axis=0)])
         moving["velocity"] = np.gradient(path, scene.frame_interval, axis=0, edge_order=2)
         said.append("velocities are central differences of the positions, which smooth impacts")
@@ -168,6 +172,28 @@ def _timed(scene: Scene, time: Any, frames: int, interval: float | None, said: l
         said.append(f"{time[0]:g} s of the data is the scene's start_time={scene.start_time:g} s")
     end = float(f"{scene.start_time + usual * (frames - 1):.12g}")
     return replace(scene, frame_interval=usual, end_time=end), time
+
+
+def _check_clock(step: FloatArray, velocity: FloatArray, interval: float, radius: FloatArray) -> None:
+    """Refuses times with which the spheres would move at another pace than their velocities say.
+
+    Compared are |Δx|/Δt and |v̄|, the mean of both ends, where a sphere moves and no impact changes its velocity by
+    half of that or more: between impacts both are one.
+    """
+    shown, said = np.linalg.norm(step, axis=2), np.linalg.norm(0.5 * (velocity[1:] + velocity[:-1]), axis=2) * interval
+    steady = np.linalg.norm(np.diff(velocity, axis=0), axis=2) * interval <= 0.5 * said
+    compared = steady & (np.maximum(shown, said) > MOVES * radius)
+    if not compared.any():
+        return
+    with np.errstate(divide="ignore"):
+        ratio = float(np.median(shown[compared] / said[compared]))
+    if not 1.0 / TIMES_APART <= ratio <= TIMES_APART:
+        right = f"frames {ratio * interval:.3g} s apart would agree: " if 0.0 < ratio < np.inf else ""
+        raise DatasetError(
+            f"at frames {interval:g} s apart the positions move {ratio:.2g} times as fast as the velocities say "
+            f"(median of the spheres that move); {right}correct --time-step (or --frame-interval), or leave the "
+            "velocities out"
+        )
 
 
 def _radii(scene: Scene, radius: Any, frames: int, refuse: Callable, said: list[str]) -> FloatArray:

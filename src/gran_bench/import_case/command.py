@@ -63,6 +63,11 @@ def _import(chosen: argparse.Namespace) -> None:
     keys = {"filling.count": (scene.filling.count, case.filling.count)}
     keys |= {name: (getattr(scene, name), getattr(case, name)) for name in ("frame_interval", "end_time")}
     changed = "".join(f" scene.{name}={new:.12g}" for name, (old, new) in keys.items() if new != old)
+    if scene.takes_speeds:
+        if chosen.speed is None:
+            taken = f"{case.rotation.speeds_rpm[0]:g} rpm, the speed of scene {scene.name!r}"
+            print(f"taken for a run at {taken}; where it had another, import it again with --speed RPM")
+        changed = f" dataset.training_speeds_rpm=[…] dataset.holdout_speeds_rpm=[…]{changed}"
     print(f"to train on it and others of its scene: dataset=imported dataset.files=[{path.parent}]{changed}")
 
 

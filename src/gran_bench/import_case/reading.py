@@ -19,6 +19,7 @@ import pandas as pd
 
 from gran_bench.dataset import DatasetError
 
+TAKEN = "a text dump of LAMMPS or LIGGGHTS (also .gz) or an .npz"
 _LINES = {"TIMESTEP": 1, "TIME": 1, "NUMBER": 1, "UNITS": 1, "BOX": 3}  # of each item but ATOMS
 _COLUMNS = {"position": [*"xyz"], "velocity": ["vx", "vy", "vz"], "angular_velocity": ["omegax", "omegay", "omegaz"]}
 # Arguments of `import_arrays` by the names of an archive's arrays.
@@ -47,13 +48,20 @@ def read_trajectory(
     """
     for path in paths:
         if not path.is_file():
-            raise DatasetError(f"{path} is no file; give a dump of LAMMPS or LIGGGHTS (also .gz) or an .npz")
+            raise DatasetError(f"{path} is no file; give {TAKEN}")
+        if path.suffix in (".h5", ".hdf5"):
+            raise DatasetError(
+                f"{path} is an HDF5 file; give {TAKEN}. A case needs no import: speeds find one that generate made, "
+                "and dataset.files names one that was imported"
+            )
     try:
         if paths[0].suffix == ".npz":
             return _archive(paths[0], types, trajectory)
         dumps = sorted((list(_frames(path, time_step, types)) for path in paths), key=lambda frames: frames[0][0])
         return _joined([frame for frames in dumps for frame in frames], paths[0])
-    except (OSError, EOFError, UnicodeDecodeError, zipfile.BadZipFile, pickle.UnpicklingError, ValueError) as error:
+    except UnicodeDecodeError as error:
+        raise DatasetError(f"{paths[0]} is no text; give {TAKEN}") from error
+    except (OSError, EOFError, zipfile.BadZipFile, pickle.UnpicklingError, ValueError) as error:
         raise DatasetError(f"{paths[0]} cannot be read: {str(error).splitlines()[0]}; write it again") from error
 
 

@@ -15,7 +15,7 @@ from gran_bench.metrics.comparisons import COMPARISONS, FIGURES, Comparison
 from gran_bench.metrics.measured import Measured, frame_at, mean_of, noise_floor, score
 from gran_bench.metrics.phases import PATTERN_AT, find_phases
 from gran_bench.metrics.summary import TrajectorySummary, summarise
-from gran_bench.plots.flow import default_title, draw_pattern, fastest, finish_patterns
+from gran_bench.plots.flow import default_title, draw_pattern, fastest, finish_patterns, pattern_view
 from gran_bench.plots.style import BASELINE, DEM, QUIET, SURROGATE, drawing, say
 from gran_bench.progress import Progress
 from gran_bench.scene import Scene, build_scene
@@ -104,23 +104,25 @@ def _shown(figure: Measured) -> str:
 
 
 def case_card(trajectory: Trajectory, scene: Scene, path: Path | str, title: str = "") -> Path:
-    """Draw a case of the DEM: three flow patterns above, angle and speeds against time below."""
+    """Draw a case of the DEM: three flow patterns of one scale above, speeds and a drum's angle against time below."""
     speed = np.linalg.norm(trajectory.velocity, axis=2)
     norm, instants = Normalize(0.0, fastest([speed])), _instants(scene)
+    frames = [frame_at(trajectory.time, time) for time in instants]
+    view = pattern_view(trajectory.position[[frame for frame in frames if frame is not None]], scene)
     with drawing(path, 10.0, 7.0) as figure:
         upper, lower = figure.subfigures(2, 1, height_ratios=(1.25, 1.0))
         figure.suptitle(title or default_title(scene))
         panels = upper.subplots(1, len(instants), sharey=True, squeeze=False)[0]
-        for axes, time in zip(panels, instants, strict=True):
-            frame = frame_at(trajectory.time, time)
+        for axes, time, frame in zip(panels, instants, frames, strict=True):
             axes.set_title(f"{time:g} s")
             if frame is None:
                 say(axes, f"no state at {time:g} s")
                 continue
-            draw_pattern(axes, trajectory.position[frame], speed[frame], trajectory.radius, scene, norm)
+            draw_pattern(axes, trajectory.position[frame], speed[frame], trajectory.radius, scene, norm, view)
         finish_patterns(upper, panels, norm, "speed, m/s", shrink=0.8)
-        left, right = lower.subplots(1, 2)
-        _draw_angles(left, trajectory, scene)
+        *left, right = lower.subplots(1, 1 if scene.drum_radius is None else 2, squeeze=False)[0]
+        for axes in left:
+            _draw_angles(axes, trajectory, scene)
         _draw_speeds(right, trajectory.time, speed)
     return Path(path)
 

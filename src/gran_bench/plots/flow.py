@@ -29,11 +29,12 @@ LARGEST_FILE = 5_000_000  # bytes; a larger film is made again with fewer frames
 
 
 def default_title(scene: Scene) -> str:
-    """The scene's name, its speed or speeds, how many spheres it has, and their diameter or its ends."""
+    """Name of the scene, speed or speeds of a drum, how many spheres there are, and their diameter or its ends."""
     speeds = " → ".join(f"{speed:g}" for speed in dict.fromkeys(scene.rotation.speeds_rpm))
     ends = dict.fromkeys((scene.filling.smallest_radius, scene.filling.largest_radius))
     sizes = "–".join(f"{2e3 * radius:.3g}" for radius in ends)
-    return f"{scene.name}, {speeds} rpm, {scene.filling.count} spheres of {sizes} mm"
+    turning = "" if scene.drum_radius is None else f", {speeds} rpm"
+    return f"{scene.name}{turning}, {scene.filling.count} spheres of {sizes} mm"
 
 
 def flow_pattern(runs: Mapping[str, Trajectory], scene: Scene, path: Path | str, time: float) -> Path:
@@ -77,12 +78,16 @@ def finish_patterns(
 
 
 def draw_pattern(
-    axes: Axes, position: FloatArray, speed: FloatArray, radius: FloatArray, scene: Scene, norm: Normalize
-) -> None:
-    """Draw one bed into a panel: spheres to scale, the drum's circle, and how many spheres cannot be shown."""
-    half = _view_half_width(position, scene)
+    axes: Axes, position: FloatArray, speed: FloatArray, radius: FloatArray, scene: Scene, norm: Normalize,
+    view: tuple[FloatArray, FloatArray] | None = None,
+) -> None:  # fmt: skip
+    """Draw one bed into a panel: spheres to scale, the drum's circle, and how many spheres cannot be shown.
+
+    ``view`` is of :func:`pattern_view`; None: of this bed alone.
+    """
+    low, high = pattern_view(position, scene) if view is None else view
     across, away = view_along_axis(position.astype(np.float64), scene)
-    inside = (np.abs(across) < half + radius[:, None]).all(axis=1)
+    inside = ((across > low - radius[:, None]) & (across < high + radius[:, None])).all(axis=1)
     seen = np.flatnonzero(inside & np.isfinite(away))
     seen = seen[np.argsort(-away[seen], kind="stable")]  # the nearest last: it hides what lies behind it
     size = 2.0 * radius[seen]
@@ -96,8 +101,8 @@ def draw_pattern(
         axes.add_patch(Circle((0, 0), scene.drum_radius, fill=False, edgecolor="#444444", linewidth=1.6))
     if unseen := len(radius) - len(seen):
         words = f"{unseen} spheres not finite or out of sight"
-        axes.text(0, 0.97 * half, words, ha="center", va="top", fontsize=9)
-    axes.set(aspect="equal", xlabel="x, m", xlim=(-half, half), ylim=(-half, half))
+        axes.text(0.5 * (low[0] + high[0]), 0.985 * high[1] + 0.015 * low[1], words, ha="center", va="top", fontsize=9)
+    axes.set(aspect="equal", xlabel="x, m", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.grid(False)
     axes.spines[["left", "bottom"]].set_visible(False)
     axes.tick_params(length=2, color=QUIET)
@@ -116,12 +121,18 @@ def view_along_axis(position: FloatArray, scene: Scene) -> tuple[FloatArray, Flo
     return position @ np.stack((-climbing, up), axis=1), position @ np.cross(up, -climbing)
 
 
-def _view_half_width(position: FloatArray, scene: Scene) -> float:
-    """Half the width of a picture that holds the drum, or the finite spheres where there is none, m."""
+def pattern_view(position: FloatArray, scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """Lower left and upper right corner, ``(2,)`` m, of a picture of the drum, or of all finite spheres without one.
+
+    Positions are of one state or of several, ``(..., N, 3)`` m, so that several pictures have one scale.
+    """
     if scene.drum_radius is not None:
-        return MARGIN * scene.drum_radius
-    finite = position[np.isfinite(position).all(axis=-1)]
-    return MARGIN * float(np.abs(finite).max(initial=0.0) + scene.filling.diameter)
+        half = np.full(2, MARGIN * scene.drum_radius)
+        return -half, half
+    finite = position[np.isfinite(position).all(axis=-1)].reshape(-1, 3).astype(np.float64)
+    across = view_along_axis(finite if len(finite) else np.zeros((1, 3)), scene)[0]
+    margin = 2.0 * scene.filling.largest_radius
+    return across.min(axis=0) - margin, across.max(axis=0) + margin
 
 
 def fastest(speeds: list[FloatArray]) -> float:

@@ -31,6 +31,8 @@ FRAME_BYTES = 36  # of a sphere in a stored frame: position, velocity and spin i
 BED_BYTES = 600  # of a sphere in the state that a case starts from, contact history included
 # That a process of the DEM, or one with PyTorch, has before it does anything.
 PROCESS_BYTES = {"dem": 3.0e8, "torch": 1.0e9}
+# Beyond these a value was as a rule given in another unit.
+LARGE_SPHERE, DENSITIES, SOFT_SOLID = 0.5, (100.0, 25_000.0), 1.0e4  # m, kg/m³, Pa
 # What a softer sphere costs and changes was measured in the paper's drum at 30 rpm alone (results/verification).
 SOFT, STIFF, STIFF_MINUS_SOFT = 1.0e7, 1.0e8, "1.1 ± 0.3"  # Pa, Pa, degrees of the centre-of-mass angle (95 %)
 
@@ -91,7 +93,23 @@ def flow_cost(scene: Scene, dem: DemConfig) -> Cost:
         of_a_frame += f" = {scene.frame_interval / scene.fall_time:.2g} √(d/g)"
     lines = [f"scene {scene.name}: {scene.spheres}{filled}; {scene.needs}"]
     lines += [f"step: {step:.3g} s, {of_a_frame}: {why}"]
+    lines += unusual(scene)
     return Cost(lines, cheaper=softer(scene) if dem.time_step is None else [])
+
+
+def unusual(scene: Scene) -> list[str]:
+    """A line for each value that looks as if it was given in another unit."""
+    filling, lines = scene.fine.filling, []
+    if filling.count and filling.diameter > LARGE_SPHERE:
+        lines.append(f"warning: scene.filling.diameter={filling.diameter:g} m is unusual; lengths are in m")
+    for place, material in zip(("material", "second_material"), scene.materials, strict=False):
+        if not DENSITIES[0] <= material.density <= DENSITIES[1]:
+            given = f"scene.{place}.density={material.density:g} kg/m³"
+            lines.append(f"warning: {given} is unusual; densities are in kg/m³")
+        if material.youngs_modulus < SOFT_SOLID:
+            given = f"scene.{place}.youngs_modulus={material.youngs_modulus:g} Pa"
+            lines.append(f"warning: {given} is unusual; moduli are in Pa")
+    return lines
 
 
 def filled_share(scene: Scene) -> float:

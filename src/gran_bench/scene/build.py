@@ -12,6 +12,8 @@ from gran_bench.scene.motion import Rotation
 from gran_bench.scene.scene import Scene
 from gran_bench.scene.walls import Cone, Cylinder, Disc, Outlet, Plane, Wall, box
 
+# Of ρ g d/E: a single sphere's own weight presses it into the floor by a tenth of its diameter or more.
+CRUSHED = 0.1
 UP, ALONG = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
 
 
@@ -57,9 +59,26 @@ def build_scene(config: SceneConfig) -> Scene:
         frame_interval=config.frame_interval,
         **vars(container),
     )
+    check_stiffness(scene)
     if config.coarse_graining == 1.0:
         return scene
     return scene.coarse_grained(config.coarse_graining, config.coarse_friction, config.coarse_rolling_friction)
+
+
+def check_stiffness(scene: Scene) -> None:
+    """Refuses particles that their own weight crushes, ρ g d/E > 0.1: as a rule E was not given in Pa.
+
+    Raises:
+        SceneError: names the material's modulus.
+    """
+    weight = scene.gravity_strength * 2.0 * scene.filling.largest_radius
+    for place, material in zip(("material", "second_material"), scene.materials, strict=False):
+        given = f"scene.{place}.youngs_modulus={material.youngs_modulus:g} Pa"
+        if (share := material.density * weight / material.youngs_modulus) > CRUSHED:
+            raise SceneError(
+                f"{given} lets spheres be crushed by their own weight (ρ g d/E = {share:.2g}); it is in Pa: choose at "
+                f"least {material.density * weight / CRUSHED:.2g}, such as 1e7, or 6.3e10 for 63 GPa"
+            )
 
 
 def build_filling(config: FillingConfig) -> Filling:

@@ -14,6 +14,7 @@ from gran_bench.scene.motion import Vector
 from gran_bench.state import FloatArray
 
 CUT = 2.0  # standard deviations at which a lognormal distribution ends
+MOST_SITES = 10_000_000  # of a first lattice, about a gigabyte; or 20 a sphere, for beds of more than half a million
 
 
 @dataclass(frozen=True)
@@ -213,30 +214,55 @@ class Filling:
 
 
 def drum_sites(filling: Filling, drum_radius: float, length: float, periodic: bool) -> FloatArray:
-    """Sites of a cubic lattice in a drum about y whose jittered spheres stay clear of every wall, ``(S, 3)`` m."""
+    """Sites of a cubic lattice in a drum about y whose jittered spheres stay clear of every wall, ``(S, 3)`` m.
+
+    Raises:
+        SceneError: a drum so large for its spheres that the lattice fills the memory.
+    """
     spacing, clear = filling.spacing, filling.largest_radius + filling.offset
-    across = int((drum_radius - clear) / spacing)
+    across, room = int((drum_radius - clear) / spacing), length - 2.0 * clear
+    layers = int(length / spacing) if periodic else int(room / spacing) + 1 if room > 0 else 0
+    wide = ("diameter", 2.0 * drum_radius, 2 * across + 1)
+    _check_sites(filling, wide, ("length", length, layers), wide)
     if periodic:
-        layers = int(length / spacing)
         y = (np.arange(layers) + 0.5) * length / max(layers, 1) - 0.5 * length
     else:
-        room = length - 2.0 * clear
-        y = np.linspace(-0.5 * room, 0.5 * room, int(room / spacing) + 1) if room > 0 else np.zeros(0)
+        y = np.linspace(-0.5 * room, 0.5 * room, layers)
     line = np.arange(-across, across + 1) * spacing
     return _inside(filling, _grid(line, y, line), (0, 2), drum_radius)
 
 
 def room_sites(filling: Filling, room: Room) -> FloatArray:
-    """Sites of a cubic lattice in a room whose jittered spheres stay clear of its sides, ``(S, 3)`` m."""
-    spacing, clear, lines = filling.spacing, filling.largest_radius + filling.offset, []
-    for low, high in zip(room.lower, room.upper, strict=True):
-        width = high - low - 2.0 * clear
-        sites = int(width / spacing + 1e-9) + 1 if width >= 0 else 0
-        lines.append(0.5 * (low + high) + (np.arange(sites) - 0.5 * (sites - 1)) * spacing)
+    """Sites of a cubic lattice in a room whose jittered spheres stay clear of its sides, ``(S, 3)`` m.
+
+    Raises:
+        SceneError: as of :func:`drum_sites`.
+    """
+    spacing, clear = filling.spacing, filling.largest_radius + filling.offset
+    names = ("width", "length", "height") if room.radius is None else ("diameter", "diameter", "height")
+    sizes = [high - low for low, high in zip(room.lower, room.upper, strict=True)]
+    free = [size - 2.0 * clear for size in sizes]
+    numbers = [int(width / spacing + 1e-9) + 1 if width >= 0 else 0 for width in free]
+    _check_sites(filling, *zip(names, sizes, numbers, strict=True))
+    lines = [
+        0.5 * (low + high) + (np.arange(sites) - 0.5 * (sites - 1)) * spacing
+        for low, high, sites in zip(room.lower, room.upper, numbers, strict=True)
+    ]
     if len(lines[2]):  # the lowest layer lies at the bottom
         lines[2] = lines[2] - lines[2][0] + room.lower[2] + clear
     grid = _grid(*lines)
     return grid if room.radius is None else _inside(filling, grid, (0, 1), room.radius)
+
+
+def _check_sites(filling: Filling, *sides: tuple[str, float, int]) -> None:
+    """Refuses a lattice that is too large, before it is made; ``sides``: key, size in m, and sites along it."""
+    sites = math.prod(number for _, _, number in sides)
+    if sites > max(MOST_SITES, 20 * filling.count):
+        name, size, _ = max(sides, key=lambda side: side[2])
+        raise SceneError(
+            f"scene.container.{name}={size:g} m holds {sites:.0e} sites of a lattice for {filling.count} spheres of "
+            f"{2.0 * filling.largest_radius:g} m; lengths are in m: choose a smaller container or larger spheres"
+        )
 
 
 def open_sites(filling: Filling) -> FloatArray:

@@ -331,8 +331,10 @@ class Scene:
         filling, sites = self.filling, self._sites()
         if len(sites) < filling.count:
             raise SceneError(
-                f"scene.filling.count={filling.count} spheres of {2 * filling.largest_radius:g} m do not fit; "
-                f"this container has room for {len(sites)}"
+                f"scene.filling.count={filling.count} spheres do not fit: the lattice that they start from has room "
+                f"for {len(sites)}, at scene.filling.lattice_spacing={filling.lattice_spacing:g} times the largest "
+                f"diameter, {2 * filling.largest_radius:g} m; choose fewer or smaller spheres, a larger container, or "
+                "a smaller lattice_spacing > 1 (with jitter at most half of what is above 1)"
             )
         # Lowest first; sites of one height in random order, so that a part-filled top layer is even.
         order = np.lexsort((rng.random(len(sites)), np.round(sites[:, 2] / filling.spacing, 7)))

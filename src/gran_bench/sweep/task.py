@@ -18,6 +18,7 @@ import psutil
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn, JobStatus
+from hydra.errors import MissingConfigException
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, RunMode, TaskFunction
 from omegaconf import DictConfig
@@ -165,6 +166,8 @@ def complain(error: Exception, schema: type, prefix: str = "") -> int:
         traceback.print_exception(error)
         tell(f"error: {prefix}{type(error).__name__}: {error}; nobody foresaw it, so the whole way to it is above")
         return FAILED
+    if isinstance(error, MissingConfigException) and error.options:
+        message += "; own files are found with --config-dir=FOLDER"
     tell(f"error: {prefix}{message}")
     house_failure = type(error).__module__.startswith("gran_bench.") and not isinstance(error, ConfigError | SceneError)
     return FAILED if house_failure or is_full_disk(error) else REFUSED
