@@ -77,6 +77,7 @@ class Judgement:
     replicas: int  # how many runs of the DEM it was held against
     phases: Phases  # when their flow is steady, and when its first peak is over
     floor_between: str  # which runs of the DEM the noise floors are between
+    not_asked: str = ""  # what no requirement is about because nothing was given to hold it against
 
     @property
     def accepted(self) -> bool:
@@ -155,7 +156,9 @@ class Judgement:
         yield f"requirements ({passed} of {len(self.requirements)} pass); the DEM's flow: {self.phases}"
         for row in self.requirements:
             value = f"{_shown(row.figure)} {_unit(row.figure.unit)}"
-            yield _with_note(f"  {row.verdict:<10}{row.label:<52}{value}", row.figure.note)
+            yield _with_note(f"  {row.verdict:<10}{row.label:<64}{value}", row.figure.note)
+        if self.not_asked:
+            yield f"  not asked: {self.not_asked}"
 
 
 def shown_multiple(multiple: float | None) -> str:
