@@ -147,7 +147,7 @@ def judgement(runs: Sequence[JudgedRun], unseen: bool, faster: float | None = No
         good = faster is not None and faster >= FASTER
         words = f"at least {FASTER:g} × faster than the fastest DEM within {DEM_WORST:g} floors"
         requirements.append(Requirement("faster", words, _measured(faster, "×"), FASTER, "pass" if good else "fail"))
-    return Judgement(errors, [], requirements, None, None, "instantaneous", len(held.replicas))
+    return Judgement(errors, [], requirements, None, None, "instantaneous", len(held.replicas), None, "replicas")
 
 
 def _measured(value: float | None, unit: str) -> Measured:
