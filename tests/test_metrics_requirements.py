@@ -81,10 +81,12 @@ def test_an_angle_that_still_rises_at_the_end_has_no_first_peak():
 
 
 def test_an_angle_that_rises_to_its_steady_value_has_no_first_peak():
-    found = phases_of(lambda since: np.interp(since, [0.0, 0.6], [0.0, 30.0]) + scattered(since))
+    found = phases_of(lambda since: np.interp(since, [0.0, 0.6], [0.0, 30.0]) + 0.5 * np.sin(9.0 * since))
     assert found.steady_from is not None
-    assert "does not fall from its highest value" in found.no_peak_because
     assert found.peak_before is None
+    assert found.no_peak_because == "the angle still rises where the flow counts as steady"
+    broken = phases_of(lambda since: np.where(since > 1.0, np.nan, 30.0))
+    assert broken.no_peak_because == "the angle does not fall from its highest value by more than it scatters"
 
 
 def test_a_flow_that_is_steady_from_its_start_has_no_first_peak():

@@ -103,6 +103,8 @@ def _why_no_peak(values: FloatArray, end: int, steady: bool) -> str:
     after = mean[highest + 1 :]
     if len(after) and mean[highest] - float(after.mean()) > SCATTERS * scatter:
         return ""
+    if steady and len(after) and after.mean() > mean[highest]:
+        return "the angle still rises where the flow counts as steady"
     quarter = max(1, len(late) // 2)
     if not steady and late[quarter:].size and late[quarter:].mean() > late[:quarter].mean():
         return "the angle still rises at the end"
