@@ -163,6 +163,8 @@ def test_the_records_that_ship_stand_beside_each_other(tmp_path, capsys):
     assert "holdout30rpm: contact, judged on drum, 3000 spheres, 30 rpm, held out" in text
     assert row_of(text, "model.name") == ["contact", "ccnn"]
     assert row_of(text, "requirements met")[1:4] == ["25", "of", "25"]
+    names = ("shared packing", "unseen packing", "tells speeds apart", "rollouts")
+    assert sum(int(row_of(text, f"of these, {name}")[1]) for name in names) == 25
     assert "undefined: angle of repose, over the series of paper: no straight surface in 335 of 401 states" in text
 
 

@@ -55,15 +55,38 @@ def test_times_that_are_asked_for_are_taken():
 @pytest.mark.parametrize(
     ("value", "why"),
     [
-        (lambda since: 20.0 * since, "com angle still changes"),
-        (lambda since: np.where(since > 2.0, np.nan, 30.0), "com angle is not finite"),
+        (lambda since: 60.0 - 20.0 * since, "com angle still changes"),
+        (lambda since: np.where(since > 2.0, np.nan, overshoot(since)), "com angle is not finite"),
     ],
 )
 def test_a_flow_that_still_changes_or_breaks_down_has_no_steady_part(value, why):
     found = phases_of(value)
     assert found.steady_from is None
     assert why in found.not_steady_because
-    assert found.peak_before is not None, "the highest state there was is still the first peak"
+    assert found.peak_before is not None, "the highest state there was, after which the angle fell, is the first peak"
+
+
+def scattered(since):
+    """As an angle scatters from state to state, degrees."""
+    return np.random.default_rng(1).normal(0.0, 0.5, len(since))
+
+
+def test_an_angle_that_still_rises_at_the_end_has_no_first_peak():
+    for value in (lambda since: 20.0 * since, lambda since: 3.0 * since + scattered(since)):
+        found = phases_of(value)
+        assert found.peak_before is None
+        assert str(found).endswith("; no first peak (the angle still rises at the end)")
+    late = phases_of(lambda since: np.interp(since, [0.0, 1.9, 2.2], [0.0, 60.0, 50.0]) + scattered(since))
+    assert late.peak_before is not None, "a fall that is under way is no scatter"
+
+
+def test_an_angle_that_rises_to_its_steady_value_has_no_first_peak():
+    found = phases_of(lambda since: np.interp(since, [0.0, 0.6], [0.0, 30.0]) + 0.5 * np.sin(9.0 * since))
+    assert found.steady_from is not None
+    assert found.peak_before is None
+    assert found.no_peak_because == "the angle still rises where the flow counts as steady"
+    broken = phases_of(lambda since: np.where(since > 1.0, np.nan, 30.0))
+    assert broken.no_peak_because == "the angle does not fall from its highest value by more than it scatters"
 
 
 def test_a_flow_that_is_steady_from_its_start_has_no_first_peak():
@@ -161,7 +184,19 @@ def test_a_model_that_replays_another_training_speed_fails_whatever_the_floors(r
     good = judge(rotating_bed(60.0, 0.3, 99), replicas, SCENE, replays=replays)
     assert verdicts(good)["beats_replay"] == verdicts(good)["not_a_replay"] == "pass"
     rows = {row.key: row for row in good.requirements}
-    assert rows["beats_replay"].label == "largest error, less than of 25 rpm replayed"
+    worst, likeness = (rows[key] for key in ("beats_replay", "not_a_replay"))
+    assert worst.figure.number < worst.bound
+    assert worst.label == f"largest error, less than {worst.bound:.3g} noise floors (25 rpm replayed)"
+    assert likeness.figure.number < likeness.bound
+    assert likeness.label == f"speeds, nearer to the DEM than to 25 rpm replayed ({likeness.bound:.3g} m/s)"
+
+
+def test_a_judgement_without_replays_says_that_it_did_not_ask_for_them(replicas):
+    replayed, said = at_another_speed(50), "not asked: whether a run at another speed does as well; give replays={"
+    assert said in str(judge(replayed, replicas, SCENE)).splitlines()[-1]
+    assert "not asked" not in str(judge(replayed, replicas, SCENE, replays={"25 rpm replayed": replayed}))
+    still = replace(SCENE, rotation=Rotation())
+    assert "not asked" not in str(judge(replayed, replicas, still)), "where nothing turns there is no other speed"
 
 
 def test_a_model_that_errs_as_much_as_a_replay_in_another_way_fails(replicas):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,6 @@ from beds import flowing
 from finished_runs import REPLICAS, SCENE, broken, summary_of
 
 from gran_bench.metrics import Judgement, judge
-from gran_bench.metrics.outside import counted
 from gran_bench.run.summary import description, flat_metrics, headline, read_summary, summary_table, write_summary
 
 
@@ -53,7 +53,16 @@ def test_a_rollout_that_broke_down_has_a_row_and_counts():
 def test_the_count_of_failures_is_that_of_the_failed_rows(own: bool):
     summary = summary_of(broken(3), flowing(SCENE, seed=3), failed_frames=(3, None), own=own)
     assert headline(summary)["requirements failed"] == failed_rows(summary) > 0
-    assert f"{counted(failed_rows(summary), 'requirement')} NOT met" in summary_table(summary)
+    text = summary_table(summary)
+    passed = sum(bool(re.match(r"  \S.* {2}pass\b", line)) for line in text.split("\n"))
+    failed = failed_rows(summary)
+    (last,) = re.findall(r"^(\d+) of (\d+) requirements NOT met \(met: (.*?)\)", text, re.MULTILINE)
+    assert last[:2] == (str(failed), str(failed + passed))
+    parts = re.findall(r"([a-z ]+) (\d+) of (\d+)", last[2])
+    assert [name.strip() for name, *_ in parts] == [
+        "shared packing", "unseen packing", "tells speeds apart", "rollouts"
+    ]  # fmt: skip
+    assert [sum(int(part[k]) for part in parts) for k in (1, 2)] == [passed, failed + passed]
 
 
 def test_a_speed_that_is_not_told_apart_fails():
@@ -119,15 +128,17 @@ def test_one_failure_is_one_requirement_and_figures_that_no_requirement_is_about
         row["verdict"] = "pass"
     for row in summary["judged"]["shared"]["figures"].values():
         row["inside_interval"] = True
-    assert summary_table(summary).endswith("\nall requirements met")
+    asked = len(summary["judged"]["shared"]["requirements"]) + 3
+    met = f"shared packing {asked - 3} of {asked - 3}, tells speeds apart 1 of 1, rollouts 2 of 2"
+    assert summary_table(summary).endswith(f"\nall {asked} requirements met (met: {met})")
     energy = summary["judged"]["shared"]["figures"]["rotational_energy_steady"]
     energy |= {"inside_interval": False, "value": 0.1, "dem_interval": [0.2, 0.3]}
     text = summary_table(summary)
-    assert text.endswith("\nall requirements met; 1 figure lies outside the DEM's interval")
+    assert text.endswith(f"(met: {met}); 1 figure lies outside the DEM's interval")
     (row,) = [line for line in text.split("\n") if "rotational energy, steady" in line]
     assert row.endswith("0.1 J  0.2 J … 0.3 J")
     summary["judged"]["shared"]["requirements"]["all_finite"]["verdict"] = "fail"
-    assert "\n1 requirement NOT met; 1 figure lies outside" in summary_table(summary)
+    assert f"\n1 of {asked} requirements NOT met (met: shared packing {asked - 4} of" in summary_table(summary)
 
 
 def test_the_table_says_what_the_dem_has_outside_what_was_not_timed_and_that_one_speed_is_told_from_none():

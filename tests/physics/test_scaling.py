@@ -186,7 +186,10 @@ def test_the_judges_figures_floors_and_verdicts_are_the_same():
         found.append(judge(other, replicas, scene, replays={"faster": replay}))
     large, small = found
     for end in ("steady_from", "peak_before", "pattern_time"):
-        same(getattr(large.phases, end), getattr(small.phases, end), TIME, end)
+        ends = [getattr(one.phases, end) for one in found]
+        assert ends == [None, None] or None not in ends, end
+        if None not in ends:
+            same(*ends, TIME, end)
     assert large.phases.steady_from > large.phases.pattern_time - 0.4
     assert {row.key: row.verdict for row in large.requirements} == {row.key: row.verdict for row in small.requirements}
     assert {row.verdict for row in large.requirements} == {"pass"}

@@ -12,7 +12,7 @@ import pandas as pd
 
 from gran_bench.metrics.judgement import shown_multiple
 from gran_bench.metrics.outside import counted
-from gran_bench.run.summary import broken_rollouts, missed_requirements, registered_metrics
+from gran_bench.run.summary import broken_rollouts, registered_metrics, requirements_met
 from gran_bench.tracking import TrackingError, shown_name
 from gran_bench.tracking.search import CONFIG, SUMMARY, RunError, stored_runs
 
@@ -143,9 +143,11 @@ def figures_of(run: ComparedRun, rpm: float) -> Iterator[tuple[str, Figure]]:
         time, dem = (_shown(rollout[key]) for key in ("ms_per_frame_median", "dem_ms_per_frame"))
         yield "time of a frame (of the DEM)", Figure(f"{time} ({dem})", "ms")
     yield "training (updates)", Figure(f"{training['seconds'] / 60.0:.3g} ({training['steps']})", "min")
-    verdicts = [row["verdict"] for found in judged.values() for row in found["requirements"].values()]
-    asked = sum(one != "undefined" for one in verdicts) + len(summary["nearest_case"]) + len(summary["rollouts"])
-    yield "requirements met", Figure(f"{asked - len(missed_requirements(summary))} of {asked}")
+    parts = requirements_met(summary)
+    met, asked = (sum(counts) for counts in zip(*parts.values(), strict=True))
+    yield "requirements met", Figure(f"{met} of {asked}")
+    for name, (met, asked) in parts.items():
+        yield f"of these, {name}", Figure(f"{met} of {asked}")
 
 
 def _shown(value: float | None, unit: str = "") -> str:

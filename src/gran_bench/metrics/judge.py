@@ -20,6 +20,7 @@ from gran_bench.scene import Scene
 from gran_bench.state import Trajectory
 
 Run = Trajectory | TrajectorySummary
+NO_REPLAYS = "whether a run at another speed does as well; give replays={name: run of the DEM}"
 
 
 def judge(
@@ -36,7 +37,8 @@ def judge(
         replicas: runs of the DEM from one settled state; two or more for a noise floor.
         scene: that all were made for.
         others: further runs of the DEM by name, each a column of its own beside the noise floor.
-        replays: the DEM's runs at the speeds of training, by name, which a model has to be better than.
+        replays: the DEM's runs at the speeds of training, by name, which a model has to be better than; without them
+            the judgement says that this was not asked.
         asked: what counts as met; by default so many noise floors of the scene.
         packings: runs of the DEM from different packings, which give the noise floor where nudges hardly grow.
 
@@ -78,6 +80,7 @@ def judge(
         replicas=len(truth),
         phases=phases,
         floor_between=floor.words,
+        not_asked="" if replays or scene.rotation.is_still else NO_REPLAYS,
     )
 
 

@@ -75,8 +75,9 @@ class Judgement:
     dem_outside: float | None  # share of sphere-states that the replicas, whose walls are soft, have outside, %
     velocity_kind: str  # on both sides
     replicas: int  # how many runs of the DEM it was held against
-    phases: Phases | None  # when their flow is steady, and when its first peak is over; None of an average of flows
+    phases: Phases | None  # when their flow is steady, its first peak over; None for an average over schedules
     floor_between: str  # which runs of the DEM the noise floors are between
+    not_asked: str = ""  # what no requirement is about because nothing was given to hold it against
 
     @property
     def accepted(self) -> bool:
@@ -110,7 +111,7 @@ class Judgement:
         return {
             "velocity_kind": self.velocity_kind,
             "replicas": self.replicas,
-            "phases": self.phases and self.phases.to_dict(),
+            **({"phases": self.phases.to_dict()} if self.phases else {}),
             "floor_between": self.floor_between,
             "accepted": self.accepted,
             "requirements": {
@@ -156,7 +157,9 @@ class Judgement:
         yield f"requirements ({passed} of {len(self.requirements)} pass){flow}"
         for row in self.requirements:
             value = f"{_shown(row.figure)} {_unit(row.figure.unit)}"
-            yield _with_note(f"  {row.verdict:<10}{row.label:<52}{value}", row.figure.note)
+            yield _with_note(f"  {row.verdict:<10}{row.label:<64}{value}", row.figure.note)
+        if self.not_asked:
+            yield f"  not asked: {self.not_asked}"
 
 
 def shown_multiple(multiple: float | None) -> str:

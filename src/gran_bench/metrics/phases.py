@@ -56,7 +56,9 @@ def find_phases(
     of the span of constant speed that ends the scene. Its later half gives mean and standard deviation, over states
     and runs. The flow is steady where the means of the two quarters of that half differ by at most one standard
     deviation, from the state on from which the mean over the runs stays within three. The first peak lies before
-    that, and before the first change of a constant speed. Times that ``asked`` gives are taken instead.
+    that, and before the first change of a constant speed; an angle has one only if it falls again: the mean of the
+    states after its highest lies lower by more than three times its scatter. Times that ``asked`` gives are taken
+    instead.
     """
     asked = asked or RequirementsConfig()
     time, signals = _signals(runs)
@@ -79,7 +81,34 @@ def find_phases(
     before = min(end for end in ends if end is not None)
     if not within(time, -math.inf, before).any():
         return replace(found, no_peak_because="the flow is steady from its start")
+    if "com_angle" in signals:
+        why = _why_no_peak(signals["com_angle"][:, :change], int((time < before).sum()), found.steady_from is not None)
+        if why:
+            return replace(found, no_peak_because=why)
     return replace(found, peak_before=before)
+
+
+def _why_no_peak(values: FloatArray, end: int, steady: bool) -> str:
+    """Why an angle, ``(R, F)`` up to the first change of speed, has no peak in its first ``end`` states."""
+    mean = values.mean(axis=0)
+    mean = mean[: len(mean) if np.isfinite(mean).all() else int(np.argmin(np.isfinite(mean)))]
+    if not len(mean[:end]):
+        return "the angle is not finite at the start"
+    highest = int(np.argmax(mean[:end]))
+    late = mean[-max(FEWEST, round(LATE * len(mean))) :]
+    # About a cubic, for a fall that is under way at the end is no scatter.
+    place = np.linspace(-1.0, 1.0, len(late))
+    residual = late - np.polynomial.Polynomial.fit(place, late, min(3, len(late) - 1))(place) if len(late) > 1 else 0.0
+    scatter = max(float(np.std(residual)), NEGLIGIBLE * float(np.ptp(mean)))
+    after = mean[highest + 1 :]
+    if len(after) and mean[highest] - float(after.mean()) > SCATTERS * scatter:
+        return ""
+    if steady and len(after) and after.mean() > mean[highest]:
+        return "the angle still rises where the flow counts as steady"
+    quarter = max(1, len(late) // 2)
+    if not steady and late[quarter:].size and late[quarter:].mean() > late[:quarter].mean():
+        return "the angle still rises at the end"
+    return "the angle does not fall from its highest value by more than it scatters"
 
 
 def _signals(runs: Sequence[Mapping[str, Series | Measured]]) -> tuple[FloatArray, dict[str, FloatArray]]:

@@ -147,8 +147,8 @@ def _replay_rows(candidate: TrajectorySummary, replicas: Runs, replays: Replays,
         if errors:
             name = min(errors, key=errors.__getitem__)
             told = errors[name] > max(error.number for error in own)
-            yield _better("beats_replay", f"largest error, less than of {name}", worst(candidate, replicas),
-                          errors[name], told)  # fmt: skip
+            label = f"largest error, less than {errors[name]:.3g} {FLOORS} ({name})"
+            yield _better("beats_replay", label, worst(candidate, replicas), errors[name], told)
     likeness = {name: speed_distance(candidate, run) for name, run in replays.items()}
     nearest = min(likeness, key=lambda name: likeness[name].value if likeness[name].defined else np.inf)
     mine, bound = score(speed_distance, candidate, replicas, "m/s"), likeness[nearest]
@@ -156,7 +156,8 @@ def _replay_rows(candidate: TrajectorySummary, replicas: Runs, replays: Replays,
         speed_distance(one, replays[nearest]).number > np.mean([speed_distance(one, run).number for run in replicas])
         for one in replicas
     )
-    yield _better("not_a_replay", f"speeds, nearer to the DEM than to {nearest}", mine, bound.value or 0.0, told)
+    label = f"speeds, nearer to the DEM than to {nearest}" + (f" ({bound.number:.3g} m/s)" if bound.defined else "")
+    yield _better("not_a_replay", label, mine, bound.value or 0.0, told)
 
 
 def _better(key: str, label: str, figure: Measured, bound: float, told: bool) -> Requirement:

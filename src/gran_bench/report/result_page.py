@@ -62,9 +62,10 @@ def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
         ("requirements", lambda row: f"{_value(row)}, {row['verdict']}", ""),
         ("errors", _error, " (noise floors)"),
     ):
-        for key, row in next(iter(packings.values()))[kind].items():
+        for key in next(iter(packings.values()))[kind]:
             if kind == "requirements" or key in ERRORS:
-                rows.append([f"{row['label']}{what}", *(shown(one[kind][key]) for one in packings.values())])
+                labels = dict.fromkeys(one[kind][key]["label"] for one in packings.values())  # a bound has its packing
+                rows.append([f"{'; '.join(labels)}{what}", *(shown(one[kind][key]) for one in packings.values())])
     counts = [judged["failures"] for judged in packings.values()]
     failures = (
         "" if count is None else f"{count['non_finite_states']}; {count['outside_spheres']}" for count in counts

@@ -97,6 +97,18 @@ def missed_requirements(summary: Mapping[str, Any]) -> list[str]:
     return missed + [f"rollout {name} broke down at frame {k}" for name, k in broken_rollouts(summary).items()]
 
 
+def requirements_met(summary: Mapping[str, Any]) -> dict[str, tuple[int, int]]:
+    """How many requirements are met, and of how many, by the part of the table that lists them; none is undefined."""
+    parts = {
+        f"{packing} packing": [row["verdict"] == "pass" for row in rows if row["verdict"] != "undefined"]
+        for packing, judged in summary["judged"].items()
+        if (rows := judged["requirements"].values())
+    }
+    parts["tells speeds apart"] = [row["is_own"] for row in summary["nearest_case"].values()]
+    parts["rollouts"] = [row["failed_frame"] is None for row in summary["rollouts"].values()]
+    return {name: (sum(met), len(met)) for name, met in parts.items() if met}
+
+
 def broken_rollouts(summary: Mapping[str, Any]) -> dict[str, int]:
     """The frame at which each rollout that broke down did so, by the rollout's name."""
     frames = {name: row["failed_frame"] for name, row in summary["rollouts"].items()}
@@ -184,7 +196,7 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
             low, high = (_figure({"value": end, "unit": row["unit"]}) for end in row["dem_interval"])
             yield _row(row["label"], _figure(row), f"{low} … {high}")
     if statistics := summary.get("statistics"):
-        yield from ("", *statistics_lines(statistics), "", verdict(summary))
+        yield from ("", *statistics_lines(statistics), *_rollout_lines(summary), "", verdict(summary))
         return
     yield from ("", f"baselines at {judged_rpm} rpm, shared packing")
     yield f"  {'':<56}{'angle':>16}{'speed W1':>14}{'a frame':>12}"
@@ -196,8 +208,7 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
     for name, row in summary["nearest_case"].items():
         nearest = "undefined" if row["nearest_rpm"] is None else f"{row['nearest_rpm']:g} rpm"
         yield _row(name, nearest, f"{'pass' if row['is_own'] else 'fail'}{alone}")
-    for name, frame in broken_rollouts(summary).items():
-        yield _row(f"rollout {name}", f"failed at frame {frame}", "fail")
+    yield from _rollout_lines(summary)
     yield from (f"  {line}" for line in rollout_warnings(summary))
     shown = ", ".join(_figure(row | {"unit": "m"}, "m") for row in summary["position_error"].values())
     horizons = ", ".join(name.split("_")[0] for name in summary["position_error"])
@@ -210,6 +221,14 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
     )
     yield f"wall time: {', '.join(f'{name} {seconds:.0f} s' for name, seconds in summary['wall_seconds'].items())}"
     yield from ("", verdict(summary))
+
+
+def _rollout_lines(summary: Mapping[str, Any]) -> Iterator[str]:
+    broken = broken_rollouts(summary)
+    yield from ("", "rollouts")
+    for name in summary["rollouts"]:
+        found, last = (f"failed at frame {broken[name]}", "fail") if name in broken else ("to the end", "pass")
+        yield _row(f"rollout {name}", found, last)
 
 
 def statistics_lines(found: Mapping[str, Any]) -> Iterator[str]:
@@ -240,14 +259,16 @@ def _times(value: float | None) -> str:
 def verdict(summary: Mapping[str, Any]) -> str:
     """Whether the requirements are met, and how many of the figures that none of them is about are unlike the DEM's."""
     figures = [row for judged in summary["judged"].values() for row in judged["figures"].values()]
-    missed, unlike = len(missed_requirements(summary)), sum(row["inside_interval"] is False for row in figures)
-    words = f"{counted(missed, 'requirement')} NOT met" if missed else "all requirements met"
+    unlike, parts = sum(row["inside_interval"] is False for row in figures), requirements_met(summary)
+    met, asked = (sum(counts) for counts in zip(*parts.values(), strict=True))
+    words = f"all {asked} requirements met" if met == asked else f"{asked - met} of {asked} requirements NOT met"
+    words += f" (met: {', '.join(f'{name} {one} of {of}' for name, (one, of) in parts.items())})"
     further = "lies" if unlike == 1 else "lie"
     return words + (f"; {counted(unlike, 'figure')} {further} outside the DEM's interval" if unlike else "")
 
 
 def _row(name: str, found: str, last: str) -> str:
-    return f"  {name:<56}{found:>16}  {last}"
+    return f"  {name:<64}{found:>18}  {last}"
 
 
 def _figure(row: Mapping[str, Any], key: str = "value") -> str:
