@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from dem_page import keep
 from drum_flow import spec_of
+from drum_flow_page import STEADY_FROM
 
 from gran_bench.config import DemConfig
 from gran_bench.dataset import CaseSpec, ensure_cases, read_case, read_settled
@@ -29,8 +30,9 @@ from gran_bench.dem.energy_balance import EnergyBalance
 from gran_bench.files import markdown
 from gran_bench.metrics.angle_of_repose import center_of_mass_angles
 from gran_bench.metrics.power import driving_torque
-from gran_bench.metrics.summary import STEADY_FROM
+from gran_bench.plots.flow import default_title
 from gran_bench.plots.power import energy_balance
+from gran_bench.plots.style import titled
 from gran_bench.shipped import shipped_scene
 
 NAME = "drum_power"
@@ -68,7 +70,8 @@ def ours(packing: int, slip: str, root: Path, figure: Path | None = None) -> dic
     found["hogg_fuerstenau_W"] = hogg_fuerstenau(angle, mass, float(np.hypot(center[0], center[2])), OMEGA)
     found["wall_seconds"] = float(case.attributes["wall_seconds"])
     if figure is not None:
-        energy_balance(trajectory, figure, STEADY_FROM)
+        with titled(f"{default_title(case.scene)}, packing {packing}"):
+            energy_balance(trajectory, figure, STEADY_FROM)
     return found
 
 

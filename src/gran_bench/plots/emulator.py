@@ -16,7 +16,8 @@ def emulated_schedules(runs: Sequence[JudgedRun], path: Path | str) -> Path:
     """Draw the wall's speed and three figures of the first judged schedules: each replica, the expectation ± 2 s."""
     chosen = list(runs)[:SHOWN]
     with drawing(path, 3.6 * len(chosen), 9.0) as figure:
-        figure.suptitle("the emulator's expectation ± 2 standard deviations, and replicas of the DEM")
+        scene = chosen[0].judged.replicas[0].scene
+        figure.suptitle(f"{scene.name}: expectation of the emulator ± 2 standard deviations, replicas of the DEM")
         panels = figure.subplots(1 + len(SERIES), len(chosen), sharex="col", sharey="row", squeeze=False)
         for column, run in zip(panels.T, chosen, strict=True):
             said, rotation = run.said, run.judged.replicas[0].scene.rotation
