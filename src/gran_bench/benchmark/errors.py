@@ -137,9 +137,10 @@ class Reference:
         outside = max(run.outside for run in runs)
         return Scored(*_interval(floors, len(floors)), worst, "", outside, judgement)
 
-    def floors(self) -> dict[str, float]:
-        """The noise floor of each ranked error, in its unit."""
-        return {row.key: self.floor.of(row).number for row in self.ranked}
+    def floors(self, spheres: int | None = None) -> dict[str, float]:
+        """The noise floor of each ranked error, in its unit; beside a method of so many spheres, or of as many."""
+        floor = self.floor if spheres is None else Floor.of_runs(self.floor.runs, spheres, self.floor.between)
+        return {row.key: floor.of(row).number for row in self.ranked}
 
 
 def noise_bound(own: Sequence[float], runs: int) -> float | None:

@@ -103,14 +103,15 @@ def reference_facts(reference: Reference, replicas: int, runs: int, automatic: f
 
 def judged_anew(found: dict[str, Any], reference: Reference, replicas: int) -> dict[str, Any]:
     """Kept results with the accuracy by today's rule; a `ResultsError` where they were held against other replicas."""
-    floors, then = reference.floors(), {row["key"] for row in found["reference"]["ranked"]}
-    if then != {*floors}:
-        raise ResultsError(f"methods were ranked by {', '.join(sorted(then))}, and now by {', '.join(sorted(floors))}; "
+    ranked, then = reference.floors(), {row["key"] for row in found["reference"]["ranked"]}
+    if then != {*ranked}:
+        raise ResultsError(f"methods were ranked by {', '.join(sorted(then))}, and now by {', '.join(sorted(ranked))}; "
                            "give measure=true")  # fmt: skip
     for row in found["methods"]:
         if row["judgement"] is None or row["judgement"]["velocity_kind"] != VELOCITY:
             continue
-        for key, floor in floors.items():
+        spheres = (row["judgement"]["failures"] or {}).get("spheres")  # none of a method without particles
+        for key, floor in reference.floors(spheres).items():
             then = row["judgement"]["errors"][key]["floor"]
             if not np.isclose(then, floor, rtol=1e-6):
                 raise ResultsError(
