@@ -39,7 +39,7 @@ class Replicas:
     def __init__(self, floor: float = 0.02) -> None:
         self._floor = floor
 
-    def floors(self) -> dict[str, float]:
+    def floors(self, spheres=None) -> dict[str, float]:
         return {"speed_w1": self._floor}
 
     def noise(self, runs: int) -> float:

@@ -110,7 +110,7 @@ def judged_anew(found: dict[str, Any], reference: Reference, replicas: int) -> d
     for row in found["methods"]:
         if row["judgement"] is None or row["judgement"]["velocity_kind"] != VELOCITY:
             continue
-        spheres = (row["judgement"]["failures"] or {}).get("spheres")  # none of a method without particles
+        spheres = (row["judgement"].get("failures") or {}).get("spheres")  # none of a method without particles
         for key, floor in reference.floors(spheres).items():
             then = row["judgement"]["errors"][key]["floor"]
             if not np.isclose(then, floor, rtol=1e-6):
