@@ -2,7 +2,8 @@
 
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -47,21 +48,27 @@ class Job:
             DatasetError: the simulation failed or the file cannot be written or read.
         """
         path = self.path
-        try:
-            with locked(path.parent / ".locks" / f"{path.stem}.lock", waiting):
-                if path.exists():
-                    read_attributes(path)
-                    return
-                remove_leftovers(path)
-                (_make_settled if self.settles else _make_case)(self, path, report)
-        except BrokenPipeError:  # of a report: whoever listened is gone
-            raise
-        except OSError as error:
-            raise DatasetError(
-                f"{path} cannot be made: {error.strerror or error}; free space, or choose another dataset.root"
-            ) from error
-        except (ValueError, RuntimeError) as error:  # a simulation that fails
-            raise DatasetError(str(error)) from error
+        with refusals_of(path), locked(path.parent / ".locks" / f"{path.stem}.lock", waiting):
+            if path.exists():
+                read_attributes(path)
+                return
+            remove_leftovers(path)
+            (_make_settled if self.settles else _make_case)(self, path, report)
+
+
+@contextmanager
+def refusals_of(path: Path) -> Iterator[None]:
+    """Turn what fails while a file of data is made into a `DatasetError`: a full disk, or a simulation that fails."""
+    try:
+        yield
+    except BrokenPipeError:  # of a report: whoever listened is gone
+        raise
+    except OSError as error:
+        raise DatasetError(
+            f"{path} cannot be made: {error.strerror or error}; free space, or choose another dataset.root"
+        ) from error
+    except (ValueError, RuntimeError) as error:
+        raise DatasetError(str(error)) from error
 
 
 def _make_settled(job: Job, path: Path, report: Report) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from gran_bench.dataset import CaseSpec, DatasetError, read_settled
 from gran_bench.dataset.case_spec import key_hash
 from gran_bench.dataset.ensure import make_files
-from gran_bench.dataset.generation import Job, nudged
+from gran_bench.dataset.generation import Job, nudged, refusals_of
 from gran_bench.dem.simulate import simulate
 from gran_bench.files import locked, remove_leftovers, whole_file
 from gran_bench.metrics.angle_of_repose import com_angle, surface_angle
@@ -140,25 +140,16 @@ class Batch:
     def _make(self, spec: CaseSpec, report: Callable[[float], None], waiting: Callable[[], None]) -> None:
         path, scene, bed = run_path(spec, self.root), spec.scene, spec.settled_path(self.root)
         began = scene.start_time
-        try:
-            with locked(path.parent / ".locks" / f"{path.stem}.lock", waiting):
-                if path.exists():
-                    return
-                remove_leftovers(path)
-                if not bed.exists():
-                    Job(spec, self.root, settles=True).run(lambda seconds: report(0.0), waiting)
-                start = nudged(read_settled(bed)[0], spec.nudge, spec.nudge_seed)
-                dem = replace(spec.dem, time_step=spec.key["dem"]["time_step"], threads=1)
-                result = simulate(scene, start, scene.end_time, dem=dem, progress=lambda t: report(t - began))
-                write_run(path, result.trajectory.time, measure(result.trajectory, scene), result.wall_seconds)
-        except BrokenPipeError:  # of a report: whoever listened is gone
-            raise
-        except OSError as error:
-            raise DatasetError(
-                f"{path} cannot be made: {error.strerror or error}; free space, or choose another dataset.root"
-            ) from error
-        except (ValueError, RuntimeError) as error:  # a simulation that fails
-            raise DatasetError(str(error)) from error
+        with refusals_of(path), locked(path.parent / ".locks" / f"{path.stem}.lock", waiting):
+            if path.exists():
+                return
+            remove_leftovers(path)
+            if not bed.exists():
+                Job(spec, self.root, settles=True).run(lambda seconds: report(0.0), waiting)
+            start = nudged(read_settled(bed)[0], spec.nudge, spec.nudge_seed)
+            dem = replace(spec.dem, time_step=spec.key["dem"]["time_step"], threads=1)
+            result = simulate(scene, start, scene.end_time, dem=dem, progress=lambda t: report(t - began))
+            write_run(path, result.trajectory.time, measure(result.trajectory, scene), result.wall_seconds)
 
 
 def write_run(path: Path, time: FloatArray, figures: dict[str, FloatArray], seconds: float) -> None:
