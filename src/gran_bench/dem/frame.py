@@ -25,7 +25,7 @@ from gran_bench.state import ContactHistory, Continuation, FloatArray, Held, Mov
 LOOK_FALL_TIMES = 0.14
 MOST_POSES = 100_000  # at a time: with steps of 1e-10 s all those up to a look would be 10 GB
 # Looks until the particles are sorted anew: neighbours in space soon lie apart in memory, and sorting takes new lists.
-LOOKS_BETWEEN_SORTS = 5
+LOOKS_BETWEEN_SORTS = 10
 
 
 def steps_between_looks(scene: Scene, time_step: float) -> int:
