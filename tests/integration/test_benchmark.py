@@ -25,7 +25,7 @@ OVERRIDES = [
     *("profile.rounds=2", "profile.judged_rounds=2"),
     *("profile.step_multiples=[1,50]", "profile.single_multiples=[]", "profile.soft_moduli=[1e6]"),
     *("profile.soft_multiples=[1]", "profile.numpy_frames=1", "profile.stiffness=[1e7,1e8]", "profile.counts=[]"),
-    *("profile.study_frames=2", "profile.study_rounds=1"),
+    *("profile.study_frames=2", "profile.study_rounds=1", "profile.study_scenes=[drum_small]"),
 ]
 
 
