@@ -114,7 +114,7 @@ def emulator_file(tmp_path_factory) -> Path:
         ("scene=drum_low", "", "spheres 1500, trained at 3000 ±"),
         ("scene=packing", "the drum's radius, m, is None", ""),
         ("scene=hopper", "the drum's radius, m, is None", ""),
-        ("scene.filling.diameter=0.055", "the sphere's diameter, m, is 0.055", ""),
+        ("scene.filling.diameter=0.045", "the sphere's diameter, m, is 0.045", ""),
         ("scene.material.density=3000", "another material", ""),
         ("dataset.unseen_packing_seed=0", "it was trained on packing 0", ""),
     ],

@@ -11,6 +11,8 @@ from gran_bench.benchmark.results import entries, read_all
 from gran_bench.plots.overview import SAMPLES, STATISTICS, Panel, Point, overview
 from gran_bench.plots.time_error import frontier
 
+WORDS = {"dem": "the DEM at one of its steps", "float32": "the DEM in float32", "softened": "a softened DEM"}
+WORDS |= {"coarse": "a coarse-grained DEM", "surrogate": "a surrogate"}  # for families of samples, in a sentence
 FIGURE = "overview.png"
 LEAST_SCENES = 2  # that a picture of all is of
 Found = dict[str, Any]  # as in ``benchmark.json``
@@ -53,15 +55,16 @@ def _points(found: Found) -> Iterator[Point]:
 
 
 def overview_text(root: Path, every: Mapping[str, Found]) -> str:
-    """What all scenes say together: the frontier by family, the surrogate beside the DEM, the picture if there is one."""
+    """What all scenes say together: the frontier by family, the surrogate beside the DEM, and the picture."""
     count, ahead = len(every), Counter()
     for found in every.values():
         ranked = [entry for entry in entries(found) if entry.kind in ("dem", "surrogate")]
         kinds = {row["name"]: family_of(row) for row in found["methods"]}
         ahead.update({kinds[entry.name] for entry in frontier(ranked)})
-    shares = ", ".join(f"{SAMPLES[family][0]} in {ahead[family]}" for family in SAMPLES)
-    scenes = f"{count} scenes" if count > 1 else "the scene"
-    lines = [f"**On the frontier, where nothing is both faster and as exact, are of {scenes}: {shares}.**"]
+    there = {family_of(row) for found in every.values() for row in found["methods"]}
+    shares = ", ".join(f"{words} in {ahead[family]}" for family, words in WORDS.items() if family in there)
+    scenes = f"Of {count} scenes" if count > 1 else "In one scene"
+    lines = [f"**{scenes}, nothing is both faster and as exact as {shares}.**"]
     lines += _surrogates(every)
     if (root / FIGURE).exists():
         lines += ["", f"![Run time against error in every scene.]({FIGURE})"]

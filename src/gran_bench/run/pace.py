@@ -62,7 +62,7 @@ def dem_pace(scene: Scene, dem: DemConfig) -> float:
 
 
 def summary_pace(scene: Scene, overlaps: bool = False) -> float:
-    """Measured wall time that a frame of a trajectory takes to be summed up, s; with overlaps that it has, or without."""
+    """Measured wall time that a frame of a trajectory takes to be summed up, s; with its ``overlaps`` known, or not."""
     short = replace(scene, start_time=0.0, end_time=(SAMPLE_FRAMES - 1) * scene.frame_interval)
     bed = touching_bed(scene)
     motion = rigid_rotation(short, bed)
