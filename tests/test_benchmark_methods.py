@@ -116,13 +116,13 @@ def emulator_file(tmp_path_factory) -> Path:
         ("scene=hopper", "the drum's radius, m, is None", ""),
         ("scene.filling.diameter=0.045", "the sphere's diameter, m, is 0.045", ""),
         ("scene.material.density=3000", "another material", ""),
-        ("dataset.unseen_packing_seed=0", "it was trained on packing 0", ""),
+        ("dataset.unseen_packing_seed=0 dataset.packing_seed=1", "it was trained on packing 0", ""),
     ],
 )
 def test_an_emulator_gives_statistics_where_it_fits_and_says_what_it_did_not_learn(
     emulator_file, override, unfit, beyond
 ):
-    contest = Contest(benchmark_config(override), {"stat": emulator_file})
+    contest = Contest(benchmark_config(*override.split()), {"stat": emulator_file})
     method = next(one for one in contest.methods if one.name == "stat")
     assert method.kind == "emulator"
     assert unfit in method.unfit_because
