@@ -61,15 +61,35 @@ def test_kept_results_are_told_anew_without_measuring(found):
 
 
 def test_statistics_have_a_table_of_their_own_and_no_place_in_the_ranking(found):
-    claim = {"label": "speeds, W1 a frame", "multiple": 1.62, "mean_multiple": 1.55, "spread": 0.0}
+    claim = {"label": "speeds, W1 a frame", "multiple": 1.62, "mean_error": 1.04, "spread": 0.0}
     found["methods"].append(row("interpolation, 25 and 35 rpm", "baseline", 1e-4, None, statistics={"speed_w1": claim}))
+    beyond = "spheres 1500, trained at 3000 ± 10 %"
+    said = {"statistics": {"speed_w1": claim}, "beyond": beyond, "training_seconds": 60.0}
+    found["methods"].append(row("stat", "emulator", 1e-2, None, **said))
     text = part_text("quick/drum", found)
-    cells = ("interpolation, 25 and 35 rpm", "0.0001", "speeds, W1 a frame", "1.62", "1.55", "0.00")
+    assert f"stat goes beyond what it learned: {beyond}." in text
+    cells = ("interpolation, 25 and 35 rpm", "0.0001", "0", "0", "speeds, W1 a frame", "1.04", "1.62", "0.00")
     assert re.search(r"\| " + r" +\| ".join(map(re.escape, cells)), text)
     assert text.count("| interpolation") == 1
     assert "interpolation" not in winner(found)
-    assert not any(entry.name.startswith("interpolation") for entry in entries(found))
+    assert not any(entry.name.startswith(("interpolation", "stat")) for entry in entries(found))
     assert table_of(found)["speed_w1_energy_score"].tolist()[-1] == 1.62
+    assert table_of(found)["beyond"].tolist()[-1] == beyond
+
+
+def test_a_coarse_grained_dem_says_over_how_many_packings_its_error_is(found):
+    found["methods"].append(row("DEM 0.3 ms, coarse-grained 1.5", "dem", 0.1, 1.1, packings=3))
+    assert "| **DEM 0.3 ms, coarse-grained 1.5**, 3 packings |" in part_text("quick/drum", found)
+    assert table_of(found)["packings"].tolist() == [1, 1, 1, 1, 3]
+
+
+def test_the_first_sentences_say_who_is_on_the_frontier_and_where_the_surrogate_stands(found):
+    said = part_text("quick/drum", found)
+    assert said.startswith("On the frontier, where nothing is both faster and as exact: DEM 1 ms, net and DEM 0.2 ms. ")
+    assert "The surrogate net (0.6 s, 1.80 floors): at equal accuracy the surrogate is 1.5 times as fast." in said
+    found["methods"].append(row("DEM 0.3 ms", "dem", 0.1, 0.9))
+    assert part_text("quick/drum", found).startswith("On the frontier, where nothing is both faster and as exact: DEM ")
+    assert "net" not in part_text("quick/drum", found).partition(". The")[0]
 
 
 def test_a_floor_between_packings_is_told(found):
@@ -80,7 +100,7 @@ def test_a_floor_between_packings_is_told(found):
 
 def test_the_worst_of_three_errors_is_named_as_such(found):
     found["reference"]["ranked"] = [{"key": key, "label": key, "unit": "-"} for key in ("a", "b", "c")]
-    assert "Error: the worst of a, b and c, beside" in part_text("quick/drum", found)
+    assert "Error: the worst of a, b and c. The DEM's own" in part_text("quick/drum", found)
 
 
 def test_results_that_were_never_measured_cannot_be_told_anew(tmp_path):
@@ -91,7 +111,7 @@ def test_results_that_were_never_measured_cannot_be_told_anew(tmp_path):
 def test_too_few_replicas_leave_the_winner_unknown(found):
     found["reference"] |= {"replicas": 2, "noise": None, "accepted": None}
     text = part_text("quick/drum", found)
-    assert "Noise: undefined, 2 replicas do not give the DEM's own accuracy; three or more do" in text
+    assert "own accuracy: undefined, 2 replicas do not give the DEM's own accuracy; three or more do" in text
     assert "Who wins is not known" in text
     assert "| net | the surrogate is 1.5 times as fast | DEM 0.2 ms (" in text
 

@@ -238,11 +238,13 @@ def test_the_benchmark_has_each_factor_at_its_automatic_and_at_its_largest_step(
     assert len(coarse) == 8
     for method in coarse.values():
         scene = from_document(method.job["scene"])
-        assert method.job["bed"] != str(found.case.settled_path("data"))
+        assert str(found.case.settled_path("data")) not in method.job["beds"]
+        assert method.packings == len(set(method.job["beds"])) == 3
         assert scene.fine == found.scene
         assert not method.unfit_because
-    beds = {method.job["bed"] for method in coarse.values()}
-    assert beds <= {str(spec.settled_path("data")) for spec in found.cases}
+    beds = {bed for method in coarse.values() for bed in method.job["beds"]}
+    assert beds <= {str(spec.settled_path("data")) for spec in found.beds}
+    assert not beds & {str(spec.settled_path("data")) for spec in found.cases}
 
 
 def test_a_factor_that_leaves_no_bed_does_not_fit_and_a_coarse_scene_is_refused():

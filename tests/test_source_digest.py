@@ -68,7 +68,7 @@ TRAININGS = {f"train {model}" for model in MODELS}
         ("surrogate/contact/solver.py", {"train contact", "model contact", "compare"}),
         ("surrogate/convolution/cconv.py", {"train ccnn", "train radial", "model ccnn", "model radial", "compare"}),
         ("metrics/angle_of_repose.py", {"judge", "compare", "train emulator", "model emulator"}),
-        ("emulator/network.py", {"train emulator", "model emulator"}),
+        ("emulator/network.py", {"train emulator", "model emulator", "compare"}),
         ("neighbors/cells.py", {*TRAININGS, "judge", "compare"}),
         ("dem/contact.py", {"compare"}),  # trainings and judgements know the DEM by its data
         ("benchmark/turns.py", {"compare"}),

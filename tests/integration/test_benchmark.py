@@ -6,17 +6,21 @@ import json
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import psutil
 import pytest
+import torch
 
 from gran_bench.benchmark.command import run_benchmark
 from gran_bench.benchmark.page import PAGE
 from gran_bench.benchmark.results import RESULTS
 from gran_bench.compose import checked_config, compose
-from gran_bench.config import BenchmarkConfig
+from gran_bench.config import BenchmarkConfig, EmulatorConfig, SceneConfig
+from gran_bench.emulator.network import Emulator
+from gran_bench.scene import build_scene
+from gran_bench.surrogate.checkpoint import ModelCard, save_model
 
 OVERRIDES = [
     *("scene=drum_small", "scene.filling.count=120", "scene.container.length=0.25", "scene.end_time=1.8"),
@@ -25,7 +29,7 @@ OVERRIDES = [
     *("profile.rounds=2", "profile.judged_rounds=2"),
     *("profile.step_multiples=[1,50]", "profile.single_multiples=[]", "profile.soft_moduli=[1e6]"),
     *("profile.soft_multiples=[1]", "profile.numpy_frames=1", "profile.stiffness=[1e7,1e8]", "profile.counts=[]"),
-    *("profile.study_frames=2", "profile.study_rounds=1"),
+    *("profile.study_frames=2", "profile.study_rounds=1", "profile.study_scenes=[drum_small]"),
 ]
 
 
@@ -33,11 +37,22 @@ def measurements(folder: Path) -> dict[Path, str]:
     return {path: path.read_text("utf-8") for path in folder.rglob("round*.json")}
 
 
+def emulator_file(folder: Path, scene: SceneConfig) -> Path:
+    """An emulator of a scene that has learned nothing, as a run leaves one."""
+    torch.manual_seed(0)
+    config, figures = EmulatorConfig(width=8, modes=4, members=5), ["surface_angle", "com_angle", "speed"]
+    weights = Emulator(config, build_scene(scene), figures).state_dict()
+    save_model(folder / "model.pt", weights, ModelCard(asdict(config), {}, asdict(scene), {"figures": figures}))
+    return folder / "model.pt"
+
+
 @pytest.fixture(scope="module")
 def benchmark(tmp_path_factory):
     """A benchmark that was killed after its first measurements and run again: what was there, and what was found."""
     folder = tmp_path_factory.mktemp("benchmark")
     overrides = [*OVERRIDES, f"root={folder}/results", f"dataset.root={folder}/data"]
+    scene = checked_config(compose("benchmark", overrides), BenchmarkConfig).scene
+    overrides.append(f"models=[shipped,{emulator_file(folder / 'stat', scene)}]")
     first = subprocess.Popen(
         [sys.executable, "-m", "gran_bench.benchmark", *overrides], stdout=subprocess.PIPE, stderr=subprocess.STDOUT
     )
@@ -83,6 +98,20 @@ def test_every_method_has_a_time_an_error_or_a_reason(benchmark):
     assert (surrogate["training_seconds"] > 600, surrogate["data_seconds"] > 10) == (True, True)
     assert found["interpolation, 40 and 50 rpm"]["data_seconds"] > 0
     assert found["DEM 0.2 ms, numpy engine"]["relative"]["median"] > 5
+
+
+def test_an_emulator_is_judged_among_statistics_and_has_no_rank(benchmark):
+    row = rows(benchmark[-1])["stat"]
+    assert (row["kind"], row["floors"], row["failure"]) == ("emulator", None, "")
+    assert row["wall"]["median"] < rows(benchmark[-1])["DEM 0.2 ms"]["wall"]["median"]
+    assert row["statistics"]["speed_w1"]["members"] == 5
+    assert row["statistics"]["speed_w1"]["mean_error"] > 1.0
+    assert row["statistics"]["speed_w1"]["spread"] > 0.0
+
+
+def test_a_coarse_grained_dem_starts_from_several_packings(benchmark):
+    coarse = [row for name, row in rows(benchmark[-1]).items() if "coarse-grained" in name and not row["unfit_because"]]
+    assert {row["packings"] for row in coarse} == {3}
 
 
 def test_a_method_that_fails_is_a_marked_row(benchmark):

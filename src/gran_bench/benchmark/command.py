@@ -1,6 +1,7 @@
 """The benchmark, stage by stage: data → turns → judgement → studies → results, figures, page."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from textwrap import shorten
@@ -10,11 +11,13 @@ from gran_bench.benchmark import page
 from gran_bench.benchmark import results as kept
 from gran_bench.benchmark.contest import Contest, Method
 from gran_bench.benchmark.errors import Reference, Scored, errors_file, judged_rounds, score_run
+from gran_bench.benchmark.judges import JUDGED_AT_A_TIME, judges
+from gran_bench.benchmark.overview import draw_overview
 from gran_bench.benchmark.turns import PREPARED_AT_A_TIME, Record, round_file, take_turns
 from gran_bench.config import BenchmarkConfig, DemConfig
 from gran_bench.config.reading import validate
 from gran_bench.config.rules import ConfigError
-from gran_bench.dataset import Case, ensure_cases, from_document, read_case, rotation_label
+from gran_bench.dataset import Case, ensure_beds, ensure_cases, from_document, read_case, rotation_label
 from gran_bench.dem.time_step import choose_time_step
 from gran_bench.files import locked, markdown, write_text
 from gran_bench.plots.style import titled
@@ -50,6 +53,7 @@ def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
     with stop_on_signals(), locked(folder / ".lock", lambda: tell(f"another process works on {folder}; waiting")):
         tell("DEM runs that the methods start from and are held against")
         ensure_cases(contest.cases if config.measure else contest.replicas, data.root, data.workers)
+        ensure_beds(contest.beds if config.measure else [], data.root, data.workers)
         tell("summarising the replicas")
 
         def packings() -> list[Case]:
@@ -65,6 +69,7 @@ def run_benchmark(config: BenchmarkConfig) -> dict[str, Any]:
         write_text(folder / kept.RESULTS, json.dumps(found, indent=1, allow_nan=False) + "\n")
         draw(found, folder)
         write_text(folder / page.TABLE, page.table_of(found).to_csv(index=False))
+        draw_overview(Path(config.root))
         written = page.write_page(Path(config.root))
     print(summary(found))
     tell(f"table and figures in {folder}; the page is {written}")
@@ -125,7 +130,8 @@ def _cost_line(label: str, points: list[dict[str, Any]]) -> CostLine:
 def benchmark_cost(contest: Contest, folder: Path) -> Cost:
     """What is left to measure in a folder, and what it will take."""
     config, scene, data = contest.config, contest.scene, contest.config.dataset
-    cost = flow_cost(scene, config.dem) + data_cost(scene, config.dem, contest.cases, data.root, data.workers)
+    cost = data_cost(scene, config.dem, contest.cases, data.root, data.workers, contest.beds)
+    cost = flow_cost(scene, config.dem) + cost
     conditions, profile, paces = measured_under(config.seed), config.profile, {}
     studies = [*contest.stiffness_methods.values(), *contest.count_methods.values()]
     turns = [(method, profile.rounds) for method in contest.methods]
@@ -135,16 +141,18 @@ def benchmark_cost(contest: Contest, folder: Path) -> Cost:
         place = folder / method.key(*conditions)
         if left := sum(not round_file(place, k).exists() for k in range(rounds)):
             runs, methods, timed = runs + left, methods + 1, timed + left * _run_seconds(method, scene, paces)
-            judged += min(left, judged_rounds(method, profile.judged_rounds)) * method.judged
+            spheres = from_document(method.job["scene"]).filling.count if "scene" in method.job else 0
+            judged += min(left, judged_rounds(method, profile.judged_rounds)) * spheres / scene.filling.count
     stages = {"preparing": PREPARING * methods / PREPARED_AT_A_TIME, "timed runs": timed}
-    stages["judging"] = summary_pace(scene) * scene.frame_count * (judged + data.replicas)
+    lanes = min(JUDGED_AT_A_TIME, os.cpu_count() or 1)
+    stages["judging"] = summary_pace(scene, overlaps=True) * scene.frame_count * (judged / lanes + data.replicas)
     line = f"benchmark: {methods} methods and points of studies, {runs} timed runs to make, one after the other"
     return cost + Cost([line], stages, PROCESS_BYTES["torch"])
 
 
 def _run_seconds(method: Method, scene: Scene, paces: dict[Any, float]) -> float:
     """Wall time of a run; methods of one kind take as long for a sphere and a step, or a frame of a model."""
-    if method.kind == "baseline":
+    if method.kind in ("baseline", "emulator"):
         return 0.0
     job, own = method.job, from_document(method.job["scene"])
     if method.kind == "surrogate":
@@ -178,14 +186,17 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
         known = errors_file(place, reference.digest, index).exists()
         return index < judged_rounds(method, profile.judged_rounds) and not known
 
-    def judge_round(index: int, folders: dict[str, Path]) -> None:
-        for method in methods:
-            if method.name in folders and index < judged_rounds(method, profile.judged_rounds):
+    with judges(reference) as judge:
+
+        def judge_round(index: int, folders: dict[str, Path]) -> None:
+            some = [m for m in methods if m.name in folders and index < judged_rounds(m, profile.judged_rounds)]
+            judge([(method, folders[method.name]) for method in some], index)
+            for method in some:
                 scored = score_run(method, folders[method.name], reference, index)
                 runs.setdefault(method.name, []).extend([scored] if scored else [])
 
-    judging = {"wants_frames": wants_frames, "after_round": judge_round}
-    records = turns(methods, profile.rounds, "timing and judging", **judging)
+        judging = {"wants_frames": wants_frames, "after_round": judge_round}
+        records = turns(methods, profile.rounds, "timing and judging", **judging)
     scores = {name: reference.pooled(found) for name, found in runs.items() if found and not records[name].failure}
     studies = {}
     for label, points in (("stiffness", contest.stiffness_methods), ("counts", contest.count_methods)):

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +11,12 @@ import numpy as np
 
 from gran_bench.baselines import interpolated_statistics
 from gran_bench.benchmark.contest import Method
-from gran_bench.benchmark.jobs import read_trajectory, training_summaries
-from gran_bench.benchmark.turns import trajectory_file
-from gran_bench.dataset import Case
+from gran_bench.benchmark.jobs import emulated, read_trajectory, training_summaries
+from gran_bench.benchmark.turns import FIRST_NUDGE, trajectory_file
+from gran_bench.dataset import Case, read_case
 from gran_bench.files import write_text
-from gran_bench.metrics.comparisons import Comparison
-from gran_bench.metrics.ensembles import claims_of, judge_ensemble, plain
+from gran_bench.metrics.comparisons import COMPARISONS, Comparison
+from gran_bench.metrics.ensembles import Claims, claims_of, judge_ensemble, plain
 from gran_bench.metrics.floor import Floor, beside_floor, nudges_grow, thinned
 from gran_bench.metrics.judge import judge
 from gran_bench.metrics.measured import Series, prediction_interval
@@ -45,7 +45,7 @@ class Scored:
     by: str  # key of that error
     reason: str  # why there is none
     outside: int  # spheres that left the container
-    judgement: dict[str, Any]  # everything else that was found (`Judgement.to_dict`)
+    judgement: dict[str, Any] | None  # everything else that was found (`Judgement.to_dict`); None of an ensemble
     statistics: dict[str, Any] | None = None  # of a method without particles: what its energy score says, by quantity
 
 
@@ -57,30 +57,47 @@ class Reference:
     """
 
     def __init__(self, scene: Scene, cases: Sequence[Case], packings: Callable[[], Sequence[Case]] = tuple) -> None:
-        self.scene, self._cases, self._packings = scene, list(cases), []
-        self._summaries: dict[tuple[str, bool], list[TrajectorySummary]] = {}
+        self.scene, self._summaries, self._floors = scene, {}, {}
+        # Without the frames, which are many: they are read again where another definition of velocity is asked for.
+        self._paths: dict[bool, list[Path]] = {False: [case.path for case in cases], True: []}
+        self._summaries[VELOCITY, False] = self._summarised(cases, VELOCITY)
+        others: Sequence[Case] = ()
         if not nudges_grow(self.summaries(VELOCITY)):
-            self._packings = list(packings())
-        self.digest = "-".join(case.digest[:8] for case in (*self._cases, *self._packings))
-        self.floor = self._floor(VELOCITY)
-        held = held_rows(self.summaries(VELOCITY))
-        self.ranked: list[Comparison] = [row for row in held if (one := self.floor.of(row)).defined and one.number]
+            others = packings()
+            self._paths[True] = [case.path for case in others]
+            self._summaries[VELOCITY, True] = self._summarised(others, VELOCITY, self.summaries(VELOCITY))
+        self.digest = "-".join(case.digest[:8] for case in (*cases, *others))
+        truth = self.summaries(VELOCITY)
+        self.floor = self._floor(truth[0], VELOCITY)
+        self._ranked = [row.key for row in held_rows(truth) if (one := self.floor.of(row)).defined and one.number]
+
+    @property
+    def ranked(self) -> list[Comparison]:
+        """The errors that methods are ranked by."""
+        known = {row.key: row for row in COMPARISONS}
+        return [known[key] for key in self._ranked]
 
     def summaries(self, kind: str, packings: bool = False) -> list[TrajectorySummary]:
         """The replicas, or the packings, summarised with one definition of velocity and with the replicas' phases."""
         if (kind, packings) not in self._summaries:
-            found = [summarise(case.trajectory, self.scene, kind) for case in self._of(packings)]
-            like = self.summaries(kind) if packings else found
-            phases = find_phases([run.series for run in like], self.scene)
-            self._summaries[kind, packings] = [replace(run, phases=phases) for run in found]
+            cases = map(read_case, self._paths[packings])
+            self._summaries[kind, packings] = self._summarised(cases, kind, self.summaries(kind) if packings else None)
         return self._summaries[kind, packings]
 
-    def _of(self, packings: bool) -> list[Case]:
-        return self._packings if packings else self._cases
+    def _summarised(
+        self, cases: Iterable[Case], kind: str, like: list[TrajectorySummary] | None = None
+    ) -> list[TrajectorySummary]:
+        found = [summarise(case.trajectory, self.scene, kind) for case in cases]
+        phases = find_phases([run.series for run in like or found], self.scene)
+        return [replace(run, phases=phases) for run in found]
 
-    def _floor(self, kind: str) -> Floor:
-        truth = self.summaries(kind)
-        return beside_floor(truth[0], truth, self.summaries(kind, packings=True))[1]
+    def _floor(self, candidate: TrajectorySummary, kind: str) -> Floor:
+        """The floor beside a candidate, whose distances are computed once for all of as many spheres."""
+        count = candidate.sorted_speed.shape[1]
+        if (kind, count) not in self._floors:
+            truth, packings = self.summaries(kind), self.summaries(kind, packings=True)
+            self._floors[kind, count] = beside_floor(candidate, truth, packings)[1]
+        return self._floors[kind, count]
 
     @property
     def own(self) -> dict[str, list[float]]:
@@ -101,11 +118,10 @@ class Reference:
         kind, found = mine.velocity_kind, {}
         truth, packings = self.summaries(kind), self.summaries(kind, packings=True)
         mine = replace(mine, phases=truth[0].phases)
-        judgement = judge(mine, truth, self.scene, packings=packings)
+        judgement = judge(mine, truth, self.scene, packings=packings, floor=self._floor(mine, kind))
         outside = 0 if mine.failures is None else mine.failures.outside_spheres
         if mine.position is None:
-            statistics = plain(judge_ensemble(claims_of(mine, self.claimed), packings or truth, self.claimed))
-            return Scored(None, None, None, "", "", outside, judgement.to_dict(), statistics)
+            return replace(self.score_claims(claims_of(mine, self.claimed)), judgement=judgement.to_dict())
         mine = thinned(mine, truth[0].sorted_speed.shape[1])
         for row in self.ranked:
             said = judgement.error(row.key)
@@ -119,6 +135,12 @@ class Reference:
                 return Scored(None, None, None, "", reason, outside, judgement.to_dict())
         worst = max(found, key=lambda key: _mean(found[key]))
         return Scored(*_interval(found[worst], math.inf), worst, "", outside, judgement.to_dict())
+
+    def score_claims(self, claims: Claims) -> Scored:
+        """Hold an ensemble of statistics against the replicas, in the quantities that methods are ranked by."""
+        truth, rows = self.summaries(VELOCITY, packings=True) or self.summaries(VELOCITY), self.claimed
+        found = judge_ensemble({row.key: claims[row.key] for row in rows if row.key in claims}, truth, rows)
+        return Scored(None, None, None, "", "", 0, None, plain(found))
 
     @property
     def claimed(self) -> list[Comparison]:
@@ -155,7 +177,9 @@ def score_run(method: Method, folder: Path, reference: Reference, index: int) ->
     """The error of a round, kept in its folder, where its frames are dropped; None of a round that failed."""
     path, frames = errors_file(folder, reference.digest, index), trajectory_file(folder, index)
     if not path.exists():
-        if method.job["does"] == "interpolation":
+        if method.job["does"] == "emulator":
+            found = reference.score_claims(emulated(method.job, FIRST_NUDGE + index))
+        elif method.job["does"] == "interpolation":
             found = reference.score(interpolated_statistics(method.job["rpm"], training_summaries(method.job)))
         elif frames.exists():
             found = reference.score(read_trajectory(frames))
@@ -167,8 +191,8 @@ def score_run(method: Method, folder: Path, reference: Reference, index: int) ->
 
 
 def judged_rounds(method: Method, rounds: int) -> int:
-    """How many rounds of a method are judged: statistics without particles are the same in all."""
-    return 0 if not method.judged else 1 if method.job.get("does") == "interpolation" else rounds
+    """How many rounds of a method are judged: baselines and statistics without particles are the same in all."""
+    return 0 if not method.judged else 1 if method.kind in ("baseline", "emulator") else rounds
 
 
 def errors_file(folder: Path, digest: str, index: int) -> Path:

@@ -17,6 +17,8 @@ from gran_bench.dataset.case_spec import replica_nudge
 from gran_bench.dataset.generation import nudged
 from gran_bench.dem.simulate import SimulationError, simulate
 from gran_bench.files import write_atomically
+from gran_bench.metrics.bed import OVERLAPS
+from gran_bench.metrics.ensembles import SPEEDS, Claims
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.scene import Scene
 from gran_bench.state import ParticleState, Trajectory
@@ -36,7 +38,7 @@ class Outcome(NamedTuple):
 
 
 # Called with the number of frames to compute, and with the seed of a nudge: each round starts from its own, because one
-# chaotic run is one sample.
+# chaotic run is one sample. Seeds of rounds are consecutive, so rounds take turns with the beds, where there are many.
 Run = Callable[[int, int], Outcome]
 
 
@@ -50,18 +52,25 @@ def prepare(job: dict[str, Any]) -> Run:
             return Outcome(None)
 
         return interpolated
-    scene, (bed, _) = from_document(job["scene"]), read_settled(job["bed"])
+    scene, beds = from_document(job["scene"]), [read_settled(path)[0] for path in job["beds"]]
     if job["does"] == "dem":
-        return _dem(scene, bed, DemConfig(**job["dem"]), job["stages"])
+        return _dem(scene, beds, DemConfig(**job["dem"]), job["stages"])
     if job["does"] == "surrogate":
-        return _surrogate(scene, bed, job["model"])
+        return _surrogate(scene, beds, job["model"])
+    if job["does"] == "emulator":
+        return _emulator(scene, beds, job["model"])
 
     def run(frames: int, seed: int) -> Outcome:
+        bed = _start(scene, beds, seed)
         end = bed.time + frames * scene.frame_interval
         cut = scene if np.isclose(end, scene.end_time) else replace(scene, end_time=end)
-        return Outcome(BASELINES[job["does"]](cut, nudged(bed, replica_nudge(scene), seed)))
+        return Outcome(BASELINES[job["does"]](cut, bed))
 
     return run
+
+
+def _start(scene: Scene, beds: list[ParticleState], seed: int) -> ParticleState:
+    return nudged(beds[seed % len(beds)], replica_nudge(scene), seed)
 
 
 def training_summaries(job: dict[str, Any]) -> dict[float, TrajectorySummary]:
@@ -77,24 +86,27 @@ def with_modulus(scene: Scene, modulus: float) -> Scene:
     return replace(scene, material=first, wall_material=wall, more_materials=tuple(more))
 
 
-def _dem(scene: Scene, bed: ParticleState, dem: DemConfig, stages: list[float]) -> Run:
-    # A bed of softer spheres overlaps too much for a stiffer material to take at once: it would fly apart.
-    for modulus in stages:
-        bed = simulate(
-            with_modulus(scene, modulus), bed, bed.time + STAGE * scene.frame_interval, dem=DemConfig(threads=1)
-        ).final
+def _dem(scene: Scene, beds: list[ParticleState], dem: DemConfig, stages: list[float]) -> Run:
+    def led(bed: ParticleState) -> ParticleState:
+        # A bed of softer spheres overlaps too much for a stiffer material to take at once: it would fly apart.
+        for modulus in stages:
+            stage, end = with_modulus(scene, modulus), bed.time + STAGE * scene.frame_interval
+            bed = simulate(stage, bed, end, dem=DemConfig(threads=1)).final
+        return bed
+
+    beds = [led(bed) for bed in beds]
 
     def run(frames: int, seed: int) -> Outcome:
-        start, end = nudged(bed, replica_nudge(scene), seed), bed.time + frames * scene.frame_interval
+        start = _start(scene, beds, seed)
         try:
-            return Outcome(simulate(scene, start, end, dem=dem).trajectory)
+            return Outcome(simulate(scene, start, start.time + frames * scene.frame_interval, dem=dem).trajectory)
         except SimulationError as error:
             return Outcome(error.trajectory, str(error), max(0, error.trajectory.frame_count - 2))
 
     return run
 
 
-def _surrogate(scene: Scene, bed: ParticleState, path: str) -> Run:
+def _surrogate(scene: Scene, beds: list[ParticleState], path: str) -> Run:
     # Imported here, so that the memory of a DEM does not have PyTorch in it.
     import torch
 
@@ -105,12 +117,43 @@ def _surrogate(scene: Scene, bed: ParticleState, path: str) -> Run:
     model, _ = load_model(path)
 
     def run(frames: int, seed: int) -> Outcome:
-        result = rollout(model, scene, nudged(bed, replica_nudge(scene), seed), frames + 1)
+        result = rollout(model, scene, _start(scene, beds, seed), frames + 1)
         failed = result.failed_frame
         reason = () if failed is None else (f"not finite from frame {failed} on", failed - 1)
         return Outcome(result.trajectory, *reason)
 
     return run
+
+
+def _emulator(scene: Scene, beds: list[ParticleState], path: str) -> Run:
+    import torch
+
+    from gran_bench.emulator.network import load_emulator
+
+    torch.set_num_threads(1)
+    emulator = load_emulator(path)
+
+    def run(frames: int, seed: int) -> Outcome:
+        _emulated(emulator, scene, _start(scene, beds, seed), seed)  # of the whole scene, however few are asked for
+        return Outcome(None)
+
+    return run
+
+
+def emulated(job: dict[str, Any], seed: int) -> Claims:
+    """What the emulator of a job claims from the bed of a round, by key of a row of the judgement."""
+    from gran_bench.emulator.network import load_emulator
+
+    scene, beds = from_document(job["scene"]), [read_settled(path)[0] for path in job["beds"]]
+    said = _emulated(load_emulator(job["model"]), scene, _start(scene, beds, seed), seed)
+    series = {name: said.members[..., place.start] for name, place in said.columns.items() if name != "speed"}
+    return series | {SPEEDS: said.members[..., said.columns["speed"]]}
+
+
+def _emulated(emulator: Any, scene: Scene, bed: ParticleState, seed: int) -> Any:
+    from gran_bench.emulator.network import settled_angles
+
+    return emulator.statistics(scene, settled_angles(scene, bed), seed=seed)
 
 
 def _timed(run: Run, frames: int, seed: int, keep: str | None) -> dict[str, Any]:
@@ -134,6 +177,8 @@ def keep_trajectory(path: Path, frames: Trajectory) -> None:
     arrays = {name: getattr(frames, name) for name in ("position", "velocity", "angular_velocity")}
     single = {name: np.asarray(array, np.float32) for name, array in arrays.items() if array is not None}
     facts = {"time": frames.time, "radius": frames.radius, "velocity_kind": frames.velocity_kind}
+    # The engine's own overlaps: whoever judges need not look for all pairs again.
+    facts |= {name: frames.diagnostics[name] for name in OVERLAPS if name in frames.diagnostics}
     write_atomically(path, lambda file: np.savez(file, **facts, **single))
 
 
@@ -142,7 +187,9 @@ def read_trajectory(path: Path) -> Trajectory:
     with np.load(path) as kept:
         arrays = {name: kept[name] for name in kept.files}
     spin = arrays.pop("angular_velocity", None)
-    return Trajectory(**arrays | {"velocity_kind": str(arrays["velocity_kind"])}, angular_velocity=spin)
+    own = {name: arrays.pop(name) for name in OVERLAPS if name in arrays}
+    kind = {"velocity_kind": str(arrays["velocity_kind"])}
+    return Trajectory(**arrays | kind, angular_velocity=spin, diagnostics=own)
 
 
 def _resident_memory(field: str) -> int:

@@ -8,8 +8,10 @@ from typing import Any
 
 import pandas as pd
 
+from gran_bench.benchmark import overview
 from gran_bench.benchmark import results as claims
 from gran_bench.benchmark.results import SPREAD, Entry, EqualAccuracy, entries, read_all, succeeded
+from gran_bench.config.registry import METRICS
 from gran_bench.files import markdown, write_part
 from gran_bench.metrics.floor import PACKINGS
 from gran_bench.plots.time_error import frontier
@@ -29,7 +31,10 @@ Found = dict[str, Any]  # as in ``benchmark.json``
 
 def write_page(root: Path) -> Path:
     """Renew a part for each benchmark on the page of a folder, from all results below it."""
-    for place, found in read_all(root).items():
+    every = read_all(root)
+    if every:
+        write_part(root / PAGE, "overview", overview.overview_text(root, every), "Run time against error")
+    for place, found in every.items():
         write_part(root / PAGE, found["scene"], part_text(place, found), "Run time against error", found["scene"])
     return root / PAGE
 
@@ -44,6 +49,7 @@ def table_of(found: Found) -> pd.DataFrame:
         spent = entry is not None and entry.data_seconds + entry.training_seconds
         flat = {"scene": found["scene"], "method": row["name"], "kind": row["kind"], "failed": row["failed"]}
         flat |= {"reason": row["unfit_because"] or row["failure"], "on_frontier": row["name"] in front}
+        flat |= {"beyond": row.get("beyond", ""), "packings": row.get("packings", 1)}
         flat |= {f"seconds_{name}": (row["wall"] or {}).get(name) for name in SPREAD}
         flat |= {f"relative_{name}": (row["relative"] or {}).get(name) for name in SPREAD}
         names = ("cpu_seconds", "peak_bytes", "own_bytes", "data_seconds", "training_seconds")
@@ -54,8 +60,11 @@ def table_of(found: Found) -> pd.DataFrame:
         for key, error in ((row["judgement"] or {}).get("errors") or {}).items():
             unit = error["unit"].replace("/", "_per_")
             flat |= {f"{key}_{unit}": error["value"], f"{key}_floors": error["multiple_of_floor"]}
+        figures = (row["judgement"] or {}).get("figures") or {}
+        flat |= {f"{key}_mean": figures[key]["value"] for key in METRICS.added() if key in figures}
         for key, one in (row.get("statistics") or {}).items():
             flat |= {f"{key}_energy_score": one["multiple"], f"{key}_spread": one["spread"]}
+            flat[f"{key}_mean_error"] = one.get("mean_error")
         rows.append(flat)
     return pd.DataFrame(rows)
 
@@ -63,21 +72,25 @@ def table_of(found: Found) -> pd.DataFrame:
 def part_text(place: str, found: Found) -> str:
     """What the page says of one benchmark; its place is ``profile/scene``."""
     reference = found["reference"]
-    labels, noise = listed([row["label"] for row in reference["ranked"]]), f"undefined, {why_no_accuracy(found)}."
+    labels, own = listed([row["label"] for row in reference["ranked"]]), f"undefined, {why_no_accuracy(found)}"
     if reference["accepted"] is not None:
-        noise = f"{reference['noise']:.2f} floors; the DEM's own accuracy: {reference['accepted']:.2f} floors."
-    setting = f"{found['spheres']} spheres, {found['simulated_seconds']:g} s, {found['motion']}, "
-    setting += f"E = {found['modulus']:.0e} Pa; {found['rounds']} rounds. "
-    setting += f"Error: the {'worse' if len(reference['ranked']) < 3 else 'worst'} of {labels}, "
-    setting += f"beside {reference['replicas']} replicas. Noise: {noise}"
+        own = f"{reference['accepted']:.2f} floors"
+        own += f" (noise: {reference['noise']:.2f})" * (reference["noise"] < reference["accepted"])
+    setting = (
+        f"{found['spheres']} spheres, {found['simulated_seconds']:g} s, {found['motion'].replace('rpm', ' rpm')}, "
+    )
+    setting += f"E = {found['modulus']:.0e} Pa; {found['rounds']} rounds, {reference['replicas']} replicas. "
+    setting += f"Error: the {'worse' if len(reference['ranked']) < 3 else 'worst'} of {labels}. "
+    setting += f"The DEM's own accuracy: {own}."
     if reference.get("floor_between") == PACKINGS:
         setting += " Nudges hardly grow here, so one floor is the distance between packings."
     studies = [*_stiffness(found), *_counts(found), *_failed_points(found)]
-    heads = ("surrogate", "at equal accuracy", "DEMs as exact: its speed beside theirs", "best DEM in no more time")
-    heads += ("data, s", "training, s", "paid back after, simulated s")
+    heads = ("surrogate", "at equal accuracy", "DEMs as exact: × is its speed beside theirs")
+    heads += ("most exact DEM in no more time", "making its data, s", "training, s", "paid back after, simulated s")
     beside = markdown([heads, *surrogate_rows(found)])
     tables = [*_table(found), "", *statistics_table(found), *studies]
-    lines = [winner(found), "", *beside, "", setting.replace("e+0", "e"), "", *tables]
+    said = " ".join([on_frontier(found), *surrogate_sentences(found), winner(found)])
+    lines = [said, "", *beside, "", setting.replace("e+0", "e"), "", *tables]
     shown = [figure for figure in FIGURES if figure == "time_error" or found[figure]]
     lines += ["", *(f"![{FIGURES[figure]}]({place}/{figure}.png)" for figure in shown), ""]
     made = " ".join([stamp(found["provenance"]), *busy_sentences(found)])
@@ -86,7 +99,8 @@ def part_text(place: str, found: Found) -> str:
 
 def _table(found: Found) -> Iterator[str]:
     """The methods on the frontier (bold), the DEM at its automatic step and what is no DEM; then every failure."""
-    rows, front = [("method", "time, s (another run)", "× the DEM", "error, floors")], frontier(entries(found))
+    heads = ("method", "time of a simulated second, s (of another run)", "× the DEM's automatic step")
+    rows, front = [(*heads, "error, floors (95 %)")], frontier(entries(found))
     names, failed = {entry.name for entry in front}, []
     for row in found["methods"]:
         if row["failed"]:
@@ -105,6 +119,7 @@ def _table(found: Found) -> Iterator[str]:
             if row["floors"] is not None:
                 error = f"{row['floors']:.2f} ({row['floors_low']:.2f} to {row['floors_high']:.2f})"
             name = f"**{row['name']}**" if row["name"] in names else row["name"]
+            name += f", {row['packings']} packings" if row.get("packings", 1) > 1 else ""
             rows.append((name, time, relative, error))
     yield from [*markdown(rows), "", *failed]
 
@@ -114,20 +129,48 @@ def statistics_table(found: Found) -> Iterator[str]:
     methods = [row for row in found["methods"] if row.get("statistics")]
     if not methods:
         return
-    rows = [("statistics, no particles", "time, s", "quantity", "energy score", "of the DEM's mean", "spread")]
+    heads = (
+        "statistics, no particles",
+        "time of a simulated second, s",
+        "making its data, s",
+        "training, s",
+        "quantity",
+    )
+    rows = [(*heads, "error of the mean", "energy score", "spread")]
     for row in methods:
-        name, time = row["name"], f"{row['wall']['median']:.3g}" if row["wall"] else ""
+        facts = (row["name"], f"{row['wall']['median']:.3g}" if row["wall"] else "")
+        facts += (f"{row['data_seconds']:.0f}", f"{row['training_seconds']:.0f}")
         for one in row["statistics"].values():
-            cells = (one[key] for key in ("multiple", "mean_multiple", "spread"))
-            rows.append((name, time, one["label"], *("undefined" if cell is None else f"{cell:.2f}" for cell in cells)))
-            name = time = ""
-    said = "Statistics are not ranked beside samples. A run of the DEM has an energy score of 1; replicas have a spread"
-    yield from [f"{said} of 1, a mean without a spread has 0.", "", *markdown(rows), ""]
+            cells = (one.get(key) for key in ("mean_error", "multiple", "spread"))
+            shown = ("undefined" if cell is None else f"{cell:.2f}" for cell in cells)
+            rows.append((*facts, one["label"], *shown))
+            facts = ("",) * len(facts)
+    said = "Statistics are not ranked beside samples. Error of the mean: in units of the error that the mean of the "
+    said += (
+        "other replicas has. A run of the DEM has an energy score of 1; replicas have a spread of 1, a mean without "
+    )
+    beyond = (f" {row['name']} goes beyond what it learned: {row['beyond']}." for row in methods if row.get("beyond"))
+    yield from [f"{said}a spread has 0.{''.join(beyond)}", "", *markdown(rows), ""]
 
 
 def listed(labels: list[str]) -> str:
     """Words in a row: ``a, b and c``."""
     return " and ".join(filter(None, (", ".join(labels[:-1]), labels[-1])))
+
+
+def on_frontier(found: Found) -> str:
+    """Who, of samples of the flow, is on the frontier, from fast to exact."""
+    ahead = frontier([entry for entry in entries(found) if entry.kind in ("dem", "surrogate")])
+    names = listed([entry.name for entry in ahead]) if ahead else "no method"
+    return f"On the frontier, where nothing is both faster and as exact: {names}."
+
+
+def surrogate_sentences(found: Found) -> Iterator[str]:
+    """Where each surrogate stands that has an error."""
+    every, accepted = entries(found), found["reference"]["accepted"]
+    for entry in (one for one in every if one.kind == "surrogate" and one.floors is not None):
+        words = equal_accuracy_words(claims.equal_accuracy(entry, every, accepted))
+        yield f"The surrogate {_numbers(entry)}: at equal accuracy {words}."
 
 
 def winner(found: Found) -> str:

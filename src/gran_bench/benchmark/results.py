@@ -55,7 +55,7 @@ def method_row(
     turns = record.turns
     wall = [turn["wall_seconds"] / seconds for turn in turns]
     ratios = [t / beside[turn["round"]] for t, turn in zip(wall, turns, strict=True) if turn["round"] in beside]
-    names = ("name", "kind", "unfit_because", "data_seconds", "training_seconds")
+    names = ("name", "kind", "unfit_because", "beyond", "packings", "data_seconds", "training_seconds")
     spent = {name: getattr(method, name) for name in names}
     spent |= {"simulated_seconds": seconds, "failure": record.failure, "failed_seconds": record.failed_seconds}
     cpu = float(np.median([turn["cpu_seconds"] for turn in turns])) / seconds if turns else None

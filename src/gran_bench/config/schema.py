@@ -368,6 +368,7 @@ class ProfileConfig(Section, place="profile"):
     numpy_frames: int = key(2, at_least(0))  # that the readable engine is timed over; 0: not at all
     stiffness: list[float] = key([1.0e7, 1.0e8, 1.0e9, 7.0e10], positive("Pa"))  # empty: no such study
     counts: list[int] = key([300, 1000, 3000, 6000], at_least(1))  # spheres; empty: no such study
+    study_scenes: list[str] = field(default_factory=lambda: ["drum"])  # names of the scenes that these two are made for
     study_frames: int = key(10, at_least(1))  # of each run in these two studies
     study_rounds: int = key(3, at_least(1))  # of these two studies
 

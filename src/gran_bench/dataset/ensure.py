@@ -53,6 +53,13 @@ def ensure_cases(specs: Iterable[CaseSpec], root: Path | str, workers: int = 2, 
     return [spec.path(root) for spec in specs]
 
 
+def ensure_beds(specs: Iterable[CaseSpec], root: Path | str, workers: int = 2, progress: bool = True) -> None:
+    """Make the settled beds of cases that are missing, as :func:`ensure_cases`."""
+    beds = {spec.settled_path(root): spec for spec in specs}
+    missing = [Job(spec, Path(root), settles=True) for path, spec in beds.items() if not _is_there(path)]
+    make_files([missing], workers, progress)
+
+
 def make_files(stages: Sequence[Sequence[Job]], workers: int, progress: bool) -> None:
     """Run the jobs of one stage after another, ``workers`` processes at a time.
 

@@ -27,7 +27,8 @@ class EnsembleRow:
     unit: str
     score: Measured  # energy score, in the unit
     multiple: float | None  # of half the noise floor: 1 is a run of the DEM; None where either is undefined
-    mean_multiple: float | None  # the same of the replicas' own mean without a spread, each held against the others'
+    mean_error: float | None  # of the members' mean, in units of that of a replica's others
+    mean_multiple: float | None  # as multiple, of a replica's others, without a spread
     spread: float | None  # ratio to the replicas' spread, 1 is right; None where they have none
     members: int  # M
 
@@ -64,7 +65,7 @@ def claims_of(summary: TrajectorySummary, rows: Sequence[Comparison]) -> Claims:
 def _row(row: Comparison, members: FloatArray | None, replicas: Sequence[TrajectorySummary]) -> EnsembleRow:
     if members is None:
         nothing = Measured.undefined(row.unit, "the method says nothing of it")
-        return EnsembleRow(row.key, row.label, row.unit, nothing, None, None, None, 0)
+        return EnsembleRow(row.key, row.label, row.unit, nothing, None, None, None, None, 0)
     members = np.asarray(members, np.float64)
     quantiles = members.shape[2] if members.ndim == 3 else None
     truth = np.array([_of_run(row, run, quantiles) for run in replicas])
@@ -74,11 +75,12 @@ def _row(row: Comparison, members: FloatArray | None, replicas: Sequence[Traject
     # Of a run among the others as one member: its mean distance, half of which is what a run of the DEM scores.
     floor = float(np.mean([energy_score(truth[k][None], np.delete(truth, k, axis=0)) for k in rest]))
     mean = [energy_score(np.delete(truth, k, axis=0).mean(axis=0)[None], truth[k][None]) for k in rest]
-    ratio = spread_ratio(members, truth)
+    ratio, own = spread_ratio(members, truth), float(np.mean(mean))
     return EnsembleRow(
         *(row.key, row.label, row.unit, score),
         multiple=_ratio(score.value, 0.5 * floor),
-        mean_multiple=_ratio(float(np.mean(mean)), 0.5 * floor),
+        mean_error=_ratio(energy_score(members.mean(axis=0)[None], truth), own),
+        mean_multiple=_ratio(own, 0.5 * floor),
         spread=ratio if np.isfinite(ratio) else None,
         members=len(members),
     )

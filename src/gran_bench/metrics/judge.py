@@ -26,6 +26,7 @@ NO_REPLAYS = "whether a run at another speed does as well; give replays={name: r
 def judge(
     candidate: Run, replicas: Sequence[Run], scene: Scene, others: Mapping[str, Run] | None = None,
     replays: Mapping[str, Run] | None = None, asked: RequirementsConfig | None = None, packings: Sequence[Run] = (),
+    floor: Floor | None = None,
 ) -> Judgement:  # fmt: skip
     """Hold a candidate against the replicas of the DEM.
 
@@ -41,6 +42,7 @@ def judge(
             the judgement says that this was not asked.
         asked: what counts as met; by default so many noise floors of the scene.
         packings: runs of the DEM from different packings, which give the noise floor where nudges hardly grow.
+        floor: of these replicas and packings beside as many spheres as the candidate has, known from before.
 
     Raises:
         ValueError: no replica, or runs that are not of the scene or not comparable.
@@ -68,7 +70,8 @@ def judge(
     mine, *theirs = (replace(run, phases=phases) for run in (mine, *theirs))
     truth, more = theirs[: len(replicas)], theirs[len(replicas) :]
     beside, again = dict(zip(others, more, strict=False)), dict(zip(replays, more[len(others) :], strict=False))
-    mine, floor = beside_floor(mine, truth, more[len(others) + len(replays) :])
+    mine, own = beside_floor(mine, truth, more[len(others) + len(replays) :])
+    floor = floor or own
     failures, plugins = [run.failures for run in truth], added()
     return Judgement(
         errors=[_error_row(row, mine, truth, beside, floor) for row in (*COMPARISONS, *plugins)],

@@ -11,7 +11,8 @@ from matplotlib.ticker import LogLocator
 
 from gran_bench.plots.style import BASELINE, DEM, FURTHER, QUIET, ROUND, SURROGATE, drawing, plain_numbers
 
-KINDS = {"dem": ("DEM", DEM, "o"), "surrogate": ("surrogate", SURROGATE, "D"), "baseline": ("baseline", BASELINE, "^")}
+KINDS = {"dem": ("DEM", DEM, "o"), "surrogate": ("surrogate", SURROGATE, "D"), "baseline": ("baseline", BASELINE, "^"),
+         "emulator": ("emulator", FURTHER[1], "*")}  # fmt: skip
 LARGEST_IN_FULL = 1e6  # numbers up to which the measured places are the ticks
 
 

@@ -142,14 +142,17 @@ def softer(scene: Scene) -> list[str]:
     return [said.replace("e+0", "e").replace("e+", "e")]
 
 
-def data_cost(scene: Scene, dem: DemConfig, specs: Iterable[CaseSpec], root: Path | str, workers: int) -> Cost:
-    """What the missing cases among ``specs`` will take; those that are there take nothing."""
+def data_cost(
+    scene: Scene, dem: DemConfig, specs: Iterable[CaseSpec], root: Path | str, workers: int,
+    settled: Iterable[CaseSpec] = (),
+) -> Cost:  # fmt: skip
+    """What the missing cases among ``specs``, and the settled beds of further ones, will take."""
     cases = {spec.path(root): spec for spec in specs}
     missing = {path: spec for path, spec in cases.items() if not path.exists()}
-    beds = {spec.settled_path(root): spec for spec in missing.values()}
+    beds = {spec.settled_path(root): spec for spec in (*missing.values(), *settled)}
     beds = {path: spec for path, spec in beds.items() if not path.exists()}
     cost = Cost([f"data: {counted(len(cases), 'case')}, {len(cases) - len(missing)} of them in {Path(root).resolve()}"])
-    if not missing:
+    if not (missing or beds):
         return cost
     pace, frames = dem_pace(scene, replace(dem, time_step=None)), scene.frame_count
     cores = os.cpu_count() or 1
@@ -164,7 +167,7 @@ def data_cost(scene: Scene, dem: DemConfig, specs: Iterable[CaseSpec], root: Pat
     cost.disk = spheres + BED_BYTES * sum(spec.scene.filling.count for spec in beds.values())
     # A process keeps its frames in double precision, and copies them once when it writes them.
     cost.memory = min(lanes, len(missing)) * (PROCESS_BYTES["dem"] + 3.0 * FRAME_BYTES * frames * scene.filling.count)
-    if workers < min(cores, len(missing)):
+    if workers < min(cores, max(len(missing), len(beds))):
         more = makespan(settling, cores) + makespan(moving, cores)
         said = f"dataset.workers={cores} would make the same data in about {duration(more)}"
         cost.cheaper.append(f"{said} instead of {duration(cost.seconds['data'])}")
