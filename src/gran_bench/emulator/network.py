@@ -12,9 +12,11 @@ from torch import Tensor, nn
 from gran_bench.config import EmulatorConfig, SceneConfig
 from gran_bench.config.reading import read_config
 from gran_bench.emulator.runs import FIGURES, columns_of
-from gran_bench.emulator.scan import Scan
+from gran_bench.emulator.scan import DrivenModes
+from gran_bench.emulator.told import FEATURES, Told
 from gran_bench.metrics.angle_of_repose import center_of_mass_angles, surface_lines, why_no_angle
 from gran_bench.scene import Scene, build_scene
+from gran_bench.scene.motion import RADIANS_PER_SECOND_PER_RPM
 from gran_bench.state import FloatArray, ParticleState
 from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, load_card
 
@@ -40,46 +42,40 @@ class Modes(nn.Module):
     """Decaying oscillations that a signal drives and hastens: h_t = λ_t h_{t−1} + (1 − |λ_t|) B u_t, y_t = Re(C h_t).
 
     λ_t = e^{(−1/τ + 2πi f) γ_t Δt}, γ_t = e^{G u_t}. τ and f of each mode and G are learned. The pace γ lets a bed that
-    stands keep what it remembers, and one that flows forget it.
+    stands keep what it remembers, and one that flows forget it. ``step`` is Δt, s.
     """
 
-    def __init__(self, width: int, modes: int, fall_time: float, interval: float) -> None:
+    def __init__(self, width: int, modes: int, fall_time: float, step: float) -> None:
         super().__init__()
         decay = torch.linspace(math.log(DECAYS[0]), math.log(DECAYS[1]), modes)
-        self.log_decay = nn.Parameter(decay + math.log(fall_time / interval))  # of τ in frames
+        self.log_decay = nn.Parameter(decay + math.log(fall_time / step))  # of τ in steps
         turns = torch.linspace(0.0, FREQUENCY, modes)[torch.randperm(modes)]
-        self.frequency = nn.Parameter(turns * interval / fall_time)  # f in 1/frame
+        self.frequency = nn.Parameter(turns * step / fall_time)  # f in 1/step
         self.drive, self.read = nn.Linear(width, 2 * modes), nn.Linear(2 * modes, width)
         self.pace = nn.Linear(width, modes)
         nn.init.zeros_(self.pace.weight)
         nn.init.zeros_(self.pace.bias)
 
-    def driven(self, signal: Tensor) -> tuple[Tensor, Tensor]:
-        """λ_t and (1 − |λ_t|) B u_t of ``(B, F, W)``, complex ``(B, F, K)`` each."""
-        pace = torch.exp(self.pace(signal).clamp(*LOG_PACE))
-        size = torch.exp(-torch.exp(-self.log_decay) * pace)
-        angle = 2.0 * math.pi * self.frequency * pace
-        factor = torch.complex(size * torch.cos(angle), size * torch.sin(angle))
-        real, imaginary = self.drive(signal).chunk(2, dim=-1)
-        return factor, torch.complex(real * (1.0 - size), imaginary * (1.0 - size))
-
     def forward(self, signal: Tensor) -> Tensor:
         """Of ``(B, F, W)``, the same shape."""
-        state = Scan.apply(*self.driven(signal))
-        return self.read(torch.cat([state.real, state.imag], dim=-1))
+        log_pace, rate = self.pace(signal).clamp(*LOG_PACE), torch.exp(-self.log_decay)
+        return self.read(DrivenModes.apply(log_pace, self.drive(signal), rate, 2.0 * math.pi * self.frequency))
 
 
 class Layer(nn.Module):
-    """Modes, then a perceptron, each added to what comes in."""
+    """Modes, and a look at the frame before the present phase, then a perceptron; each is added to what comes in."""
 
-    def __init__(self, width: int, modes: int, fall_time: float, interval: float) -> None:
+    def __init__(self, width: int, modes: int, fall_time: float, step: float) -> None:
         super().__init__()
-        self.before, self.modes = nn.LayerNorm(width), Modes(width, modes, fall_time, interval)
+        self.before, self.modes = nn.LayerNorm(width), Modes(width, modes, fall_time, step)
+        self.held = nn.Linear(width, width)
         self.between, self.mix = nn.LayerNorm(width), _perceptron(width, 2 * width, width)
 
-    def forward(self, signal: Tensor) -> Tensor:
-        """Of ``(B, F, W)``, the same shape."""
-        signal = signal + self.modes(self.before(signal))
+    def forward(self, signal: Tensor, before: Tensor) -> Tensor:
+        """Of ``(B, F, W)``, the same shape; ``before`` as of `Told`."""
+        own = self.before(signal)
+        held = self.held(own)
+        signal = signal + self.modes(own) + held.gather(1, before[..., None].expand_as(held))
         return signal + self.mix(self.between(signal))
 
 
@@ -96,15 +92,17 @@ class Recurrence(nn.Module):
     def __init__(self, config: EmulatorConfig, scene: Scene, columns: int) -> None:
         super().__init__()
         width = config.width
-        sizes = width, config.modes, scene.fall_time, scene.frame_interval
-        self.take = _perceptron(len(INPUTS), width, width)
-        self.layers = nn.Sequential(*(Layer(*sizes) for _ in range(config.blocks)))
+        sizes = width, config.modes, scene.fall_time, config.stride * scene.frame_interval
+        self.take = _perceptron(len(INPUTS) + FEATURES, width, width)
+        self.layers = nn.ModuleList(Layer(*sizes) for _ in range(config.blocks))
         self.level = nn.Sequential(nn.LayerNorm(width), _perceptron(width, width, columns))
         self.spread = nn.Sequential(nn.LayerNorm(width), _perceptron(width, width // 2, columns))
 
-    def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
-        """Of ``(B, F, 7)``, two ``(B, F, C)``."""
-        signal = self.layers(self.take(inputs))
+    def forward(self, told: Told) -> tuple[Tensor, Tensor]:
+        """Two ``(B, F, C)``."""
+        signal = self.take(told.signal)
+        for layer in self.layers:
+            signal = layer(signal, told.before)
         return self.level(signal), nn.functional.softplus(self.spread(signal.detach())) + LEAST_SPREAD
 
 
@@ -123,7 +121,7 @@ class Emulator(nn.Module):
         super().__init__()
         self.columns = columns_of(figures)
         count = sum(FIGURES[name][2] for name in figures)
-        self.scene, self.members, self.schedules = scene, config.members, config.schedules
+        self.scene, self.members, self.schedules, self.stride = scene, config.members, config.schedules, config.stride
         self.committee = nn.ModuleList(Recurrence(config, scene, count) for _ in range(config.committee))
         # Of the training data: middle and width of each column, and how far runs scatter there.
         for name, value in {"middle": 0.0, "extent": 1.0, "scatter": 1.0}.items():
@@ -134,20 +132,31 @@ class Emulator(nn.Module):
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Of ``(B, F, 7)`` inputs, mean and standard deviation ``(B, F, C)`` in the figures' units."""
-        found = [self.said_by(recurrence, inputs) for recurrence in self.committee]
-        mean, spread = (torch.stack(each).mean(dim=0) for each in zip(*found, strict=True))
+        told = self.told(inputs)
+        mean, spread = (inputs.new_zeros(*inputs.shape[:2], len(self.middle)) for _ in range(2))
+        for first in range(min(self.stride, inputs.shape[1])):
+            part = told.part(self.stride, first)
+            for recurrence in self.committee:
+                for whole, found in zip((mean, spread), self.said_by(recurrence, part), strict=True):
+                    whole[:, first :: self.stride] += found / len(self.committee)
         return mean, spread
 
-    def said_by(self, recurrence: Recurrence, inputs: Tensor) -> tuple[Tensor, Tensor]:
+    def told(self, inputs: Tensor) -> Told:
+        """What the recurrences are told, of inputs ``(B, F, 7)``."""
+        scene = self.scene
+        speed = scene.critical_speed_rpm * RADIANS_PER_SECOND_PER_RPM
+        return Told.of(inputs, speed * scene.frame_interval, scene.frame_interval / scene.fall_time)
+
+    def said_by(self, recurrence: Recurrence, told: Told) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation as one member of the committee has them."""
-        level, spread = recurrence(inputs)
+        level, spread = recurrence(told)
         return self.middle + self.extent * level, self.scatter * spread
 
     def inputs(self, scene: Scene, settled: FloatArray) -> FloatArray:
         """What the emulator is told of a run, ``(F, 7)``; ``settled`` are the two angles of the bed at rest, deg."""
         time = scene.start_time + scene.frame_interval * np.arange(scene.frame_count)
         backward = min(scene.rotation.speeds_rpm) < 0.0  # the mirror image
-        unit = (-1.0 if backward else 1.0) / (self.scene.critical_speed_rpm * 2.0 * math.pi / 60.0)
+        unit = (-1.0 if backward else 1.0) / (self.scene.critical_speed_rpm * RADIANS_PER_SECOND_PER_RPM)
         now = scene.rotation.angular_speed(time) * unit
         over = np.diff(scene.rotation.angles(time), prepend=0.0) / scene.frame_interval * unit
         over[0] = 0.0

@@ -67,7 +67,8 @@ class EmulatorTrainer(Trainer):
     """The house's trainer with the emulator's loss; arguments as of `Trainer`.
 
     L = mean over figures of |ŷ − y| in units of the twins' mean distance, the mean over the columns of a figure, plus
-    the negative log-likelihood of the twins' differences for a Gaussian of the predicted spread.
+    the negative log-likelihood of the twins' differences for a Gaussian of the predicted spread. A batch has every
+    stride-th frame of some series, from a random one of the first on.
     """
 
     def __init__(self, model: Emulator, windows: TrainingRuns, config: TrainConfig, *rest: Any) -> None:
@@ -77,6 +78,8 @@ class EmulatorTrainer(Trainer):
         model.extent.copy_(torch.as_tensor([_scale(column, deviation=True) for column in values.T]))
         model.scatter.copy_(torch.as_tensor([_scale(column) for column in apart.T]))
         self.inputs, self.valid = windows.inputs(model), torch.as_tensor(np.isfinite(values))
+        told = model.told(self.inputs)
+        self.parts = [told.part(model.stride, first) for first in range(min(model.stride, values.shape[1]))]
         self.truth = torch.as_tensor(np.nan_to_num(values))
         self.apart, self.apart_valid = torch.as_tensor(np.nan_to_num(apart)), torch.as_tensor(np.isfinite(apart))
         self.weights = torch.empty_like(model.scatter)
@@ -89,15 +92,18 @@ class EmulatorTrainer(Trainer):
         """Loss, its terms and its gradients for one batch of series; touches nothing that threads share."""
         rng = np.random.default_rng((self.config.seed, 7919, draw))
         drawn = rng.choice(len(self.truth), self.windows.batch, replace=False)
+        first = int(rng.integers(len(self.parts)))
+        part, frames = self.parts[first], slice(first, None, model.stride)
         count, terms = len(model.committee), {"figures": 0.0, "spread": 0.0}
         for number, recurrence in enumerate(model.committee):
             rows = drawn[number::count]
-            mean, spread = model.said_by(recurrence, self.inputs[rows])
-            far = (torch.where(self.valid[rows], mean, self.truth[rows]) - self.truth[rows]).abs()
+            mean, spread = model.said_by(recurrence, part[rows])
+            truth = self.truth[rows, frames]
+            far = (torch.where(self.valid[rows, frames], mean, truth) - truth).abs()
             terms["figures"] += (far * self.weights).sum(dim=-1).mean() / count
             here, pairs = np.nonzero(rows[:, None] == self.windows.twins[:, 0])
-            relative = self.apart[pairs] / spread[here]
-            likely = (torch.log(spread[here] / model.scatter) + 0.5 * relative**2) * self.apart_valid[pairs]
+            relative = self.apart[pairs, frames] / spread[here]
+            likely = (torch.log(spread[here] / model.scatter) + 0.5 * relative**2) * self.apart_valid[pairs, frames]
             terms["spread"] += SPREAD_WEIGHT * likely.sum() / max(likely.numel(), 1) / count
         total, own = sum(terms.values()), list(model.parameters())
         gradients = torch.autograd.grad(total, own, allow_unused=True, materialize_grads=True)
