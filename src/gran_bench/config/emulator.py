@@ -12,12 +12,13 @@ from gran_bench.config.rules import Range, Section, at_least, key, one_of, posit
 class SchedulesConfig(Section, place="model.schedules"):
     """The runs of the DEM that the emulator learns from: random schedules of the drum's speed, several beds."""
 
-    runs: int = key(100, Range(2, 1000))  # of different schedules; judging has the seeds from 1000 on
+    runs: int = key(160, Range(2, 1000))  # of different schedules; judging has the seeds from 1000 on
     twins: int = key(20, at_least(2))  # of these, run again from a nudged start: how far runs scatter
     constants: int = key(6, at_least(2))  # of the runs at constant speeds, spread over the range
+    coarser: float = key(2.0, Range(1.0, 4.0))  # times the DEM's step, the automatic one as a rule
     slowest_rpm: float = key(15.0, positive("rpm"))
     fastest_rpm: float = key(42.0, positive("rpm"))
-    filling_spread: float = key(0.2, Range(0.0, 1.0, open_high=True))  # ± share of filling.count in a run of five
+    filling_spread: float = key(0.2, Range(0.0, 1.0, open_high=True))  # ± share of filling.count in a run of eight
     friction_spread: float = key(0.4, Range(0.0, 1.0, open_high=True))  # ± share of material.friction in these
 
 
@@ -36,7 +37,8 @@ class EmulatorConfig(Section, place="model"):
     modes: int = key(24, at_least(1))  # decaying oscillations of each layer
     blocks: int = key(2, at_least(1))  # layers
     stride: int = key(4, at_least(1))  # frames between two steps of a recurrence; as many of them interleave
-    committee: int = key(1, at_least(1))  # recurrences that learn from other series, whose mean is taken
-    batch: int = key(32, at_least(1))  # series whose gradients are computed together, shared out to the committee
+    committee: int = key(3, at_least(1))  # recurrences that learn from other series, whose mean is taken
+    batch: int = key(24, at_least(1))  # series whose gradients are computed together, shared out to the committee
+    weight_decay: float = key(0.1, Range(0.0))  # times the rate: share by which an update shrinks matrices
     members: int = key(20, at_least(2))  # of the ensemble that is judged
     schedules: SchedulesConfig = field(default_factory=SchedulesConfig)

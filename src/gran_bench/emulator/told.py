@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-OVER, TURNS = 1, 2  # columns of the inputs: speed over the frame, whether the wall turns
+# Columns of the inputs: speed over the frame, whether the wall turns, angles of the settled bed.
+OVER, TURNS, SETTLED = 1, 2, slice(3, 5)
 ANGLES = (0.15, 0.4, 1.2)  # rad that the wall has turned in a phase, in which a feature goes up to 1
 TIMES = (0.84, 2.8, 8.4)  # √(d/g) since a phase began, likewise
 FEATURES = len(ANGLES) + len(TIMES)
