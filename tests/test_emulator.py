@@ -91,13 +91,10 @@ def test_training_has_twins_other_beds_and_no_motion_that_is_judged():
     assert (len(plain), len(twins)) == (20, 4)
     assert all(replace(twin, nudge=0.0, nudge_seed=0) in plain for twin in twins)
     assert {case.packing_seed for case in cases}.isdisjoint({dataset.unseen_packing_seed})
-    assert len({case.packing_seed for case in cases}) > 6
+    assert len({case.packing_seed for case in cases}) > 8
     assert len({case.scene.filling.count for case in cases}) > 2
     judged = judged_schedules(SCENE, DemConfig(), dataset, JudgeConfig(random_schedules=3), schedules, shipped)
     assert [one.label for one in judged[:4]] == ["30 rpm", "drum_stop", "random 1000", "random 1001"]
-    truth = judged[0].replicas[0]
-    assert {case.dem.time_step for case in cases} == {2.0 * truth.key["dem"]["time_step"]}
-    assert truth.settled_path("data") in {case.settled_path("data") for case in cases}, "another bed"
     motions = {one.replicas[0].scene.rotation for one in judged}
     assert motions.isdisjoint({case.scene.rotation for case in cases})
 

@@ -12,13 +12,12 @@ from gran_bench.config.rules import Range, Section, at_least, key, one_of, posit
 class SchedulesConfig(Section, place="model.schedules"):
     """The runs of the DEM that the emulator learns from: random schedules of the drum's speed, several beds."""
 
-    runs: int = key(160, Range(2, 1000))  # of different schedules; judging has the seeds from 1000 on
+    runs: int = key(100, Range(2, 1000))  # of different schedules; judging has the seeds from 1000 on
     twins: int = key(20, at_least(2))  # of these, run again from a nudged start: how far runs scatter
     constants: int = key(6, at_least(2))  # of the runs at constant speeds, spread over the range
-    coarser: float = key(2.0, Range(1.0, 4.0))  # times the DEM's step, the automatic one as a rule
     slowest_rpm: float = key(15.0, positive("rpm"))
     fastest_rpm: float = key(42.0, positive("rpm"))
-    filling_spread: float = key(0.2, Range(0.0, 1.0, open_high=True))  # ± share of filling.count in a run of eight
+    filling_spread: float = key(0.2, Range(0.0, 1.0, open_high=True))  # ± share of filling.count in a run of five
     friction_spread: float = key(0.4, Range(0.0, 1.0, open_high=True))  # ± share of material.friction in these
 
 

@@ -1,6 +1,5 @@
 """Under which schedules the emulator learns and is judged, and the runs of the DEM that this takes."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -8,7 +7,6 @@ import numpy as np
 
 from gran_bench.config import DatasetConfig, DemConfig, JudgeConfig, SchedulesConfig
 from gran_bench.dataset import CaseSpec, DatasetError, replicas
-from gran_bench.dem.simulate import choose_time_step
 from gran_bench.scene import Scene
 from gran_bench.scene.motion import Rotation
 
@@ -63,9 +61,8 @@ def training_cases(
 ) -> list[CaseSpec]:
     """The runs that the emulator learns from, twins last: constant speeds, then random schedules.
 
-    Four of eight start from the shared packing, three from a packing of their own, one from a packing of its own with
-    another filling and friction. A twin is a run again from a nudged start, so the two say how far runs scatter. All
-    take larger steps than those that are judged.
+    Two of five start from the shared packing, two from a packing of their own, one from a packing of its own with
+    another filling and friction. A twin is a run again from a nudged start, so the two say how far runs scatter.
 
     Raises:
         DatasetError: a schedule among them that is judged, or a held-out speed.
@@ -79,24 +76,16 @@ def training_cases(
         else:
             rotation = random_rotation(scene, k, slowest, fastest)
         case, packing = replace(scene, rotation=rotation), dataset.packing_seed
-        kind = k % 8 if k >= len(constant) else 0
-        if kind > 3:
+        kind = k % 5 if k >= len(constant) else 0
+        if kind > 1:
             packing = OWN_PACKING + k
             packing += schedules.runs * (packing in (dataset.packing_seed, dataset.unseen_packing_seed))
-        if kind == 7:
+        if kind == 4:
             case = _another(case, np.random.default_rng((k, 4)), schedules)
-        bed = dem if packing == dataset.packing_seed else None  # the one that is judged, sphere for sphere
-        cases.append(CaseSpec(case, _coarser(case, dem, schedules.coarser), packing, settling_dem=bed))
+        cases.append(CaseSpec(case, dem, packing))
     refuse_unfair(cases, [replace(scene.rotation, times=(scene.start_time,), speeds_rpm=(v,)) for v in held], shipped)
     every = max(1, len(cases) // schedules.twins)
     return cases + [replicas(case, 1)[0] for case in cases[::every][: schedules.twins]]
-
-
-def _coarser(scene: Scene, dem: DemConfig, times: float) -> DemConfig:
-    """The solver with a step so many times as large, of which a whole number make a frame."""
-    step = times * choose_time_step(scene, dem.time_step, dem.allow_unsafe_step)[0]
-    step = scene.frame_interval / math.ceil(scene.frame_interval / step - 1e-9)
-    return replace(dem, time_step=step, allow_unsafe_step=dem.allow_unsafe_step or times > 1.0)
 
 
 def _another(scene: Scene, rng: np.random.Generator, schedules: SchedulesConfig) -> Scene:
