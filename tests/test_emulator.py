@@ -313,6 +313,17 @@ def test_an_experiment_makes_judges_and_draws(finished):
     assert json.loads((folder / "summary.json").read_text())["statistics"] == found
 
 
+def test_runs_that_count_their_energy_teach_the_torque_on_the_drum(tmp_path):
+    config = tiny(tmp_path, dem=DemConfig(power=True))
+    summary = run_experiment(config)
+    spec = emulator_plan(config).training[0]
+    torque = read_run(spec, config.dataset.root).figures["torque"]
+    assert torque.shape == (spec.scene.frame_count, 1)
+    assert np.nanmean(torque) > 0.0, "the drum lifts the bed"
+    assert summary["statistics"]["averages"]["shared"]["torque"]["error"] > 0.0
+    assert load_emulator(identify(config).folder / "model.pt").columns["torque"] == slice(27, 28)
+
+
 def test_a_finished_experiment_is_not_done_again_and_its_model_is_read(finished, monkeypatch):
     config, summary = finished
     monkeypatch.setattr("gran_bench.run.emulation.make_emulator", None)
