@@ -30,8 +30,9 @@ from gran_bench.dataset import CaseSpec, DatasetError
 from gran_bench.emulator.judging import distance, judge_schedule, judgement
 from gran_bench.emulator.network import Emulator, load_emulator, settled_angles
 from gran_bench.emulator.runs import FIGURES, RunStatistics, ensure_runs, measure, quantiles, read_run, run_path
-from gran_bench.emulator.scan import Scan, scan_by_frames
+from gran_bench.emulator.scan import DrivenModes, driven_by_frames
 from gran_bench.emulator.schedules import Judged, judged_schedules, random_rotation, refuse_unfair, training_cases
+from gran_bench.emulator.told import OVER, Told
 from gran_bench.run.experiment import run_experiment
 from gran_bench.run.identity import emulator_plan, identify
 from gran_bench.run.summary import summary_table
@@ -59,7 +60,7 @@ def tiny(root: Path, **changes) -> TrainConfig:
         ),
         dataset=DatasetConfig(root=str(root / "data"), replicas=3, workers=1),
         model=EmulatorConfig(
-            width=8, modes=4, blocks=1, committee=2, batch=4, members=4,
+            width=8, modes=4, blocks=1, stride=3, committee=2, batch=4, members=4,
             schedules=SchedulesConfig(runs=7, twins=3, constants=2, filling_spread=0.1),
         ),
         optim=OptimConfig(learning_rate=1e-2, final_learning_rate=1e-3, accumulate=2, weight_average=0.9),
@@ -120,15 +121,31 @@ def test_a_shipped_scene_of_another_drum_is_refused_by_name(tmp_path):
 @pytest.mark.parametrize("frames", [1, 2, 37])
 def test_the_compiled_recurrence_is_the_one_by_frames_and_so_is_its_gradient(frames):
     rng = torch.Generator().manual_seed(0)
-    factor, force, slope = (torch.randn(3, frames, 5, dtype=torch.complex128, generator=rng) for _ in range(3))
-    found = []
-    for scan in (Scan.apply, scan_by_frames):
-        given = [(0.5 * factor).requires_grad_(), force.clone().requires_grad_()]
-        state = scan(*given)
+    shapes = (3, frames, 5), (3, frames, 10), (5,), (5,)
+    log_pace, drive, rate, angle = (torch.randn(*shape, dtype=torch.float64, generator=rng) for shape in shapes)
+    slope, found = torch.randn(3, frames, 10, dtype=torch.float64, generator=rng), []
+    for modes in (DrivenModes.apply, driven_by_frames):
+        given = [value.clone().requires_grad_() for value in (log_pace, drive, rate.abs(), angle)]
+        state = modes(*given)
         gradients = torch.autograd.grad(state, given, slope, allow_unused=True, materialize_grads=True)
         found.append([state.detach(), *gradients])
     for compiled, plain in zip(*found, strict=True):
         torch.testing.assert_close(compiled, plain)
+
+
+def test_a_phase_begins_where_the_wall_starts_and_where_it_stops():
+    speed = torch.tensor([0.0, 1.0, 1.0, 0.0, 0.0, 2.0, 2.0])
+    inputs = torch.zeros(1, 7, 7)
+    inputs[0, :, 0] = inputs[0, :, OVER] = speed
+    inputs[0, :, 2] = speed != 0.0
+    told = Told.of(inputs, unit_angle=0.1, unit_time=0.5)
+    assert told.before[0].tolist() == [0, 0, 0, 2, 2, 4, 4]
+    turned = torch.atanh(told.signal[0, :, 7]) * 0.15
+    torch.testing.assert_close(turned, torch.tensor([0.0, 0.1, 0.2, 0.0, 0.0, 0.2, 0.4]))
+    every = told.part(2, 1)
+    assert every.before[0].tolist() == [0, 0, 1]
+    assert every.signal[0, :, OVER].tolist() == [1.0, 0.5, 1.0]
+    torch.testing.assert_close(every.signal[..., 3:], told.signal[:, 1::2, 3:])
 
 
 def test_a_frame_follows_from_the_speed_up_to_it_and_not_beyond():
@@ -294,6 +311,17 @@ def test_an_experiment_makes_judges_and_draws(finished):
     assert "nearest neighbours, unseen packing" in text
     assert "spread of the ensemble" in text
     assert json.loads((folder / "summary.json").read_text())["statistics"] == found
+
+
+def test_runs_that_count_their_energy_teach_the_torque_on_the_drum(tmp_path):
+    config = tiny(tmp_path, dem=DemConfig(power=True))
+    summary = run_experiment(config)
+    spec = emulator_plan(config).training[0]
+    torque = read_run(spec, config.dataset.root).figures["torque"]
+    assert torque.shape == (spec.scene.frame_count, 1)
+    assert np.nanmean(torque) > 0.0, "the drum lifts the bed"
+    assert summary["statistics"]["averages"]["shared"]["torque"]["error"] > 0.0
+    assert load_emulator(identify(config).folder / "model.pt").columns["torque"] == slice(27, 28)
 
 
 def test_a_finished_experiment_is_not_done_again_and_its_model_is_read(finished, monkeypatch):

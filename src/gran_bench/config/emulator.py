@@ -35,7 +35,9 @@ class EmulatorConfig(Section, place="model"):
     width: int = key(48, at_least(2))
     modes: int = key(24, at_least(1))  # decaying oscillations of each layer
     blocks: int = key(2, at_least(1))  # layers
-    committee: int = key(1, at_least(1))  # recurrences that learn from other series, whose mean is taken
-    batch: int = key(32, at_least(1))  # series whose gradients are computed together, shared out to the committee
+    stride: int = key(4, at_least(1))  # frames between two steps of a recurrence; as many of them interleave
+    committee: int = key(3, at_least(1))  # recurrences that learn from other series, whose mean is taken
+    batch: int = key(24, at_least(1))  # series whose gradients are computed together, shared out to the committee
+    weight_decay: float = key(0.1, Range(0.0))  # times the rate: share by which an update shrinks matrices
     members: int = key(20, at_least(2))  # of the ensemble that is judged
     schedules: SchedulesConfig = field(default_factory=SchedulesConfig)

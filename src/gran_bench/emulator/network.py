@@ -12,9 +12,11 @@ from torch import Tensor, nn
 from gran_bench.config import EmulatorConfig, SceneConfig
 from gran_bench.config.reading import read_config
 from gran_bench.emulator.runs import FIGURES, columns_of
-from gran_bench.emulator.scan import Scan
+from gran_bench.emulator.scan import DrivenModes
+from gran_bench.emulator.told import FEATURES, Told
 from gran_bench.metrics.angle_of_repose import center_of_mass_angles, surface_lines, why_no_angle
 from gran_bench.scene import Scene, build_scene
+from gran_bench.scene.motion import RADIANS_PER_SECOND_PER_RPM
 from gran_bench.state import FloatArray, ParticleState
 from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, load_card
 
@@ -22,6 +24,7 @@ from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, load_car
 DECAYS, FREQUENCY = (0.4, 60.0), 0.14
 LOG_PACE = (-4.0, 2.0)  # least and largest ln γ
 INPUTS = ("speed", "speed over the frame", "turns", "settled surface angle", "settled centre", "filling", "friction")
+SETTLED_UNIT = 3.0  # deg, of the settled angles
 LEAST_SPREAD = 1e-3  # of the scatter of runs
 
 
@@ -40,46 +43,40 @@ class Modes(nn.Module):
     """Decaying oscillations that a signal drives and hastens: h_t = λ_t h_{t−1} + (1 − |λ_t|) B u_t, y_t = Re(C h_t).
 
     λ_t = e^{(−1/τ + 2πi f) γ_t Δt}, γ_t = e^{G u_t}. τ and f of each mode and G are learned. The pace γ lets a bed that
-    stands keep what it remembers, and one that flows forget it.
+    stands keep what it remembers, and one that flows forget it. ``step`` is Δt, s.
     """
 
-    def __init__(self, width: int, modes: int, fall_time: float, interval: float) -> None:
+    def __init__(self, width: int, modes: int, fall_time: float, step: float) -> None:
         super().__init__()
         decay = torch.linspace(math.log(DECAYS[0]), math.log(DECAYS[1]), modes)
-        self.log_decay = nn.Parameter(decay + math.log(fall_time / interval))  # of τ in frames
+        self.log_decay = nn.Parameter(decay + math.log(fall_time / step))  # of τ in steps
         turns = torch.linspace(0.0, FREQUENCY, modes)[torch.randperm(modes)]
-        self.frequency = nn.Parameter(turns * interval / fall_time)  # f in 1/frame
+        self.frequency = nn.Parameter(turns * step / fall_time)  # f in 1/step
         self.drive, self.read = nn.Linear(width, 2 * modes), nn.Linear(2 * modes, width)
         self.pace = nn.Linear(width, modes)
         nn.init.zeros_(self.pace.weight)
         nn.init.zeros_(self.pace.bias)
 
-    def driven(self, signal: Tensor) -> tuple[Tensor, Tensor]:
-        """λ_t and (1 − |λ_t|) B u_t of ``(B, F, W)``, complex ``(B, F, K)`` each."""
-        pace = torch.exp(self.pace(signal).clamp(*LOG_PACE))
-        size = torch.exp(-torch.exp(-self.log_decay) * pace)
-        angle = 2.0 * math.pi * self.frequency * pace
-        factor = torch.complex(size * torch.cos(angle), size * torch.sin(angle))
-        real, imaginary = self.drive(signal).chunk(2, dim=-1)
-        return factor, torch.complex(real * (1.0 - size), imaginary * (1.0 - size))
-
     def forward(self, signal: Tensor) -> Tensor:
         """Of ``(B, F, W)``, the same shape."""
-        state = Scan.apply(*self.driven(signal))
-        return self.read(torch.cat([state.real, state.imag], dim=-1))
+        log_pace, rate = self.pace(signal).clamp(*LOG_PACE), torch.exp(-self.log_decay)
+        return self.read(DrivenModes.apply(log_pace, self.drive(signal), rate, 2.0 * math.pi * self.frequency))
 
 
 class Layer(nn.Module):
-    """Modes, then a perceptron, each added to what comes in."""
+    """Modes, and a look at the frame before the present phase, then a perceptron; each is added to what comes in."""
 
-    def __init__(self, width: int, modes: int, fall_time: float, interval: float) -> None:
+    def __init__(self, width: int, modes: int, fall_time: float, step: float) -> None:
         super().__init__()
-        self.before, self.modes = nn.LayerNorm(width), Modes(width, modes, fall_time, interval)
+        self.before, self.modes = nn.LayerNorm(width), Modes(width, modes, fall_time, step)
+        self.held = nn.Linear(width, width)
         self.between, self.mix = nn.LayerNorm(width), _perceptron(width, 2 * width, width)
 
-    def forward(self, signal: Tensor) -> Tensor:
-        """Of ``(B, F, W)``, the same shape."""
-        signal = signal + self.modes(self.before(signal))
+    def forward(self, signal: Tensor, before: Tensor) -> Tensor:
+        """Of ``(B, F, W)``, the same shape; ``before`` as of `Told`."""
+        own = self.before(signal)
+        held = self.held(own)
+        signal = signal + self.modes(own) + held.gather(1, before[..., None].expand_as(held))
         return signal + self.mix(self.between(signal))
 
 
@@ -96,15 +93,17 @@ class Recurrence(nn.Module):
     def __init__(self, config: EmulatorConfig, scene: Scene, columns: int) -> None:
         super().__init__()
         width = config.width
-        sizes = width, config.modes, scene.fall_time, scene.frame_interval
-        self.take = _perceptron(len(INPUTS), width, width)
-        self.layers = nn.Sequential(*(Layer(*sizes) for _ in range(config.blocks)))
+        sizes = width, config.modes, scene.fall_time, config.stride * scene.frame_interval
+        self.take = _perceptron(len(INPUTS) + FEATURES, width, width)
+        self.layers = nn.ModuleList(Layer(*sizes) for _ in range(config.blocks))
         self.level = nn.Sequential(nn.LayerNorm(width), _perceptron(width, width, columns))
         self.spread = nn.Sequential(nn.LayerNorm(width), _perceptron(width, width // 2, columns))
 
-    def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
-        """Of ``(B, F, 7)``, two ``(B, F, C)``."""
-        signal = self.layers(self.take(inputs))
+    def forward(self, told: Told) -> tuple[Tensor, Tensor]:
+        """Two ``(B, F, C)``."""
+        signal = self.take(told.signal)
+        for layer in self.layers:
+            signal = layer(signal, told.before)
         return self.level(signal), nn.functional.softplus(self.spread(signal.detach())) + LEAST_SPREAD
 
 
@@ -123,7 +122,7 @@ class Emulator(nn.Module):
         super().__init__()
         self.columns = columns_of(figures)
         count = sum(FIGURES[name][2] for name in figures)
-        self.scene, self.members, self.schedules = scene, config.members, config.schedules
+        self.scene, self.members, self.schedules, self.stride = scene, config.members, config.schedules, config.stride
         self.committee = nn.ModuleList(Recurrence(config, scene, count) for _ in range(config.committee))
         # Of the training data: middle and width of each column, and how far runs scatter there.
         for name, value in {"middle": 0.0, "extent": 1.0, "scatter": 1.0}.items():
@@ -134,24 +133,36 @@ class Emulator(nn.Module):
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Of ``(B, F, 7)`` inputs, mean and standard deviation ``(B, F, C)`` in the figures' units."""
-        found = [self.said_by(recurrence, inputs) for recurrence in self.committee]
-        mean, spread = (torch.stack(each).mean(dim=0) for each in zip(*found, strict=True))
+        runs, frames = inputs.shape[:2]
+        missing = -frames % self.stride  # of a whole number of strides; what is added has no part in what comes before
+        whole = self.told(torch.cat([inputs, inputs[:, -1:].expand(-1, missing, -1)], dim=1))
+        parts = [whole.part(self.stride, first) for first in range(self.stride)]
+        told = Told(torch.cat([part.signal for part in parts]), torch.cat([part.before for part in parts]))
+        found = [self.said_by(recurrence, told) for recurrence in self.committee]
+        means = (torch.stack(each).mean(dim=0).unflatten(0, (self.stride, runs)) for each in zip(*found, strict=True))
+        mean, spread = (each.permute(1, 2, 0, 3).flatten(1, 2)[:, :frames] for each in means)
         return mean, spread
 
-    def said_by(self, recurrence: Recurrence, inputs: Tensor) -> tuple[Tensor, Tensor]:
+    def told(self, inputs: Tensor) -> Told:
+        """What the recurrences are told, of inputs ``(B, F, 7)``."""
+        scene = self.scene
+        speed = scene.critical_speed_rpm * RADIANS_PER_SECOND_PER_RPM
+        return Told.of(inputs, speed * scene.frame_interval, scene.frame_interval / scene.fall_time)
+
+    def said_by(self, recurrence: Recurrence, told: Told) -> tuple[Tensor, Tensor]:
         """Mean and standard deviation as one member of the committee has them."""
-        level, spread = recurrence(inputs)
+        level, spread = recurrence(told)
         return self.middle + self.extent * level, self.scatter * spread
 
     def inputs(self, scene: Scene, settled: FloatArray) -> FloatArray:
         """What the emulator is told of a run, ``(F, 7)``; ``settled`` are the two angles of the bed at rest, deg."""
         time = scene.start_time + scene.frame_interval * np.arange(scene.frame_count)
         backward = min(scene.rotation.speeds_rpm) < 0.0  # the mirror image
-        unit = (-1.0 if backward else 1.0) / (self.scene.critical_speed_rpm * 2.0 * math.pi / 60.0)
+        unit = (-1.0 if backward else 1.0) / (self.scene.critical_speed_rpm * RADIANS_PER_SECOND_PER_RPM)
         now = scene.rotation.angular_speed(time) * unit
         over = np.diff(scene.rotation.angles(time), prepend=0.0) / scene.frame_interval * unit
         over[0] = 0.0
-        rest = [settled[0] / 3.0, settled[1] / 3.0, scene.filling.count / self.scene.filling.count - 1.0]
+        rest = [*(np.asarray(settled) / SETTLED_UNIT), scene.filling.count / self.scene.filling.count - 1.0]
         rest.append(scene.material.friction / max(self.scene.material.friction, 1e-9) - 1.0)
         found = [now, over, now != 0.0, *(np.full(len(time), value) for value in rest)]
         return np.stack(found, axis=1).astype(np.float32)
@@ -173,18 +184,20 @@ class Emulator(nn.Module):
             ValueError: a scene that the emulator says nothing of, or angles that are not finite.
         """
         self.refuse(scene, settled)
-        mean, spread = (x[0].double() for x in self(torch.as_tensor(self.inputs(scene, settled))[None]))
+        mean, spread = (x[0].numpy() for x in self(torch.as_tensor(self.inputs(scene, settled))[None]))
         count = self.members if members is None else members
         random = torch.Generator().manual_seed(seed)
-        kicks = torch.randn(count, *mean.shape, generator=random, dtype=torch.float64) @ self.together.double().T
-        stay = float(self.persistence)
-        kicks[:, 1:] *= math.sqrt(1.0 - stay**2)
-        drawn = mean + spread * torch.as_tensor(lfilter([1.0], [1.0, -stay], kicks.numpy(), axis=1))
-        found = torch.cat([mean[None], drawn])
+        # Single precision is far below the spread, and twice as fast.
+        kicks = (torch.randn(count, *mean.shape, generator=random) @ self.together.T).numpy()
+        stay = np.float32(self.persistence)
+        kicks[:, 1:] *= np.sqrt(1.0 - stay**2)
+        drawn = lfilter(np.ones(1, np.float32), np.array([1.0, -stay], np.float32), kicks, axis=1)
+        found = np.concatenate([mean[None], mean + spread * drawn])
         speed = self.columns["speed"]
-        found[..., speed] = found[..., speed].sort(dim=-1).values
+        found[..., speed] = np.sort(found[..., speed], axis=-1)
+        found, spread = found.astype(np.float64), spread.astype(np.float64)
         time = scene.start_time + scene.frame_interval * np.arange(scene.frame_count)
-        return Statistics(time, found[0].numpy(), spread.numpy(), found[1:].numpy(), self.columns)
+        return Statistics(time, found[0], spread, found[1:], self.columns)
 
     def refuse(self, scene: Scene, settled: FloatArray) -> None:
         """Refuse, as a `ValueError`, what the emulator was not made for."""

@@ -49,7 +49,9 @@ def _lag(data: TrainingRuns) -> Rival:
     for one in constant:
         last = one.columns[-int(STEADY_SHARE * len(one.time)) :]
         table.setdefault(float(_speeds(one.scene)[-1]), []).append(np.nanmean(last, axis=0))
-    table[0.0] = [np.nan_to_num(np.nanmean([one.columns[0] for one in data.series], axis=0))]
+    still = np.stack([one.columns[0] for one in data.series])
+    # No run has a torque in its first frame: it is 0 there.
+    table[0.0] = [np.nanmean(np.where(np.isfinite(still).any(axis=0), still, 0.0), axis=0)]
     speeds = np.array(sorted(table))
     rows = np.array([np.mean(table[speed], axis=0) for speed in speeds])
 

@@ -26,8 +26,7 @@ QUANTILES = 24  # of the speeds, at the levels (k + ½)/24: the mean of their di
 MEASURING = ("metrics/angle_of_repose.py", "metrics/speeds.py", "emulator/runs.py")  # source that makes the figures
 RUNS_A_PROCESS = 6  # a process takes seconds to start
 COMPARED = ("surface_angle", "com_angle", "speed")  # that decide
-# Figures of a frame in the order of their columns: for people, unit, columns. ``torque`` is there where the engine
-# records it.
+# Figures of a frame in the order of their columns: for people, unit, columns. ``torque`` is there with dem.power=true.
 FIGURES = {
     "surface_angle": ("angle of repose", "deg", 1),
     "com_angle": ("centre-of-mass angle", "deg", 1),
@@ -71,8 +70,8 @@ def measure(trajectory: Trajectory, scene: Scene) -> dict[str, FloatArray]:
         "speed": quantiles(ordered),
         "mean_speed": mean_speed(trajectory, scene).value,
     }
-    if "torque" in trajectory.diagnostics:
-        found["torque"] = np.asarray(trajectory.diagnostics["torque"], np.float64)
+    if "wall_torque" in trajectory.energy:
+        found["torque"] = trajectory.energy["wall_torque"].sum(axis=1)
     return {name: value.reshape(len(value), -1) for name, value in found.items()}
 
 

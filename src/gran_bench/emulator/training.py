@@ -13,13 +13,18 @@ from torch import Tensor
 
 from gran_bench.config import TrainConfig
 from gran_bench.dataset import CaseSpec
-from gran_bench.emulator.network import Emulator
+from gran_bench.emulator.network import SETTLED_UNIT, Emulator
 from gran_bench.emulator.runs import RunStatistics, columns_of
+from gran_bench.emulator.told import SETTLED
 from gran_bench.scene import Scene
 from gran_bench.trainer import Trainer
 
 LEAST = 1e-6  # that no scale falls below, in the figure's unit
 SPREAD_WEIGHT = 0.1  # of the spread's term: it bends no weight of the mean
+# Of a figure's error in the loss; those that are not judged are told along with the others.
+WEIGHTS, WEIGHT_OF_OTHERS = {"surface_angle": 1.0, "com_angle": 1.5, "speed": 2.0}, 0.3
+# Added to the two settled angles, deg: a bed is not to be known again by them.
+JITTER = (0.3, 0.1)
 
 
 class TrainingRuns:
@@ -66,8 +71,9 @@ class _Known:
 class EmulatorTrainer(Trainer):
     """The house's trainer with the emulator's loss; arguments as of `Trainer`.
 
-    L = mean over figures of |ŷ − y| in units of the twins' mean distance, the mean over the columns of a figure, plus
-    the negative log-likelihood of the twins' differences for a Gaussian of the predicted spread.
+    L = weighted sum over figures of |ŷ − y| in units of the twins' mean distance, a mean over a figure's columns, plus
+    the negative log-likelihood of the twins' differences for a Gaussian of the predicted spread. A batch has every
+    stride-th frame of some series, from a random one of the first on.
     """
 
     def __init__(self, model: Emulator, windows: TrainingRuns, config: TrainConfig, *rest: Any) -> None:
@@ -77,27 +83,40 @@ class EmulatorTrainer(Trainer):
         model.extent.copy_(torch.as_tensor([_scale(column, deviation=True) for column in values.T]))
         model.scatter.copy_(torch.as_tensor([_scale(column) for column in apart.T]))
         self.inputs, self.valid = windows.inputs(model), torch.as_tensor(np.isfinite(values))
+        self.jitter, told = torch.tensor(JITTER) / SETTLED_UNIT, model.told(self.inputs)
+        self.parts = [told.part(model.stride, first) for first in range(min(model.stride, values.shape[1]))]
         self.truth = torch.as_tensor(np.nan_to_num(values))
         self.apart, self.apart_valid = torch.as_tensor(np.nan_to_num(apart)), torch.as_tensor(np.isfinite(apart))
         self.weights = torch.empty_like(model.scatter)
-        for place in columns_of(windows.figures).values():
+        for name, place in columns_of(windows.figures).items():
             floor = math.sqrt(2.0) * _mean(np.abs(apart[..., place]))
-            self.weights[place] = 1.0 / ((floor + LEAST) * (place.stop - place.start)) if floor > 0.0 else 0.0
+            share = WEIGHTS.get(name, WEIGHT_OF_OTHERS) / (place.stop - place.start)
+            self.weights[place] = share / (floor + LEAST) if floor > 0.0 else 0.0
         super().__init__(model, windows, config, *rest)
+        # Matrices shrink, what shifts and scales them does not.
+        groups = [
+            {"params": [p for p in self.parameters if (p.ndim > 1) == shrinks], "weight_decay": decay}
+            for shrinks, decay in ((True, config.model.weight_decay), (False, 0.0))
+        ]
+        self.optimizer = torch.optim.AdamW(groups, lr=config.optim.learning_rate, betas=(0.9, 0.99))
 
     def _window_gradients(self, model: Emulator, draw: int, frames: int) -> tuple[float, dict[str, float], list]:
         """Loss, its terms and its gradients for one batch of series; touches nothing that threads share."""
         rng = np.random.default_rng((self.config.seed, 7919, draw))
         drawn = rng.choice(len(self.truth), self.windows.batch, replace=False)
+        first = int(rng.integers(len(self.parts)))
+        part, frames = self.parts[first][drawn], slice(first, None, model.stride)
+        part.signal[..., SETTLED] += self.jitter * torch.as_tensor(rng.standard_normal((len(drawn), 1, 2))).float()
         count, terms = len(model.committee), {"figures": 0.0, "spread": 0.0}
         for number, recurrence in enumerate(model.committee):
             rows = drawn[number::count]
-            mean, spread = model.said_by(recurrence, self.inputs[rows])
-            far = (torch.where(self.valid[rows], mean, self.truth[rows]) - self.truth[rows]).abs()
+            mean, spread = model.said_by(recurrence, part[slice(number, None, count)])
+            truth = self.truth[rows, frames]
+            far = (torch.where(self.valid[rows, frames], mean, truth) - truth).abs()
             terms["figures"] += (far * self.weights).sum(dim=-1).mean() / count
             here, pairs = np.nonzero(rows[:, None] == self.windows.twins[:, 0])
-            relative = self.apart[pairs] / spread[here]
-            likely = (torch.log(spread[here] / model.scatter) + 0.5 * relative**2) * self.apart_valid[pairs]
+            relative = self.apart[pairs, frames] / spread[here]
+            likely = (torch.log(spread[here] / model.scatter) + 0.5 * relative**2) * self.apart_valid[pairs, frames]
             terms["spread"] += SPREAD_WEIGHT * likely.sum() / max(likely.numel(), 1) / count
         total, own = sum(terms.values()), list(model.parameters())
         gradients = torch.autograd.grad(total, own, allow_unused=True, materialize_grads=True)

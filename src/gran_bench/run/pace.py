@@ -128,4 +128,6 @@ def emulator_pace(config: TrainConfig, scene: Scene) -> float:
         sum(found.mean() for found in emulator(inputs)).backward()
     torch.set_num_threads(threads)
     batches = -(-config.optim.accumulate // min(config.threads, config.optim.accumulate))
-    return 1.5 * batches * (time.perf_counter() - began)  # an update looks at the twins too
+    # An update takes one part of the strided frames, and shares the series out to the committee; it looks at twins too.
+    share = 1.5 / (config.model.stride * config.model.committee)
+    return share * batches * (time.perf_counter() - began)
