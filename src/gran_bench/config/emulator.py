@@ -12,7 +12,7 @@ from gran_bench.config.rules import Range, Section, at_least, key, one_of, posit
 class SchedulesConfig(Section, place="model.schedules"):
     """The runs of the DEM that the emulator learns from: random schedules of the drum's speed, several beds."""
 
-    runs: int = key(100, Range(2, 1000))  # of different schedules; judging has the seeds from 1000 on
+    runs: int = key(140, Range(2, 1000))  # of different schedules; judging has the seeds from 1000 on
     twins: int = key(20, at_least(2))  # of these, run again from a nudged start: how far runs scatter
     constants: int = key(6, at_least(2))  # of the runs at constant speeds, spread over the range
     slowest_rpm: float = key(15.0, positive("rpm"))

@@ -106,15 +106,35 @@ def _shown(value: float | None) -> str:
 
 
 def averages(runs: Iterable[JudgedRun], unseen: bool) -> dict[str, dict[str, Any]]:
-    """Means over the schedules of a packing, by figure; None where one of them is undefined, because none drops out."""
+    """Means over the schedules of a packing, by figure; None where one of them is undefined, because none drops out.
+
+    ``ratio`` is the mean error over the mean of the replicas' own, also of rivals. A mean of the schedules' ratios,
+    ``mean_ratio``, would be ruled by those whose replicas have hardly come apart yet.
+    """
     rows = [run.row for run in runs if run.judged.unseen == unseen]
     table: dict[str, dict[str, Any]] = {}
     for name in rows[0] if rows else ():
-        keys = ("ratio", "spread", "error", "floor", "leave_one_out", "energy", "energy_of_runs")
-        table[name] = {key: _average(row[name][key] for row in rows) for key in keys}
-        rivals = rows[0][name]["rivals"]
-        table[name]["rivals"] = {rival: _average(row[name]["rivals"][rival] for row in rows) for rival in rivals}
+        keys = ("spread", "error", "floor", "leave_one_out", "energy", "energy_of_runs")
+        found = {key: _average(row[name][key] for row in rows) for key in keys}
+        own = found["leave_one_out"]
+        found["ratio"] = _ratio(_number(found["error"]), own)
+        found["mean_ratio"] = _average(row[name]["ratio"] for row in rows)
+        found["rivals"] = {
+            rival: _ratio(_number(_average(_product(row[name], rival) for row in rows)), own)
+            for rival in rows[0][name]["rivals"]
+        }
+        table[name] = found
     return table
+
+
+def _product(row: Mapping[str, Any], rival: str) -> float | None:
+    """A rival's error on a schedule."""
+    ratio = row["rivals"][rival]
+    return None if ratio is None else ratio * row["leave_one_out"]
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def _average(values: Iterable[float | None]) -> float | None:
@@ -135,7 +155,7 @@ def judgement(runs: Sequence[JudgedRun], unseen: bool, faster: float | None = No
     ]  # fmt: skip
     requirements = []
     for name in COMPARED:
-        words = f"{label[name]}, at most {WORST[unseen]:g} × the mean of the other replicas"
+        words = f"{label[name]}, mean error at most {WORST[unseen]:g} × that of the other replicas' mean"
         requirements.append(_at_most(f"{name}_mean", words, table[name]["ratio"], WORST[unseen]))
     for name in COMPARED:
         found, (low, high) = table[name]["spread"], SPREAD
