@@ -67,14 +67,15 @@ def test_one_scene_has_no_picture_of_all(found, tmp_path):
     assert overview.draw_overview(tmp_path) is None
     page = write_page(tmp_path).read_text("utf-8")
     assert overview.FIGURE not in page
-    assert page.startswith("# Run time against error\n\n<!-- overview -->\n**In one scene, nothing is both faster")
+    assert page.startswith("# Run time against error\n\n<!-- overview -->\n**On the frontier, where ")
 
 
 def test_the_words_count_scenes_by_family_and_say_where_the_surrogate_stands(found):
     beaten = copy.deepcopy(found)
     beaten["methods"].append(row("DEM 0.3 ms, coarse-grained 1.5", "dem", 0.3, 0.9))
     text = overview.overview_text(Path("nowhere"), {"quick/a": found, "quick/b": beaten})
-    assert text.startswith("**Of 2 scenes, nothing is both faster and as exact as the DEM at one of its steps in 2, ")
+    start = "**On the frontier, where nothing is both faster and as exact, stands the DEM at one of its steps in 2 of 2 "
+    assert text.startswith(start + "scenes, ")
     assert "a coarse-grained DEM in 1, a surrogate in 1.**" in text
-    said = "The surrogate net answers in 2 of them: a DEM that is as exact is faster in 1 (2 times), it is faster than "
+    said = "The surrogate net fits 2 of the scenes: a DEM that is as exact is faster in 1 (2 times), it is faster than "
     assert said + "every DEM as exact in 1." in text

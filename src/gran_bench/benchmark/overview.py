@@ -62,9 +62,10 @@ def overview_text(root: Path, every: Mapping[str, Found]) -> str:
         kinds = {row["name"]: family_of(row) for row in found["methods"]}
         ahead.update({kinds[entry.name] for entry in frontier(ranked)})
     there = {family_of(row) for found in every.values() for row in found["methods"]}
-    shares = ", ".join(f"{words} in {ahead[family]}" for family, words in WORDS.items() if family in there)
-    scenes = f"Of {count} scenes" if count > 1 else "In one scene"
-    lines = [f"**{scenes}, nothing is both faster and as exact as {shares}.**"]
+    seen = [f"{words} in {ahead[family] or 'none'}" for family, words in WORDS.items() if family in there]
+    scenes = f"{count} scenes" if count > 1 else "one scene"
+    seen[0] = f"{seen[0]} of {scenes}"
+    lines = [f"**On the frontier, where nothing is both faster and as exact, stands {', '.join(seen)}.**"]
     lines += _surrogates(every)
     if (root / FIGURE).exists():
         lines += ["", f"![Run time against error in every scene.]({FIGURE})"]
@@ -82,7 +83,7 @@ def _surrogates(every: Mapping[str, Found]) -> Iterator[str]:
         answers = Counter(one.faster for one in beside)
         slower = [one for one in beside if one.faster == "rival"]
         ratios = sorted(1.0 / claims.speed_up(one.entry, one.rival or one.lenient).middle for one in slower)
-        said = f"The surrogate {name} answers in {len(beside)} of them"
+        said = f"The surrogate {name} fits {len(beside)} of the scenes"
         words = {"rival": "a DEM that is as exact is faster in", "entry": "it is faster than every DEM as exact in"}
         words |= {"alone": "no DEM is as exact in", "neither": "neither is faster in", "undecided": "undecided in"}
         parts = [f"{text} {answers[key]}" for key, text in words.items() if answers[key]]
