@@ -74,8 +74,8 @@ def test_the_words_count_scenes_by_family_and_say_where_the_surrogate_stands(fou
     beaten = copy.deepcopy(found)
     beaten["methods"].append(row("DEM 0.3 ms, coarse-grained 1.5", "dem", 0.3, 0.9))
     text = overview.overview_text(Path("nowhere"), {"quick/a": found, "quick/b": beaten})
-    assert text.startswith("**On the frontier, where nothing is both faster and as exact, stands the DEM at one of its ")
-    assert "steps in 2 of 2 scenes, " in text
+    assert text.startswith("**On the frontier, where nothing is both faster and as exact, stands the DEM at one of ")
+    assert "of its steps in 2 of 2 scenes, " in text
     assert "a coarse-grained DEM in 1, a surrogate in 1.**" in text
     said = "The surrogate net fits 2 of the scenes: a DEM that is as exact is faster in 1 (2 times), it is faster than "
     assert said + "every DEM as exact in 1." in text
