@@ -5,6 +5,7 @@ from __future__ import annotations  # the types of keys are read as words
 from dataclasses import dataclass, field
 
 from gran_bench.config.emulator import EmulatorConfig
+from gran_bench.config.graph import GraphModelConfig
 from gran_bench.config.registry import holds_weights, register_model, register_wall
 from gran_bench.config.requirements import RequirementsConfig
 from gran_bench.config.rules import MISSING, Name, Range, Section, at_least, between, key, one_of, positive
@@ -330,7 +331,9 @@ class TrainConfig(GenerateConfig):
     seed: int = key(0, SEED)
     device: str = key("auto", one_of("auto", "cpu", "cuda"))
     threads: int = key(2, at_least(1))  # CPU threads of the surrogate
-    model: ContactModelConfig | CconvModelConfig | EmulatorConfig = field(default_factory=ContactModelConfig)
+    model: ContactModelConfig | CconvModelConfig | GraphModelConfig | EmulatorConfig = field(
+        default_factory=ContactModelConfig
+    )
     boundary: BoundaryConfig = field(default_factory=lambda: BoundaryConfig(kind="own"))  # of the contact network
     loss: LossConfig = field(default_factory=LossConfig)
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
