@@ -8,7 +8,7 @@ from gran_bench.config import (
     CconvModelConfig,
     ContactModelConfig,
     EmulatorConfig,
-    GraphModelConfig,
+    GnsConfig,
     LossConfig,
     TrainConfig,
 )
@@ -50,7 +50,7 @@ def check_radius(model: Section, diameter: float, period: float) -> Iterator[str
         diameter: of the spheres, m.
         period: length of the periodic axis, m; 0 for none.
     """
-    if not isinstance(model, CconvModelConfig | ContactModelConfig | GraphModelConfig):
+    if not isinstance(model, CconvModelConfig | ContactModelConfig | GnsConfig):
         return
     radius = given_or(model.radius_m, model.radius_diameters, diameter)
     unit = diameter if model.radius_m is None else 1.0
@@ -58,7 +58,7 @@ def check_radius(model: Section, diameter: float, period: float) -> Iterator[str
     given = f"model.{key}={getattr(model, key):g}"
     if isinstance(model, CconvModelConfig) and radius <= diameter:
         yield f"{given} reaches no neighbour; choose more than {diameter / unit:g} {of}, the size of a particle"
-    if isinstance(model, ContactModelConfig | GraphModelConfig):
+    if isinstance(model, ContactModelConfig | GnsConfig):
         least = (1.0 + PAIR_FADE) * diameter
         if radius < least * (1.0 - 1e-9):
             yield f"{given} leaves no room for a contact to fade; choose at least {least / unit:g} {of}"
@@ -99,7 +99,10 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
     if loss.momentum > 0 and MODELS[model].conserves_momentum:
         given = f"loss.momentum={loss.momentum:g} has nothing to teach model={model}"
         yield f"{given}, which conserves momentum exactly; choose loss.momentum=0, or model=radial or model=ccnn"
-    if loss.momentum > 0 and isinstance(config.model, GraphModelConfig):
+    if loss.momentum > 0 and isinstance(config.model, CconvModelConfig) and config.model.pair_branch != "plain":
+        given = f"loss.momentum={loss.momentum:g} has nothing to teach model.pair_branch={config.model.pair_branch}"
+        yield f"{given}, which conserves momentum exactly; choose loss.momentum=0, or model.pair_branch=plain"
+    if loss.momentum > 0 and isinstance(config.model, GnsConfig):
         given = f"loss.momentum={loss.momentum:g} needs accelerations of pairs alone"
         yield f"{given}, and model={model} tells them not from walls'; choose loss.momentum=0, or model=radial"
     for term in TERMS_OF_GRAVITY:

@@ -14,7 +14,7 @@ from gran_bench.config.rules import Section, at_least, key, one_of, positive
     code=("surrogate/graph", "surrogate/convolution/boundary.py"),
 )
 @dataclass
-class GraphModelConfig(Section, place="model"):
+class GnsConfig(Section, place="model"):
     """A graph network that passes messages between particles and closest wall points."""
 
     name: str = key("gns", one_of("gns"))

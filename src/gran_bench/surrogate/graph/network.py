@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from gran_bench.config import GraphModelConfig
+from gran_bench.config import GnsConfig
 from gran_bench.config.choices import check_radius, given_or
 from gran_bench.scene import Scene
 from gran_bench.surrogate.graph.edges import frame_graph
@@ -45,7 +45,7 @@ class GraphNetwork(NewtonSurrogate):
     Mayr et al. (2021), Boundary graph neural networks for 3D simulations, arXiv 2106.11299.
     """
 
-    def __init__(self, config: GraphModelConfig, scene: Scene) -> None:
+    def __init__(self, config: GnsConfig, scene: Scene) -> None:
         super().__init__(config.update)
         self.diameter = scene.filling.diameter
         check_radius(config, self.diameter, scene.period)
