@@ -99,7 +99,7 @@ def refuse(monkeypatch, capsys, tmp_path):
         ("scene.container.kind=none", ["no container"]),
         ("scene.container.lifters=4", ["the keys of scene.container are kind, diameter, length, periodic_axis\n"]),
         ("model=cnn", ["model=cnn", "did you mean ccnn?", "radial"]),
-        ("optim=adam", ["optim=adam", "choose ccnn or contact or emulator or gns or paper or radial", "--config-dir=FOLDER"]),
+        ("optim=adam", ["optim=adam", "ccnn or contact or emulator or gns or paper or radial", "--config-dir=FOLDER"]),
         ("+experiment=holdout3", ["experiment=holdout3", "did you mean holdout30rpm?", "smoke"]),
         ("experiment=smoke", ["experiment", "+experiment=smoke"]),
         ("modle=ccnn", ["modle=ccnn", "did you mean model?"]),
