@@ -103,8 +103,8 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
         given = f"loss.momentum={loss.momentum:g} has nothing to teach model.pair_branch={config.model.pair_branch}"
         yield f"{given}, which conserves momentum exactly; choose loss.momentum=0, or model.pair_branch=plain"
     if loss.momentum > 0 and isinstance(config.model, GnsConfig):
-        given = f"loss.momentum={loss.momentum:g} needs accelerations of pairs alone"
-        yield f"{given}, and model={model} tells them not from walls'; choose loss.momentum=0, or model=radial"
+        given = f"loss.momentum={loss.momentum:g} needs the accelerations of pairs alone"
+        yield f"{given}, and model={model} tells only those with walls; choose loss.momentum=0, or model=radial"
     for term in TERMS_OF_GRAVITY:
         if getattr(loss, term) > 0 and not any(gravity):
             given = f"loss.{term}={getattr(loss, term):g} is measured in units of gravity"
