@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig
+from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig, GnsConfig
 from gran_bench.scene import Plane
 from gran_bench.shipped import shipped_model, shipped_scene
 from gran_bench.state import ParticleState
@@ -30,6 +30,8 @@ CASES = [
         for choices in CONVOLUTION
         for kind in ("spheres", "analytic", "none")
     ),
+    ("radial", {"pair_branch": "antisymmetric"}, "spheres"),
+    *(("gns", {"update": update}, "own") for update in ("mean", "trapezoid")),
 ]
 
 
@@ -38,6 +40,8 @@ def lively(name: str, choices: dict, boundary: str) -> Surrogate:
     torch.manual_seed(0)
     if name == "contact":
         config = ContactModelConfig(**{"iterations": 3} | choices)
+    elif name == "gns":
+        config = GnsConfig(**{"width": 8} | choices)
     else:
         kernel = "radial" if name == "radial" else "lattice"
         config = CconvModelConfig(**{"name": name, "kernel": kernel, "width": 8} | choices)

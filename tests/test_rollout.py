@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import nn
 
-from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig, SceneConfig
+from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig, GnsConfig, SceneConfig
 from gran_bench.dem.outlet import taking_part
 from gran_bench.scene import build_scene
 from gran_bench.shipped import shipped_scene
@@ -69,6 +69,7 @@ MODELS = {
     "contact, torch": (ContactModelConfig(radius_m=0.024, memory=True, backend="torch"), BoundaryConfig(kind="own")),
     "radial": (CconvModelConfig(name="radial", kernel="radial", width=8, radius_m=0.045), BoundaryConfig()),
     "ccnn": (CconvModelConfig(width=8, radius_m=0.045), BoundaryConfig(kind="analytic")),
+    "gns": (GnsConfig(width=8), BoundaryConfig(kind="own")),
 }
 
 

@@ -67,6 +67,7 @@ TRAININGS = {f"train {model}" for model in MODELS}
         ("losses/frame_ahead.py", TRAININGS),
         ("surrogate/contact/solver.py", {"train contact", "model contact", "compare"}),
         ("surrogate/convolution/cconv.py", {"train ccnn", "train radial", "model ccnn", "model radial", "compare"}),
+        ("surrogate/graph/messages.py", {"train gns", "model gns", "compare"}),
         ("metrics/angle_of_repose.py", {"judge", "compare", "train emulator", "model emulator"}),
         ("emulator/network.py", {"train emulator", "model emulator", "compare"}),
         ("neighbors/cells.py", {*TRAININGS, "judge", "compare"}),

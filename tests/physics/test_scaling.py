@@ -55,6 +55,7 @@ MODELS = {
     "ccnn": ["model=ccnn", "model.width=8", "model.layers=2", "model.kernel_size=3"],
     "ccnn, closest points": ["model=ccnn", "model.width=8", "model.layers=2", "boundary=analytic"],
     "radial": ["model=radial", "model.width=8", "model.layers=2"],
+    "gns": ["model=gns", "model.width=8"],
 }
 
 

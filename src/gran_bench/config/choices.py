@@ -8,13 +8,14 @@ from gran_bench.config import (
     CconvModelConfig,
     ContactModelConfig,
     EmulatorConfig,
+    GnsConfig,
     LossConfig,
     TrainConfig,
 )
 from gran_bench.config.registry import MODELS
 from gran_bench.config.rules import Section, raising, shown
 
-PAIR_FADE = 0.1  # of a diameter: the last part of the contact network's reach, over which an answer fades
+PAIR_FADE = 0.1  # of a diameter: the last part of a contact's reach, over which an answer fades
 
 # What of `boundary` each kind looks at.
 BOUNDARY_KEYS = {
@@ -49,7 +50,7 @@ def check_radius(model: Section, diameter: float, period: float) -> Iterator[str
         diameter: of the spheres, m.
         period: length of the periodic axis, m; 0 for none.
     """
-    if not isinstance(model, CconvModelConfig | ContactModelConfig):
+    if not isinstance(model, CconvModelConfig | ContactModelConfig | GnsConfig):
         return
     radius = given_or(model.radius_m, model.radius_diameters, diameter)
     unit = diameter if model.radius_m is None else 1.0
@@ -57,7 +58,7 @@ def check_radius(model: Section, diameter: float, period: float) -> Iterator[str
     given = f"model.{key}={getattr(model, key):g}"
     if isinstance(model, CconvModelConfig) and radius <= diameter:
         yield f"{given} reaches no neighbour; choose more than {diameter / unit:g} {of}, the size of a particle"
-    if isinstance(model, ContactModelConfig):
+    if isinstance(model, ContactModelConfig | GnsConfig):
         least = (1.0 + PAIR_FADE) * diameter
         if radius < least * (1.0 - 1e-9):
             yield f"{given} leaves no room for a contact to fade; choose at least {least / unit:g} {of}"
@@ -98,6 +99,12 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
     if loss.momentum > 0 and MODELS[model].conserves_momentum:
         given = f"loss.momentum={loss.momentum:g} has nothing to teach model={model}"
         yield f"{given}, which conserves momentum exactly; choose loss.momentum=0, or model=radial or model=ccnn"
+    if loss.momentum > 0 and isinstance(config.model, CconvModelConfig) and config.model.pair_branch != "plain":
+        given = f"loss.momentum={loss.momentum:g} has nothing to teach model.pair_branch={config.model.pair_branch}"
+        yield f"{given}, which conserves momentum exactly; choose loss.momentum=0, or model.pair_branch=plain"
+    if loss.momentum > 0 and isinstance(config.model, GnsConfig):
+        given = f"loss.momentum={loss.momentum:g} needs the accelerations of pairs alone"
+        yield f"{given}, and model={model} tells only those with walls; choose loss.momentum=0, or model=radial"
     for term in TERMS_OF_GRAVITY:
         if getattr(loss, term) > 0 and not any(gravity):
             given = f"loss.{term}={getattr(loss, term):g} is measured in units of gravity"

@@ -5,6 +5,7 @@ from __future__ import annotations  # the types of keys are read as words
 from dataclasses import dataclass, field
 
 from gran_bench.config.emulator import EmulatorConfig
+from gran_bench.config.graph import GnsConfig
 from gran_bench.config.registry import holds_weights, register_model, register_wall
 from gran_bench.config.requirements import RequirementsConfig
 from gran_bench.config.rules import MISSING, Name, Range, Section, at_least, between, key, one_of, positive
@@ -205,6 +206,7 @@ class CconvModelConfig(Section, place="model"):
     radius_m: float | None = key(None, positive("m"))  # null: by radius_diameters
     constant_input: bool = True  # a constant 1 among the input features
     residual: bool = True  # where widths agree
+    pair_branch: str = key("plain", one_of("plain", "antisymmetric"))  # antisymmetric: pairs conserve momentum
     output_scale_diameters: float = key(0.02, positive("diameters per frame²"))  # one unit of the network's output
     update: str = key("mean", one_of("mean", "trapezoid"))
     backend: str = key("fused", BACKEND)  # fused: Numba, CPU
@@ -330,7 +332,9 @@ class TrainConfig(GenerateConfig):
     seed: int = key(0, SEED)
     device: str = key("auto", one_of("auto", "cpu", "cuda"))
     threads: int = key(2, at_least(1))  # CPU threads of the surrogate
-    model: ContactModelConfig | CconvModelConfig | EmulatorConfig = field(default_factory=ContactModelConfig)
+    model: ContactModelConfig | CconvModelConfig | GnsConfig | EmulatorConfig = field(
+        default_factory=ContactModelConfig
+    )
     boundary: BoundaryConfig = field(default_factory=lambda: BoundaryConfig(kind="own"))  # of the contact network
     loss: LossConfig = field(default_factory=LossConfig)
     rollout: RolloutConfig = field(default_factory=RolloutConfig)
@@ -382,18 +386,3 @@ class BenchmarkConfig(GenerateConfig):
     seed: int = key(0, SEED)  # of the order of turns, and of the nudge of each round
     measure: bool = True  # false: tables, figures and page anew from kept results, by today's rules
     root: str = "results/benchmark"  # folder of results and page, from where the command runs
-
-
-@dataclass
-class StressConfig(Section):
-    """Everything that `python -m gran_bench.stress` reads."""
-
-    selection: str = key("full", one_of("full", "short"))
-    cases: list[str] = field(default_factory=list)  # names of cases of that selection; empty: all
-    case_list: str | None = None  # YAML file of cases; null: the list in the package
-    checkpoint: str = "shipped"  # model file; `shipped`: the one in the package
-    also: list[str] = field(default_factory=list)  # further model files
-    workers: int = key(2, at_least(1))  # cases at a time
-    patience: float = key(900.0, positive("s"))  # that a case may take
-    output: str = "results/stress"  # folder of the page
-    dry_run: bool = False  # true: say what the command will do and take, and make nothing

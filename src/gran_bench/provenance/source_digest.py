@@ -22,7 +22,10 @@ _READING = (
     *("state.py", "scene", "neighbors", "dem/outlet.py", "dem/seams.py", "dem/fast/wall_list.py", "dem/walls.py"),
     "dem/vectors.py",
     *("dataset/case_file.py", "dataset/scene_document.py", "dataset/windows.py"),
-    *("surrogate", *(f"-surrogate/{name}" for name in ("checkpoint.py", "rollout.py", "contact", "convolution"))),
+    *(
+        "surrogate",
+        *(f"-surrogate/{name}" for name in ("checkpoint.py", "rollout.py", "contact", "convolution", "graph")),
+    ),
 )
 # What decides the weights of a training, beside the model's modules.
 TRAINING = (*_READING, "losses", "trainer")

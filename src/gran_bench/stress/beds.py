@@ -254,7 +254,7 @@ def untrained_rollout(
 ) -> Observation:
     """Roll out a model of the default configuration with random weights, which must fail: whether it is seen is tested.
 
-    ``model`` is ``contact``, ``radial`` or ``ccnn``.
+    ``model`` is ``contact``, ``radial``, ``ccnn`` or ``gns``.
     """
     config = checked_config(compose("train", [f"model={model}"]), TrainConfig)
     torch.manual_seed(0)

@@ -183,7 +183,7 @@ def build_model(model: Section, boundary: BoundaryConfig, scene: Scene, speeds_r
 
     Args:
         model: its ``name`` is a registered one: ``ccnn``, ``radial`` (a continuous-convolution network with the lattice
-            or the radial kernel), ``contact``, or a plugin's.
+            or the radial kernel), ``contact``, ``gns`` (a graph network), or a plugin's.
         boundary: how a model sees the walls that has no way of its own.
         scene: that the model is made for; a rollout in another one is held against it.
         speeds_rpm: of the drum in the training cases, rpm.

@@ -12,6 +12,7 @@ from gran_bench.config.choices import check_radius, given_or
 from gran_bench.config.consistency import check_model
 from gran_bench.config.rules import ConfigError
 from gran_bench.scene import Scene
+from gran_bench.surrogate.convolution.antisymmetric import AntisymmetricLayer
 from gran_bench.surrogate.convolution.boundary import KINDS, WallPairs, see_contacts, see_spheres
 from gran_bench.surrogate.convolution.cconv import ContinuousConvolution
 from gran_bench.surrogate.convolution.kernels.lattice import LatticeBasis
@@ -60,6 +61,9 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
     points; the gap (in d) joins the normals and the slip velocity the wall's velocities. A boundary feature that is
     switched off takes its convolution with it; without normals, a constant 1 stands for the wall's presence.
 
+    With ``pair_branch = antisymmetric`` the last layer of the particle branch is an `AntisymmetricLayer`: Σ a_pp = 0 to
+    rounding, whatever the weights; the window of the convolution takes the place of the fading.
+
     A branch's output fades to zero where its nearest neighbour, or the wall, reaches the edge of R
     (`neighborhood.nearness`), whatever its linear maps and biases say: a sphere that sees
     nothing flies ballistically.
@@ -101,6 +105,13 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         self.pair_linear = nn.Linear(3, half)
         self.pair_bias = nn.Parameter(torch.zeros(half))
         self.pair_layers = self._layers(2 * half, neighbors)
+        self.conserves = config.pair_branch == "antisymmetric"
+        if self.conserves:
+            self.pair_layers[-1] = AntisymmetricLayer(
+                self.pair_layers[-1].linear.in_features, 3, self.pair_basis, config.backend, neighbors
+            )
+            with torch.no_grad():
+                self.pair_layers[-1].convolution.weight.mul_(_OUTPUT_START)
 
         self.has_walls = boundary.kind != "none" and scene.needs.walls
         if self.has_walls:
@@ -145,7 +156,9 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         features = torch.cat((seen, self.pair_linear(velocity)), dim=1)
         for layer in self.pair_layers:
             features = layer(features, pairs)
-        output = of_pairs = pairs.nearness(self.diameter)[:, None] * features
+        if not self.conserves:  # a factor of each particle would part what i gives j from what j gives i
+            features = pairs.nearness(self.diameter)[:, None] * features
+        output = of_pairs = features
         if self.has_walls and scene.walls:
             wall = self._see_walls(position, given, scene, time)
             if len(wall.near):

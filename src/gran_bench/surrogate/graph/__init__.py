@@ -1,0 +1,1 @@
+"""The graph network: messages between particles and closest wall points."""
