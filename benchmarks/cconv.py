@@ -86,7 +86,6 @@ class Open3dLayer:
 
 def beside_open3d(python: str, position: torch.Tensor, repeats: int) -> None:
     """Times one 64→64 layer of 4³ nodes in both precisions beside Open3D, and prints the ratios."""
-    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})  # Open3D's threads are not to be counted otherwise
     basis = LatticeBasis(OPEN3D_RADIUS, 4)
     pairs = particle_neighborhood(basis, position)
     features, gradient = torch.randn(2, len(position), 64)
@@ -244,7 +243,12 @@ def main() -> None:
     print(f"{len(position)} spheres, {neighbors:.1f} neighbours, {options.threads} thread(s)")
 
     if options.open3d_python and "open3d" in options.tables:
+        cores = os.sched_getaffinity(0)
+        os.sched_setaffinity(0, {max(cores)})  # both have one core, and Open3D can start no more threads than that
+        torch.set_num_threads(1)
         beside_open3d(options.open3d_python, position, options.repeats)
+        os.sched_setaffinity(0, cores)
+        torch.set_num_threads(options.threads)
     if "layer" in options.tables:
         layers = {
             "geometry of a frame, lattice": lambda: particle_neighborhood(lattice, position) and None,

@@ -66,7 +66,7 @@ def _run(func, args, kwargs):
     plain = kwargs if told is None else kwargs | {"device": torch.device("cpu")}
     plain_args, plain = tree_map(lambda value: value.kept if isinstance(value, There) else value, (args, plain))
     result = func(*plain_args, **plain)
-    if not there:
+    if not there or result is None:
         return result
     wrapped = tree_map(lambda value: There(value) if isinstance(value, torch.Tensor) else value, result)
     return return_and_correct_aliasing(func, args, kwargs, wrapped)

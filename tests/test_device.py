@@ -3,12 +3,17 @@
 No GPU is needed: a device is pretended, which computes here and refuses to mix its tensors with the CPU's.
 """
 
+import numpy as np
 import pytest
 import torch
 from pretend_device import DEVICE, PretendDevice, There
 from trainings import SCENE, CrowdedWindows, config
 
 from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig, LossConfig, RolloutConfig
+from gran_bench.dem.outlet import taking_part
+from gran_bench.shipped import shipped_scene
+from gran_bench.state import ParticleState
+from gran_bench.surrogate.rollout import rollout
 from gran_bench.surrogate.step import build_model
 from gran_bench.trainer import Trainer
 
@@ -52,6 +57,27 @@ def test_a_training_on_a_device_keeps_to_it_and_learns_what_one_on_the_cpu_does(
     assert loss == pytest.approx(expected_loss, rel=1e-5)
     for key, value in expected.items():
         assert torch.allclose(found[key], value, atol=1e-5), key
+
+
+def test_a_rollout_on_a_device_keeps_to_it_and_goes_as_on_the_cpu_does():
+    """With springs of contacts, walls that are bodies of revolution, and spheres that fall out."""
+    scene = shipped_scene("hopper", {"filling.count": 150})
+    filling = scene.fresh_filling(0)
+    velocity = np.zeros_like(filling.position)
+    velocity[:50, 2] = -4.0
+    state = ParticleState(filling.position, velocity, velocity, filling.radius, scene.start_time)
+
+    def rolled_out(backend, device):
+        torch.manual_seed(0)
+        choices = ContactModelConfig(radius_m=0.024, wall_reach_m=0.004, memory=True, iterations=2, backend=backend)
+        model = build_model(choices, BoundaryConfig(kind="own"), scene).to(device)
+        return rollout(model, scene, state, frames=8).trajectory.position
+
+    expected = rolled_out("torch", "cpu")
+    with PretendDevice():
+        found = rolled_out("fused", DEVICE)
+    assert not taking_part(scene, expected[-1]).all()
+    assert np.allclose(found, expected, rtol=0.0, atol=1e-6)
 
 
 def test_the_pretended_device_refuses_tensors_of_the_cpu():
