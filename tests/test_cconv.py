@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 import torch
 from beds import every_neighbor
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_iter
 
 from gran_bench.surrogate.convolution.cconv import ContinuousConvolution, convolve
 from gran_bench.surrogate.convolution.kernels import fused
 from gran_bench.surrogate.convolution.kernels.fused import convolve_fused
 from gran_bench.surrogate.convolution.kernels.lattice import LatticeBasis, ball_to_cube
 from gran_bench.surrogate.convolution.kernels.radial import RadialBasis
-from gran_bench.surrogate.convolution.neighborhood import weigh_pairs
+from gran_bench.surrogate.convolution.neighborhood import particle_neighborhood, weigh_pairs
 
 REFERENCE = Path(__file__).parent / "reference"
 DIAMETER, RADIUS = 0.05, 0.1125
@@ -212,10 +214,24 @@ def test_without_onednn_the_fused_path_multiplies_with_the_blas(monkeypatch):
     def missing(left, right):
         raise RuntimeError("no such operator in this build")
 
+    monkeypatch.setattr(fused, "_blas_is_wide", lambda: False)
     monkeypatch.setattr(fused, "_onednn_product", missing)
     monkeypatch.setattr(fused, "_product", fused._choose_product())
     assert fused._product is torch.mm
     for a, b in zip(outputs_and_gradients(*arguments), chosen, strict=True):
+        assert relative_rms(a, b) < 2e-6
+
+
+def test_onednn_multiplies_as_the_blas_does(monkeypatch):
+    position = points(300, seed=4)
+    pairs = neighborhood(position, position, BASES["lattice"], True)
+    results = []
+    for wide in (True, False):
+        monkeypatch.setattr(fused, "_blas_is_wide", lambda wide=wide: wide)
+        monkeypatch.setattr(fused, "_product", fused._choose_product())
+        results.append(outputs_and_gradients(convolve_fused, pairs, BASES["lattice"], torch.float32))
+    assert fused._product is fused._onednn_product
+    for a, b in zip(*results, strict=True):
         assert relative_rms(a, b) < 2e-6
 
 
@@ -250,3 +266,127 @@ def test_pairs_among_some_particles_are_those_of_a_search_among_them():
     assert torch.equal(among.row_start, searched.row_start)
     assert torch.equal(among.source, searched.source)
     assert torch.equal(among.coefficient, searched.coefficient)
+
+
+def rounded(convolution):
+    """A convolution with its factors in bfloat16."""
+    return lambda features, weight, pairs: convolution(features, weight, pairs, "bfloat16")
+
+
+@pytest.mark.parametrize("name", BASES)
+@pytest.mark.parametrize("symmetric", [True, False], ids=["symmetric", "two sets"])
+@pytest.mark.parametrize("features_trained", [True, False])
+@pytest.mark.parametrize("convolution", [convolve_fused, convolve], ids=["fused", "torch"])
+def test_bfloat16_moves_outputs_and_gradients_by_no_more_than_is_said(
+    name, symmetric, features_trained, convolution, threads
+):
+    query = points(400, seed=1)
+    source = query if symmetric else points(300, seed=2)
+    pairs = neighborhood(query, source, BASES[name], symmetric)
+    arguments = (pairs, BASES[name], torch.float32, features_trained, (32, 24))
+    exact = outputs_and_gradients(convolve, *arguments)
+    found = outputs_and_gradients(rounded(convolution), *arguments)
+    again = outputs_and_gradients(rounded(convolution), *arguments)
+    for values, expected, repeated in zip(found, exact, again, strict=True):
+        assert values.dtype == torch.float32
+        assert 1e-4 < relative_rms(values, expected) < 4e-3
+        assert torch.equal(values, repeated)
+
+
+def test_both_bfloat16_paths_give_the_same_outputs():
+    """They round the same sums; only where those differ by float32's rounding may a factor fall to the other side."""
+    position = points(400, seed=1)
+    pairs = neighborhood(position, position, BASES["lattice"], True)
+    arguments = (pairs, BASES["lattice"], torch.float32, True, (32, 24))
+    fused_output, plain_output = (
+        outputs_and_gradients(rounded(convolution), *arguments)[0] for convolution in (convolve_fused, convolve)
+    )
+    assert relative_rms(fused_output, plain_output) < 1e-3
+    assert float((fused_output == plain_output).float().mean()) > 0.9
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+@pytest.mark.parametrize("convolution", [convolve_fused, convolve], ids=["fused", "torch"])
+def test_permuted_particles_give_permuted_results(convolution, precision):
+    position, order = points(500, seed=9), torch.randperm(500, generator=torch.Generator().manual_seed(2))
+    features = torch.randn(500, 8, generator=torch.Generator().manual_seed(3))
+    kernel = torch.randn(64, 8, 8, generator=torch.Generator().manual_seed(4))
+    results = []
+    for place, given in ((position, features), (position[order], features[order])):
+        given, weight = given.clone().requires_grad_(), kernel.clone().requires_grad_()
+        output = convolution(given, weight, neighborhood(place, place, BASES["lattice"], True), precision)
+        output.pow(2).sum().backward()
+        results.append((output.detach(), given.grad, weight.grad))
+    (output, of_features, of_kernel), permuted = results
+    for found, expected in zip(permuted, (output[order], of_features[order], of_kernel), strict=True):
+        assert relative_rms(found, expected) < (2e-6 if precision == "float32" else 3e-3)
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_what_is_not_a_number_stays_none(precision):
+    position = points(200, seed=4)
+    pairs = neighborhood(position, position, BASES["lattice"], True)
+    features = torch.ones(200, 8)
+    features[7] = torch.nan
+    output = convolve_fused(features, torch.ones(64, 8, 8), pairs, precision)
+    sees = torch.unique(pairs.query[pairs.source == 7])
+    assert output[sees].isnan().all()
+    assert output.isnan().any(dim=1).sum() == len(sees) > 0
+
+
+def test_features_of_every_width_are_gathered_whole(threads):
+    """Vectors of 64, 16, 4 and 1 share the work."""
+    position = points(150, seed=5)
+    pairs = neighborhood(position, position, BASES["radial"], True)
+    for width in (1, 3, 4, 16, 23, 64, 87, 149):
+        arguments = (pairs, BASES["radial"], torch.float32, True, (width, 3))
+        for fast, reference in zip(
+            outputs_and_gradients(convolve_fused, *arguments), outputs_and_gradients(convolve, *arguments), strict=True
+        ):
+            assert relative_rms(fast, reference) < 2e-6
+
+
+def test_gradients_of_the_fused_path_are_exact():
+    position = points(7, seed=3, width=0.12)
+    pairs = neighborhood(position, position, BASES["lattice"], True, torch.float64)
+    features = torch.randn(7, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    kernel = torch.randn(64, 2, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1)).requires_grad_()
+    assert torch.autograd.gradcheck(lambda f, k: convolve_fused(f, k, pairs), (features, kernel))
+
+
+class Largest(TorchDispatchMode):
+    """The most bytes that an operation gives in memory of its own."""
+
+    bytes = 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        result = func(*args, **(kwargs or {}))
+        before, after = (
+            {t.untyped_storage().data_ptr(): t.untyped_storage().nbytes() for t in tree_iter(x) if torch.is_tensor(t)}
+            for x in ((args, kwargs), result)
+        )
+        self.bytes = max([self.bytes, *(size for memory, size in after.items() if memory not in before)])
+        return result
+
+
+@pytest.mark.parametrize("threads", [1], indirect=True)
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_the_fused_path_never_holds_what_all_particles_gather(precision, threads):
+    """Its largest tensor is a block's buffer, the kernel or the features, however many particles there are."""
+    pairs = particle_neighborhood(BASES["lattice"], points(6000, seed=1, width=1.2).float())
+    features = torch.randn(6000, 16, requires_grad=True)
+    kernel = torch.randn(64, 16, 16, requires_grad=True)
+    with Largest() as largest:
+        convolve_fused(features, kernel, pairs, precision).sum().backward()
+    assert fused._BUFFER_BYTES // 4 <= largest.bytes <= fused._BUFFER_BYTES
+    assert 8 * largest.bytes < 6000 * 64 * 16 * 4
+
+
+def test_an_unknown_precision_is_refused_by_name():
+    with pytest.raises(ValueError, match=r"model\.precision=float16.*float32 or bfloat16"):
+        ContinuousConvolution(1, 1, BASES["lattice"], precision="float16")
+
+
+def test_the_blas_multiplies_where_it_takes_the_widest_vectors(monkeypatch):
+    monkeypatch.setattr(fused, "_blas_is_wide", lambda: True)
+    assert fused._choose_product() is torch.mm

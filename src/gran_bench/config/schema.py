@@ -210,6 +210,7 @@ class CconvModelConfig(Section, place="model"):
     output_scale_diameters: float = key(0.02, positive("diameters per frame²"))  # one unit of the network's output
     update: str = key("mean", one_of("mean", "trapezoid"))
     backend: str = key("fused", BACKEND)  # fused: Numba, CPU
+    precision: str = key("float32", one_of("float32", "bfloat16"))  # of the factors of the convolutions
 
 
 @dataclass

@@ -35,12 +35,13 @@ class MixingLayer(nn.Module):
     """convolution(h) + W h + b of h = ReLU(features); with ``residual``, + features where C_in = C_out."""
 
     def __init__(
-        self, width_in: int, width_out: int, basis: KernelBasis, residual: bool, backend: str, neighbors: float
+        self, width_in: int, width_out: int, basis: KernelBasis, config: CconvModelConfig, neighbors: float
     ) -> None:
         super().__init__()
-        self.convolution = ContinuousConvolution(width_in, width_out, basis, backend, neighbors)
+        choices = config.backend, neighbors, config.precision
+        self.convolution = ContinuousConvolution(width_in, width_out, basis, *choices)
         self.linear = nn.Linear(width_in, width_out)
-        self.residual = residual and width_in == width_out
+        self.residual = config.residual and width_in == width_out
 
     def forward(self, features: Tensor, pairs: Neighborhood) -> Tensor:
         """``(N, C_in)`` features before their ReLU → ``(N, C_out)``, before the next."""
@@ -78,7 +79,7 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         scene: for the particles' diameter, and whether there are walls at all.
 
     Raises:
-        ValueError: an unknown kernel, boundary kind, backend or update, or an impossible size.
+        ValueError: an unknown kernel, boundary kind, backend, precision or update, or an impossible size.
     """
 
     def __init__(self, config: CconvModelConfig, boundary: BoundaryConfig, scene: Scene) -> None:
@@ -99,7 +100,7 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         neighbors = 8.0 * _SOLID_FRACTION * (self.radius / diameter) ** 3
 
         def convolution(width_in: int, basis: KernelBasis, count: float) -> ContinuousConvolution:
-            return ContinuousConvolution(width_in, half, basis, config.backend, count)
+            return ContinuousConvolution(width_in, half, basis, config.backend, count, config.precision)
 
         self.pair_input = convolution(4 if config.constant_input else 3, self.pair_basis, neighbors)
         self.pair_linear = nn.Linear(3, half)
@@ -131,8 +132,7 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         config = self.config
         widths = [width_in] + [config.width] * (config.layers - 1) + [3]
         layers = nn.ModuleList(
-            MixingLayer(a, b, self.pair_basis, config.residual, config.backend, neighbors)
-            for a, b in itertools.pairwise(widths)
+            MixingLayer(a, b, self.pair_basis, config, neighbors) for a, b in itertools.pairwise(widths)
         )
         output = layers[-1]
         with torch.no_grad():

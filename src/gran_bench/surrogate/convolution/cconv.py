@@ -21,11 +21,12 @@ from gran_bench.surrogate.convolution.kernels.fused import convolve_fused
 from gran_bench.surrogate.convolution.neighborhood import KernelBasis, Neighborhood
 
 
-def convolve(features: Tensor, weight: Tensor, neighborhood: Neighborhood) -> Tensor:
+def convolve(features: Tensor, weight: Tensor, neighborhood: Neighborhood, precision: str = "float32") -> Tensor:
     """Σ_pairs Σ_b coefficient_b f_source W_b, in plain torch: the reference that every fast path must equal.
 
-    Gathers A[q, b, :] = Σ_{i ∈ N(q)} φ_b a f_i, then multiplies by the kernel. Differentiable in everything, the
-    positions behind ``coefficient`` included: ``(S, C_in)`` features and ``(B, C_in, C_out)`` weights → ``(Q, C_out)``.
+    Gathers A[q, b, :] = Σ_{i ∈ N(q)} φ_b a f_i, then multiplies by the kernel; with ``precision = bfloat16`` both are
+    rounded to it before. Differentiable in everything, the positions behind ``coefficient`` included: ``(S, C_in)``
+    features and ``(B, C_in, C_out)`` weights → ``(Q, C_out)``. Runs on any device.
     """
     size, channels_in, channels_out = weight.shape
     pairs = neighborhood
@@ -35,7 +36,10 @@ def convolve(features: Tensor, weight: Tensor, neighborhood: Neighborhood) -> Te
     for corner, offset in enumerate(pairs.basis.offsets):
         weighted = source_features * pairs.coefficient[:, corner, None]
         gathered = gathered.index_add(0, slot + offset, weighted)
-    return gathered.view(pairs.query_count, size * channels_in) @ weight.view(size * channels_in, channels_out)
+    factors = gathered.view(pairs.query_count, size * channels_in), weight.view(size * channels_in, channels_out)
+    if precision == "bfloat16":
+        factors = [factor.bfloat16() for factor in factors]
+    return (factors[0] @ factors[1]).to(features.dtype)
 
 
 def initial_bound(basis: KernelBasis, channels_in: int, neighbors: float) -> float:
@@ -65,20 +69,29 @@ class ContinuousConvolution(nn.Module):
         backend: ``fused`` (Numba, on CPU; the geometry counts as constant in the backward pass, because gradients
             through it matter little) or ``torch`` (the reference).
         neighbors: expected of a query, for the scale of the first weights only.
+        precision: of the factors of its matrix products, ``float32`` or ``bfloat16``. Rounding them moves output and
+            gradients by 0.3 % (RMS); it is faster where the processor multiplies bfloat16.
 
     Raises:
-        ConfigError: another backend.
+        ConfigError: another backend or precision.
     """
 
     def __init__(
-        self, channels_in: int, channels_out: int, basis: KernelBasis, backend: str = "fused", neighbors: float = 50.0
+        self,
+        channels_in: int,
+        channels_out: int,
+        basis: KernelBasis,
+        backend: str = "fused",
+        neighbors: float = 50.0,
+        precision: str = "float32",
     ) -> None:
         super().__init__()
         self.backend = checked(CconvModelConfig, "backend", backend)
+        self.precision = checked(CconvModelConfig, "precision", precision)
         bound = initial_bound(basis, channels_in, neighbors)
         self.weight = nn.Parameter(torch.empty(basis.size, channels_in, channels_out).uniform_(-bound, bound))
 
     def forward(self, features: Tensor, neighborhood: Neighborhood) -> Tensor:
         """``(S, C_in)`` features of the sources → ``(Q, C_out)`` at the queries."""
         fused = self.backend == "fused" and features.device.type == "cpu"
-        return (convolve_fused if fused else convolve)(features, self.weight, neighborhood)
+        return (convolve_fused if fused else convolve)(features, self.weight, neighborhood, self.precision)
