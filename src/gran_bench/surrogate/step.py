@@ -28,6 +28,7 @@ class FrameState:
     memory: object | None = None  # whatever else a model keeps of the past; its `renumbered` follows spheres that leave
     # (N, 3) m/s², what particles gave each other in the frame that ends here; None where it is not told from walls'
     pair_acceleration: Tensor | None = None
+    near: object | None = None  # pairs that a model has listed, for it to look among in the next frame
 
     def of_each(self, change: Callable[[Tensor], Tensor]) -> FrameState:
         """The same state with each of its tensors changed."""

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from gran_bench.dem import walls as dem_walls
 from gran_bench.dem.walls import ABSENT, CYLINDER, DIRECTION, KIND, PLANE, POINT, SIZES
-from gran_bench.scene import Rotation, Scene, Wall
+from gran_bench.scene import Motion, Rotation, Scene, Wall
 from gran_bench.state import FloatArray
 
 SHAPE = 11  # first columns of a pose: what a wall is, and where
@@ -43,17 +43,20 @@ def frame_walls(scene: Scene, time: float) -> FrameWalls:
     """The walls over the frame that starts at ``time``, s; their motion is exact."""
     before, after = dem_walls.wall_poses(scene, time, scene.frame_interval, 1)[..., :SHAPE]
     turn, shift = np.zeros((len(scene.walls), 3, 3)), np.zeros((len(scene.walls), 3))
-    for index, wall in enumerate(scene.walls):
-        turn[index], shift[index] = _displacement(scene, wall, time)
+    found: dict[Motion | Rotation | None, tuple[FloatArray, FloatArray]] = {}  # most walls move as one
+    for index, motion in enumerate(map(scene.motion_of, scene.walls)):
+        if motion not in found:
+            found[motion] = _displacement(scene, motion, time)
+        turn[index], shift[index] = found[motion]
     return FrameWalls(before, after, turn, shift)
 
 
-def _displacement(scene: Scene, wall: Wall, time: float) -> tuple[FloatArray, FloatArray]:
+def _displacement(scene: Scene, motion: Rotation | Motion | None, time: float) -> tuple[FloatArray, FloatArray]:
     """M and t with M c + t = how far the wall's material, now at c, moved in the frame that ends there.
 
     A rotation about an axis through p by θ = ∫ω dt has M = I − Q(−θ) and t = −M p.
     """
-    motion, end = scene.motion_of(wall), time + scene.frame_interval
+    end = time + scene.frame_interval
     if motion is None:
         return np.zeros((3, 3)), np.zeros(3)
     if not isinstance(motion, Rotation):
@@ -76,7 +79,7 @@ def wall_velocity(wall: Wall, point: Tensor, scene: Scene, time: float) -> Tenso
     if motion is None:
         return torch.zeros_like(point)
     if not isinstance(motion, Rotation):
-        _, shift = _displacement(scene, wall, time)
+        _, shift = _displacement(scene, motion, time)
         return (point.new_tensor(shift) / interval).expand_as(point)
     speed = motion.angle(time, time + interval) / interval
     axis = point.new_tensor(motion.axis).expand_as(point)

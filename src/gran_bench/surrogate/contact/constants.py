@@ -4,6 +4,7 @@ from gran_bench.config.consistency import FUSED_SIZES
 
 # The unit of length inside the contact network is 1/50 of a diameter: 1 units where d is 50 units.
 DIAMETER = 50.0  # units
+SKIN = 0.2  # of a diameter, beyond their reach, that pairs are listed for frames to come
 PAIR, WALL = 0, 1  # kinds of contact, each with its own weights
 
 # What a perceptron sees.

@@ -25,7 +25,7 @@ from gran_bench.scene import Rotation, Scene, Translation, Vibration, Wall
 from gran_bench.state import FloatArray
 from gran_bench.surrogate.contact.constants import DIAMETER
 from gran_bench.surrogate.contact.geometry import ContactList, find_contacts
-from gran_bench.surrogate.contact.kernels.springs import stretch
+from gran_bench.surrogate.contact.kernels.springs import recall, stretch
 from gran_bench.surrogate.walls import frame_walls
 
 FLIP = np.array([1.0, -1.0, 1.0], np.float32)  # y → −y
@@ -78,14 +78,15 @@ def springs_of(memory: ContactMemory | None, contacts: ContactList) -> Tensor:
 
     A contact over a seam goes on with the spring that the sphere had with the other piece of the surface.
     """
-    keys, pairs = contacts.keys, len(contacts.pairs)
-    spring = np.zeros((len(keys), 3), np.float32)
+    spring = np.zeros((len(contacts.pairs) + len(contacts.wall), 3), np.float32)
     if memory is not None and len(memory.keys):
-        for mine, wanted in ((spring[pairs:], contacts.wall_keys(contacts.other_piece)), (spring, keys)):
-            place = np.minimum(np.searchsorted(memory.keys, wanted), len(memory.keys) - 1)
-            known = memory.keys[place] == wanted
-            mine[known] = memory.spring[place[known]]
+        recall(*_listed(contacts), contacts.count, memory.keys, memory.spring, spring)
     return torch.from_numpy(spring)
+
+
+def _listed(contacts: ContactList) -> tuple[NDArray[np.int64], ...]:
+    """A list as the kernels take it."""
+    return contacts.pairs, contacts.wall_particle, contacts.wall, contacts.other_piece
 
 
 def gather(
@@ -104,23 +105,23 @@ def gather(
     # The spin of the frame is the mean of its ends: the model and the data give both.
     spins = [np.asarray(w, np.float32) for w in angular_velocities]
     spin = (spins[0] + spins[1]) * np.float32(0.5 * radius * scene.frame_interval)
-    spring, touches = np.zeros_like(springs), np.zeros(len(springs), np.bool_)
-    of_walls = contacts.wall_particle, contacts.wall, contacts.other_piece
+    keys, spring = np.empty(len(springs), np.int64), np.empty_like(springs)
     moves = walls.before, walls.after, walls.turn, walls.shift
-    stretch(
-        contacts.pairs, *of_walls, start, end, spin, 2.0 * radius, contacts.period, *moves, springs, spring, touches
+    found = stretch(
+        *_listed(contacts), start, end, spin, 2.0 * radius, contacts.period, *moves, springs, keys, spring
     )
-    return ContactMemory(contacts.keys[touches], spring[touches])
+    return ContactMemory(keys[:found].copy(), spring[:found].copy())
 
 
 def follow_memory(
     scene: Scene, times: Iterable[float], positions: FloatArray, angular_velocities: FloatArray
 ) -> Iterator[ContactMemory]:
     """The memory at each of F stored frames (s, m, rad/s), the first empty; exact where that is the settled state."""
-    memory = ContactMemory.empty()
+    memory, near = ContactMemory.empty(), None
     yield memory
     for k, time in enumerate(list(times)[:-1]):
-        contacts = find_contacts(scene, time, positions[k + 1], scene.filling.diameter, 0.0)
+        contacts = find_contacts(scene, time, positions[k + 1], scene.filling.diameter, 0.0, positions[k], near)
+        near = contacts.near
         springs, ends = springs_of(memory, contacts).numpy(), slice(k, k + 2)
         memory = gather(scene, contacts, springs, positions[ends], angular_velocities[ends])
         yield memory

@@ -14,7 +14,7 @@ from gran_bench.surrogate.contact.constants import DIAMETER, RAMP_NODES, WALL_FA
 from gran_bench.surrogate.contact.geometry import find_contacts
 from gran_bench.surrogate.contact.kernels.fused import fused_solve
 from gran_bench.surrogate.contact.memory import ContactMemory, follow_memory, gather, springs_of
-from gran_bench.surrogate.contact.solver import nearest_fade, solve_contacts
+from gran_bench.surrogate.contact.solver import solve_contacts
 from gran_bench.surrogate.step import FrameState, Surrogate, wrap
 
 
@@ -103,14 +103,12 @@ class ContactNetwork(Surrogate):
 
         with torch.no_grad():
             end = wrap((position + guess) * unit, scene.period).cpu().numpy()
-            contacts = find_contacts(scene, time, end, *self.reaches)
+            start = state.position.detach().cpu().numpy()
+            contacts = find_contacts(scene, time, end, *self.reaches, start, state.near)
         springs = springs_of(state.memory, contacts).to(position) if self.has_memory else None
-        nearness = nearest_fade(self, contacts, position + guess)
         on_cpu = position.device.type == "cpu" and position.dtype == torch.float32
         solve = fused_solve if self.config.backend == "fused" and on_cpu else solve_contacts
-        displacement, new_spin, extra, extra_spin = solve(
-            self, contacts, position, guess, spin, fall, nearness, springs
-        )
+        displacement, new_spin, extra, extra_spin = solve(self, contacts, position, guess, spin, fall, springs)
         moved, turned = displacement - guess, new_spin - spin
         if self.is_instantaneous:
             velocity, turned = fallen + (moved + extra) / to_frame, turned + extra_spin
@@ -120,6 +118,7 @@ class ContactNetwork(Surrogate):
             wrap(state.position + (interval * carried + unit * moved), scene.period),
             velocity,
             state.angular_velocity + turned / to_spin,
+            near=contacts.near,
         )
         if self.has_memory:
             ends = ((s.position, s.angular_velocity) for s in (state, after))

@@ -22,7 +22,6 @@ def solve_contacts(
     displacement: Tensor,
     spin: Tensor,
     fall: Tensor,
-    nearness: Tensor,
     springs: Tensor | None,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """All iterations of a frame in plain torch: the readable reference of the fused kernel.
@@ -33,7 +32,6 @@ def solve_contacts(
         displacement: ``(N, 3)`` ballistic guess D, units a frame.
         spin: ``(N, 3)`` q, units a frame.
         fall: ``(3,)`` g Δt², units a frame.
-        nearness: ``(N,)`` of :func:`nearest_fade`.
         springs: ``(M + W, 3)`` units, of each contact, or None.
 
     Returns:
@@ -43,6 +41,7 @@ def solve_contacts(
     channels = position.new_zeros(len(position), width)
     extra, extra_spin = torch.zeros_like(position), torch.zeros_like(position)
     taken_back = 0.5 * fall if model.is_instantaneous else fall
+    nearness = nearest_fade(model, contacts, position + displacement)
     sums = [position.new_zeros(len(group.first), 2) for group in groups]
     for k in range(model.config.iterations):
         end, answers = position + displacement, []

@@ -14,8 +14,8 @@ from numba import njit
 
 from gran_bench.surrogate.contact import constants
 from gran_bench.surrogate.contact.constants import CHANNELS, HIDDEN, RAMP_NODES
+from gran_bench.surrogate.contact.kernels.lanes import LANES, WIDTH, layer, outer, wide
 
-LANES = 32  # contacts a block: all rows stay in the first-level cache
 RAMPS = len(RAMP_NODES) - 1
 INPUTS = RAMPS + 5 + CHANNELS + 2
 OUTPUTS = 3 + CHANNELS + 3
@@ -43,13 +43,22 @@ D_NORMAL = D_SEEN + INPUTS
 D_GAP, D_APPROACH, D_SLIP, D_SLIP_SIZE = D_NORMAL + 3, D_NORMAL + 4, D_NORMAL + 5, D_NORMAL + 8
 D_MOTION, D_SPIN, D_FLAT = D_NORMAL + 9, D_NORMAL + 12, D_NORMAL + 15
 D_STIFFNESS, D_SHARE = D_NORMAL + 18, D_NORMAL + 19  # each lane's part
-ROWS = D_NORMAL + 20
+INVERSE = D_NORMAL + 20  # of SLIP_SIZE
+CENTER = INVERSE + 1  # of the particle at a wall
+ROWS = CENTER + 3
 
 ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 CLAMP, SCALE = np.float32(constants.INPUT_CLAMP), np.float32(constants.INPUT_SCALE)
 SMALLEST, VISCOUS = np.float32(constants.SMALLEST_SLIP_SQUARED), np.float32(constants.VISCOUS_SHARE)  # of c
 RAMP_START = tuple(np.float32(low) for low in RAMP_NODES[:-1])
 RAMP_SLOPE = tuple(np.float32(1.0 / (high - low)) for low, high in pairwise(RAMP_NODES))
+
+# The perceptron and its adjoint; an intrinsic takes sixteen lanes.
+_hidden_layer = layer(SEEN, INPUTS, ACTIVE, HIDDEN, (INPUTS, 1), "rectified")
+_output_layer = layer(ACTIVE, HIDDEN, RAW, OUTPUTS, (HIDDEN, 1), "biased")
+_to_hidden = layer(D_ANSWER, OUTPUTS, D_ACTIVE, HIDDEN, (1, HIDDEN), "masked")
+_to_seen = layer(D_ACTIVE, HIDDEN, D_SEEN, INPUTS, (1, INPUTS), "masked")
+_output_products, _hidden_products = outer(ACTIVE, D_ANSWER, OUTPUTS), outer(D_ACTIVE, SEEN, INPUTS)
 
 # Sums may be reordered and multiply-adds contracted; infinities and NaN keep their meaning.
 block_jit = njit(nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "arcp"})
@@ -85,18 +94,21 @@ def _inside(value):  # pragma: no cover - jitted
 @block_jit
 def _surfaces(b):  # pragma: no cover - jitted
     """u_n and slip from NORMAL, MOTION and SPIN."""
+    wide()
     for c in range(LANES):
         n, u = three(b, NORMAL, c), three(b, MOTION, c)
         approach, rolled = dot(u, n), cross(three(b, SPIN, c), n)
         s = less(less(u, approach, n), ONE, rolled)
         b[APPROACH * LANES + c] = approach
         store(b, SLIP, c, s)
-        b[SLIP_SIZE * LANES + c] = math.sqrt(dot(s, s) + SMALLEST)
+        size = math.sqrt(dot(s, s) + SMALLEST)
+        b[SLIP_SIZE * LANES + c], b[INVERSE * LANES + c] = size, ONE / size
 
 
 @block_jit
 def _look(b, reach, slope):  # pragma: no cover - jitted
     """The inputs of the perceptron and the fade, from the surfaces, sums and springs."""
+    wide()
     for c in range(LANES):
         gap, size = b[GAP * LANES + c], b[SLIP_SIZE * LANES + c]
         b[FADE * LANES + c] = _clamp((reach - gap) * slope, ZERO, ONE)
@@ -108,7 +120,8 @@ def _look(b, reach, slope):  # pragma: no cover - jitted
         n, spring = three(b, NORMAL, c), three(b, SPRING, c)
         flat = less(spring, dot(spring, n), n)
         store(b, FLAT, c, flat)
-        load, along = math.sqrt(dot(flat, flat) + SMALLEST), dot(flat, three(b, SLIP, c)) / size
+        load = math.sqrt(dot(flat, flat) + SMALLEST)
+        along = dot(flat, three(b, SLIP, c)) * b[INVERSE * LANES + c]
         b[LOAD * LANES + c], b[ALONG * LANES + c] = load, along
         b[(SEEN + INPUTS - 2) * LANES + c] = _clamp(load, -CLAMP, CLAMP)
         b[(SEEN + INPUTS - 1) * LANES + c] = _clamp(along, -CLAMP, CLAMP)
@@ -121,34 +134,26 @@ def _look(b, reach, slope):  # pragma: no cover - jitted
 @block_jit
 def _perceive(b, hidden_weight, hidden_bias, output_weight, output_bias):  # pragma: no cover - jitted
     """ACTIVE and RAW, the hidden units and the outputs of the perceptron."""
-    for unit in range(HIDDEN):
-        for c in range(LANES):
-            total = hidden_bias[unit]
-            for k in range(INPUTS):
-                total += hidden_weight[unit * INPUTS + k] * b[(SEEN + k) * LANES + c]
-            b[(ACTIVE + unit) * LANES + c] = max(total, ZERO)
-    for out in range(OUTPUTS):
-        for c in range(LANES):
-            total = output_bias[out]
-            for k in range(HIDDEN):
-                total += output_weight[out * HIDDEN + k] * b[(ACTIVE + k) * LANES + c]
-            b[(RAW + out) * LANES + c] = total
+    for place in range(0, LANES, WIDTH):
+        _hidden_layer(b, place, hidden_weight, hidden_bias)
+        _output_layer(b, place, output_weight, output_bias)
 
 
 @block_jit
 def _answer(b, strength, share):  # pragma: no cover - jitted
     """ANSWER, PUSH, TURN and their extra parts from RAW; ``strength`` is κ (wall: 2κ), ``share`` is σ."""
+    wide()
     for out in range(OUTPUTS):
         for c in range(LANES):
             b[(ANSWER + out) * LANES + c] = b[FADE * LANES + c] * b[(RAW + out) * LANES + c]
     for c in range(LANES):
         a = b[ANSWER * LANES + c] + strength * max(-b[GAP * LANES + c], ZERO)
         b[ANSWER * LANES + c] = a
-        size = b[SLIP_SIZE * LANES + c]
-        drag = b[(ANSWER + 1) * LANES + c] / size + VISCOUS * b[(ANSWER + 2) * LANES + c]
+        inverse = b[INVERSE * LANES + c]
+        drag = b[(ANSWER + 1) * LANES + c] * inverse + VISCOUS * b[(ANSWER + 2) * LANES + c]
         pull = b[(ANSWER + 3 + CHANNELS) * LANES + c]
         away = b[(ANSWER + 4 + CHANNELS) * LANES + c]
-        extra = b[(ANSWER + 5 + CHANNELS) * LANES + c] / size
+        extra = b[(ANSWER + 5 + CHANNELS) * LANES + c] * inverse
         n, s = three(b, NORMAL, c), three(b, SLIP, c)
         t = plus(times(drag, s), pull, three(b, FLAT, c))
         store(b, PUSH, c, less(t, a, n))
@@ -163,10 +168,11 @@ def _answer_adjoint(b, strength, share, slope):  # pragma: no cover - jitted
 
     With g = gp + σ gt × n the adjoint of the tangential displacement v, gp and gt those of push and turn.
     """
+    wide()
     for c in range(LANES):
         n, s, x = three(b, NORMAL, c), three(b, SLIP, c), three(b, FLAT, c)
         p, t = three(b, D_PUSH, c), three(b, D_TURN, c)
-        inverse = ONE / b[SLIP_SIZE * LANES + c]
+        inverse = b[INVERSE * LANES + c]
         a, friction = b[ANSWER * LANES + c], b[(ANSWER + 1) * LANES + c]
         drag = friction * inverse + VISCOUS * b[(ANSWER + 2) * LANES + c]
         pull = b[(ANSWER + 3 + CHANNELS) * LANES + c]
@@ -206,52 +212,23 @@ def _answer_adjoint(b, strength, share, slope):  # pragma: no cover - jitted
 def _perceive_adjoint(
     b, hidden_weight, output_weight, d_hidden_weight, d_hidden_bias, d_output_weight, d_output_bias
 ):  # pragma: no cover - jitted
-    """Adjoint of :func:`_perceive`: D_SEEN from D_ANSWER, and the sums over lanes for the weights."""
-    for unit in range(HIDDEN):
-        for c in range(LANES):
-            total = ZERO
-            for out in range(OUTPUTS):
-                total += output_weight[out * HIDDEN + unit] * b[(D_ANSWER + out) * LANES + c]
-            b[(D_ACTIVE + unit) * LANES + c] = total if b[(ACTIVE + unit) * LANES + c] > ZERO else ZERO
-    for k in range(INPUTS):
-        for c in range(LANES):
-            total = ZERO
-            for unit in range(HIDDEN):
-                total += hidden_weight[unit * INPUTS + k] * b[(D_ACTIVE + unit) * LANES + c]
-            b[(D_SEEN + k) * LANES + c] = total
-    for out in range(OUTPUTS):
-        _add_products(b, D_ANSWER + out, ACTIVE, d_output_weight, out * HIDDEN, 1)
-        d_output_bias[out] += row_sum(b, D_ANSWER + out)
-    for k in range(INPUTS):
-        _add_products(b, SEEN + k, D_ACTIVE, d_hidden_weight, k, INPUTS)
-    for unit in range(HIDDEN):
-        d_hidden_bias[unit] += row_sum(b, D_ACTIVE + unit)
+    """Adjoint of :func:`_perceive`: D_SEEN from D_ANSWER, and the sums over lanes for the weights.
 
-
-@block_jit
-def _add_products(b, row, units, result, start, stride):  # pragma: no cover - jitted
-    """Adds the lanes' sums of one row times each of the HIDDEN rows from ``units`` on; HIDDEN is a multiple of 4.
-
-    Four sums a loop: a shorter body would be unrolled over all lanes into scalar code.
+    Those of the hidden weights are transposed: the units of an input are neighbours.
     """
-    # Slices, because only an index that cannot be negative is read without a gather.
-    values, factors = b[row * LANES : (row + 1) * LANES], b[units * LANES : (units + HIDDEN) * LANES]
-    for unit in range(0, HIDDEN, 4):
-        t0, t1, t2, t3 = ZERO, ZERO, ZERO, ZERO
-        for c in range(LANES):
-            t0 += values[c] * factors[unit * LANES + c]
-            t1 += values[c] * factors[(unit + 1) * LANES + c]
-            t2 += values[c] * factors[(unit + 2) * LANES + c]
-            t3 += values[c] * factors[(unit + 3) * LANES + c]
-        result[start + unit * stride] += t0
-        result[start + (unit + 1) * stride] += t1
-        result[start + (unit + 2) * stride] += t2
-        result[start + (unit + 3) * stride] += t3
+    for place in range(0, LANES, WIDTH):
+        _to_hidden(b, place, output_weight, ACTIVE)
+        _to_seen(b, place, hidden_weight, None)
+        _output_products(b, place, d_output_weight, None)
+        _hidden_products(b, place, d_hidden_weight, d_hidden_bias)
+    for out in range(OUTPUTS):
+        d_output_bias[out] += row_sum(b, D_ANSWER + out)
 
 
 @block_jit
 def _look_adjoint(b):  # pragma: no cover - jitted
     """Adjoint of :func:`look` and :func:`surfaces`: D_GAP, D_NORMAL, D_MOTION, D_SPIN and the sums' adjoints."""
+    wide()
     for ramp in range(RAMPS):
         for c in range(LANES):
             seen = b[(SEEN + ramp) * LANES + c]
@@ -268,7 +245,7 @@ def _look_adjoint(b):  # pragma: no cover - jitted
         n0, n1, n2 = b[NORMAL * LANES + c], b[(NORMAL + 1) * LANES + c], b[(NORMAL + 2) * LANES + c]
         s0, s1, s2 = b[SLIP * LANES + c], b[(SLIP + 1) * LANES + c], b[(SLIP + 2) * LANES + c]
         x0, x1, x2 = b[FLAT * LANES + c], b[(FLAT + 1) * LANES + c], b[(FLAT + 2) * LANES + c]
-        load, along, inverse = b[LOAD * LANES + c], b[ALONG * LANES + c], ONE / size
+        load, along, inverse = b[LOAD * LANES + c], b[ALONG * LANES + c], b[INVERSE * LANES + c]
         d_load = b[(D_SEEN + INPUTS - 2) * LANES + c] / load if load <= CLAMP else ZERO
         d_along = b[(D_SEEN + INPUTS - 1) * LANES + c] * inverse if abs(along) <= CLAMP else ZERO
         f0 = b[D_FLAT * LANES + c] + d_load * x0 + d_along * s0
@@ -298,16 +275,6 @@ def _look_adjoint(b):  # pragma: no cover - jitted
 
 
 @block_jit
-def pair_adjoint(b):  # pragma: no cover - jitted
-    """D_NORMAL becomes the adjoint of y_j − y_i, from D_GAP and D_NORMAL."""
-    for c in range(LANES):
-        n, g = three(b, NORMAL, c), three(b, D_NORMAL, c)
-        inverse = ONE / b[DISTANCE * LANES + c]
-        radial = b[D_GAP * LANES + c] - dot(g, n) * inverse
-        store(b, D_NORMAL, c, plus(times(radial, n), inverse, g))
-
-
-@block_jit
 def respond(b, limits, kind, strength, share, w1, b1, w2, b2):  # pragma: no cover - jitted
     """All of a block's answers from its gathered rows; ``limits`` are the reach and the fade of each kind."""
     _surfaces(b)
@@ -327,6 +294,7 @@ def respond_adjoint(b, limits, kind, strength, share, w1, w2, d_w1, d_b1, d_w2, 
 @block_jit
 def row_sum(b, row):  # pragma: no cover - jitted
     """Sum of one row over the lanes."""
+    wide()
     result = ZERO
     for c in range(LANES):
         result += b[row * LANES + c]

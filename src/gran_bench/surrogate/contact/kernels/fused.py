@@ -9,9 +9,12 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from gran_bench.surrogate.contact.constants import CHANNELS
+from gran_bench.surrogate.contact.constants import CHANNELS, HIDDEN
 from gran_bench.surrogate.contact.geometry import ContactList
-from gran_bench.surrogate.contact.kernels.frame import ROW, frame_adjoint, frame_forward
+from gran_bench.surrogate.contact.kernels.block import INPUTS
+from gran_bench.surrogate.contact.kernels.frame import frame_adjoint, frame_forward
+from gran_bench.surrogate.contact.kernels.lanes import LANES, WIDTH
+from gran_bench.surrogate.contact.kernels.particles import CHANNEL
 from gran_bench.surrogate.step import Surrogate
 
 
@@ -22,7 +25,6 @@ def fused_solve(
     displacement: Tensor,
     spin: Tensor,
     fall: Tensor,
-    nearness: Tensor,
     springs: Tensor | None,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """The fused form of :func:`gran_bench.surrogate.contact.solver.solve_contacts`; same arguments, same results."""
@@ -40,7 +42,7 @@ def fused_solve(
         np.float32(contacts.period),
         np.stack([taken_back.numpy(), (fall - taken_back).numpy()]),
     )
-    return _FusedContacts.apply(frame, position, displacement, spin, nearness, *_full_weights(model))
+    return _FusedContacts.apply(frame, position, displacement, spin, *_full_weights(model))
 
 
 def _full_weights(model: Surrogate) -> tuple[Tensor, ...]:
@@ -60,33 +62,37 @@ def _full_weights(model: Surrogate) -> tuple[Tensor, ...]:
 
 
 class _FusedContacts(torch.autograd.Function):
-    """(x, D, q, nearness, weights) → (D, q, extra translation, extra spin), in d/50 and d/50 a frame."""
+    """(x, D, q, weights) → (D, q, extra translation, extra spin), in d/50 and d/50 a frame."""
 
     @staticmethod
-    def forward(ctx, frame, position, displacement, spin, nearness, *weights):
+    def forward(ctx, frame, position, displacement, spin, *weights):
         ctx.shapes = [w.shape for w in weights]
         weights = tuple(w.detach().contiguous().numpy() for w in weights)
         weights = tuple(w.reshape(*w.shape[:2], -1) if w.ndim == 4 else w for w in weights)
-        inputs = tuple(t.detach().contiguous().numpy() for t in (position, displacement, spin, nearness))
+        inputs = tuple(t.detach().contiguous().numpy() for t in (position, displacement, spin))
         count, kept = len(position), len(weights[0]) if any(ctx.needs_input_grad) else 1
-        states = np.empty((kept, count + 1, ROW), np.float32)
-        messages = np.empty((kept, count, CHANNELS), np.float32)
-        sums = np.empty((kept, 2, len(frame[0])), np.float32)
+        rows = LANES * (count // LANES + 1)
+        states = np.empty((kept, rows, WIDTH), np.float32)
+        messages = np.empty((kept, CHANNELS, rows), np.float32)
+        sums = np.empty((kept, 2, len(frame[0]) + LANES), np.float32)
+        nearest = np.empty(rows, np.float32), np.empty(rows, np.int64)
         outcome = np.empty((4, count, 3), np.float32)
-        frame_forward(*frame, *inputs, *weights, states, messages, sums, outcome)
-        ctx.frame, ctx.nearness, ctx.weights, ctx.kept = frame, inputs[3], weights, (states, messages, sums)
+        frame_forward(*frame, *inputs, *weights, states, messages, sums, *nearest, outcome)
+        ctx.frame, ctx.weights, ctx.kept = (*frame, inputs[0]), weights, (states, messages, sums, *nearest)
         return tuple(torch.from_numpy(outcome).unbind(0))
 
     @staticmethod
     def backward(ctx, *gradients):
         move, turned, extra, extra_spin = (g.numpy() for g in gradients)
         count = len(move)
-        results = tuple(np.zeros(w.shape, np.float32) for w in ctx.weights)
-        adjoint = np.zeros((count + 1, 12 + CHANNELS), np.float32)
-        adjoint[:count] = np.hstack((move, turned, np.zeros((count, CHANNELS), np.float32), extra, extra_spin))
-        position, nearness = np.zeros((count + 1, 3), np.float32), np.zeros(count, np.float32)
-        frame_adjoint(*ctx.frame, ctx.nearness, *ctx.weights, *ctx.kept, adjoint, position, nearness, *results)
+        results = [np.zeros(w.shape, np.float32) for w in ctx.weights]
+        adjoint, before = np.zeros((2, *ctx.kept[0].shape[1:]), np.float32)
+        adjoint[:count, :CHANNEL] = before[:count, :CHANNEL] = np.hstack((move, turned))
+        before[:count, CHANNEL + CHANNELS :] = np.hstack((extra, extra_spin))
+        frame_adjoint(*ctx.frame, *ctx.weights, *ctx.kept, before, adjoint, *results)
+        # The kernel has the units of an input side by side.
+        results[0] = results[0].reshape(*results[0].shape[:2], INPUTS, HIDDEN).swapaxes(2, 3)
         results = [torch.from_numpy(r.reshape(shape)) for r, shape in zip(results, ctx.shapes, strict=True)]
         moved = torch.from_numpy(adjoint[:count])
-        inputs = torch.from_numpy(position[:count]), moved[:, 0:3], moved[:, 3:6], torch.from_numpy(nearness)
-        return None, *inputs, *results
+        position = CHANNEL + CHANNELS
+        return None, moved[:, position : position + 3], moved[:, 0:3], moved[:, 3:6], *results

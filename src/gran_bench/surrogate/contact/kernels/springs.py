@@ -1,15 +1,35 @@
-"""The tangential springs of contacts over one frame, jitted; the rule is that of the module `contact.memory`."""
+"""The tangential springs of contacts over one frame, jitted; the rule is that of the module `contact.memory`.
 
-from pathlib import Path
+The first four arguments are of a :class:`~gran_bench.surrogate.contact.geometry.ContactList`, whose contacts have the
+keys i N + j, and (N + w) N + i at wall w.
+"""
 
 import numpy as np
 
-from gran_bench import dem, neighbors
 from gran_bench.dem.fast.wall_list import shape_of, toward_wall
-from gran_bench.neighbors.kernel import cached, kernel
+from gran_bench.neighbors.kernel import kernel
 from gran_bench.surrogate.contact.constants import SPRING_CAP
+from gran_bench.surrogate.contact.kernels.listing import jitted
 
-jitted = cached(*(Path(room).parent for room in (__file__, dem.__file__, neighbors.__file__)), nogil=True)
+
+@jitted
+def recall(pairs, near, wall, other_piece, count, keys, springs, result):  # pragma: no cover - jitted
+    """Into ``result``, zeros, what a memory with increasing ``keys`` has of each contact, pairs first."""
+    place = 0
+    for c in range(len(pairs) + len(near)):
+        if c < len(pairs):
+            key = other = pairs[c, 0] * count + pairs[c, 1]
+        else:
+            w = c - len(pairs)
+            key, other = (count + wall[w]) * count + near[w], (count + other_piece[w]) * count + near[w]
+        while place < len(keys) and keys[place] < key:
+            place += 1
+        found = place
+        if other != key and not (found < len(keys) and keys[found] == key):
+            key, found = other, np.searchsorted(keys, other)
+        if found < len(keys) and keys[found] == key:
+            for m in range(3):
+                result[c, m] = springs[found, m]
 
 
 @kernel
@@ -36,18 +56,20 @@ def _stretch(spring, normal, motion, spin, overlap, overlap_before, result):  # 
 
 @jitted
 def stretch(
-    pairs, near, wall, other_piece, start, end, spin, diameter, period, before, after, turn, shift, springs, result,
-    touches,
+    pairs, near, wall, other_piece, start, end, spin, diameter, period, before, after, turn, shift, springs, keys,
+    result,
 ):  # fmt: skip  # pragma: no cover - jitted
-    """ξ' of all contacts, pairs first; zero, and ``touches`` False, of those that do not touch at the frame's end.
+    """Keys and ξ' of the contacts that touch at the frame's end, pairs first, and how many there are.
 
-    The first four and ``before`` to ``shift`` are of a :class:`~gran_bench.surrogate.contact.geometry.ContactList`;
-    start, end and spin ``(N, 3)`` positions at the frame's two ends and q, in d/50; springs and result ξ, ξ'.
+    ``before`` to ``shift`` are of the list's walls; start, end and spin ``(N, 3)`` positions at the frame's two ends
+    and q, in d/50; springs ξ of all contacts.
     """
+    found, count = 0, len(start)
     normal, back, motion, turned = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for c in range(len(pairs) + len(near)):
         if c < len(pairs):
             i, j = pairs[c]
+            key = i * count + j
             for m in range(3):
                 normal[m] = end[j, m] - end[i, m]
                 back[m] = start[j, m] - start[i, m]
@@ -65,6 +87,7 @@ def stretch(
                 normal[m] /= distance
         else:
             i, w, other = near[c - len(pairs)], wall[c - len(pairs)], other_piece[c - len(pairs)]
+            key = (count + w) * count + i
             distance, normal[0], normal[1], normal[2] = toward_wall(shape_of(after, w), end[i, 0], end[i, 1], end[i, 2])
             if distance >= 0.5 * diameter:
                 continue
@@ -81,5 +104,7 @@ def stretch(
             if other != w:  # over a seam
                 apart = min(apart, toward_wall(shape_of(before, other), start[i, 0], start[i, 1], start[i, 2])[0])
             overlap, overlap_before = 0.5 * diameter - distance, 0.5 * diameter - apart
-        _stretch(springs[c], normal, motion, turned, overlap, overlap_before, result[c])
-        touches[c] = True
+        _stretch(springs[c], normal, motion, turned, overlap, overlap_before, result[found])
+        keys[found] = key
+        found += 1
+    return found
