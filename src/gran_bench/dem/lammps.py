@@ -30,7 +30,7 @@ from gran_bench.dem.contact import sphere_mass
 from gran_bench.dem.energy import Work
 from gran_bench.dem.integrate import Divergence, Peaks, Physics, check_finite, into_period
 from gran_bench.dem.lammps_child import COLUMNS, MASS, RADIUS, TYPE
-from gran_bench.dem.lammps_script import acting, check_scene, opening
+from gran_bench.dem.lammps_script import acting, check_scene, curvature, opening
 from gran_bench.dem.vectors import dot
 from gran_bench.dem.walls import SPIN, surface_velocity, wall_contact
 from gran_bench.neighbors import nearest_image, tree_pairs
@@ -175,7 +175,7 @@ class Stretch:
         lower, upper = bodies[:, :3].min(axis=0) - margin, bodies[:, :3].max(axis=0) + margin
         if physics.period:
             lower[1], upper[1] = -0.5 * physics.period, 0.5 * physics.period
-        acts = acting(physics, time_step, walls[0], engine.turning)
+        acts = acting(physics, time_step, walls[0], engine.turning, float(state.radius.mean()))
         still = [f"variable angle{w} equal 0.0" for w in engine.turning]
         engine.ask(["clear", *opening(physics, lower, upper)], bodies=self._file, do="create")
         # Walls at rest here, so that the restart file says that none has turned.
@@ -183,11 +183,20 @@ class Stretch:
         if len(state.history):
             self._give_memory()
             engine.ask(["clear", f"read_restart {self._restart}", *acts])
-        self._angle = {w: float(walls[0, w, SPIN] @ turn.axis) * time_step for w, turn in engine.turning.items()}
+        when = state.time
+        if held is not None:
+            # LAMMPS evaluates here once more, which changes what sliding contacts remember: so at the speeds of the
+            # evaluation that is held, half a step ago, with which the change is none.
+            when, half = when - 0.5 * time_step, 0.5 * time_step / bodies[:, MASS, None]
+            bodies[:, 9:12], bodies[:, 12:15] = held.force + self._weight, held.torque
+            bodies[:, 3:6] -= half * bodies[:, 9:12]
+            bodies[:, 6:9] -= 2.5 * half / bodies[:, RADIUS, None] ** 2 * held.torque
+            engine.ask([], bodies=self._file, do="give")
+        self._angle = {w: float(turn.angular_speed(when)) * time_step for w, turn in engine.turning.items()}
         first = [f"variable angle{w} equal {angle!r}" for w, angle in self._angle.items()]
         engine.ask([*first, "run 0 post no"])
         if held is not None:
-            bodies[:, 9:12], bodies[:, 12:15] = held.force + self._weight, held.torque
+            bodies[:, 3:9] = np.hstack((state.velocity, state.angular_velocity))
             engine.ask([], bodies=self._file, do="give")
         self._take()
 
@@ -312,7 +321,11 @@ class Stretch:
         """R*, m: LAMMPS remembers the radius of the contact, √(R* δ), where a history has δ."""
         one = self._bodies[:, RADIUS][first]
         other = self._bodies[:, RADIUS][np.maximum(second, 0)]
-        return np.where(second < 0, one, one * other / (one + other))
+        reduced = one * other / (one + other)
+        for w, pose in enumerate(self._walls[0]):
+            at = second == -1 - w
+            reduced[at] = one[at] * curvature(pose, one[at])
+        return reduced
 
     def _read_memory(self) -> tuple[bytearray, tuple[np.ndarray, np.ndarray, FloatArray], list[int]]:
         """LAMMPS' restart file of now, the contacts of each sphere with what it remembers, and where that stands."""

@@ -4,8 +4,8 @@
 
 In the folder are pipes: ``asks_<rank>`` brings lines of JSON, ``answers`` takes one for each from every rank. A request
 has ``commands`` of LAMMPS, and perhaps ``bodies``, the file of a table that all ranks and the parent share, with what
-is done with it after the commands: ``create`` the spheres, ``give`` them its forces, ``take`` what they do. The table
-has a row a sphere, float64: position, velocity, spin, force, torque (3 each), type, radius, mass.
+is done with it after the commands: ``create`` the spheres, ``give`` them all but its positions, ``take`` what they do.
+The table has a row a sphere, float64: position, velocity, spin, force, torque (3 each), type, radius, mass.
 """
 
 import json
@@ -61,7 +61,7 @@ def _do(solver: Any, request: dict[str, Any]) -> None:
         columns = slice(3 * k, 3 * k + 3)
         if request["do"] == "take":
             bodies[row, columns] = arrays[name]
-        elif request["do"] == "create" or name in ("f", "torque"):
+        elif request["do"] == "create" or name != "x":
             arrays[name][:] = bodies[row, columns]
     if request["do"] == "create" and own:
         arrays["radius"][:], arrays["rmass"][:] = bodies[row, RADIUS], bodies[row, MASS]

@@ -1,9 +1,9 @@
 """What LAMMPS `granular` is told of a scene: law, walls, gravity, and what of a scene it has not.
 
-The law is hertz, ``mindlin_rescale/force`` and ``coeff_restitution`` with ``limit_damping``: the law of contact.py with
-``dem.slip=full_radius``, but for three points that LAMMPS has no setting for. A wall turns a sphere by R f_t, not by
-(R − δ) f_t. What a sliding contact remembers is the limit less the damping, not a share of both. Damping takes
-half-step velocities, which costs restitution a term of first order in the step.
+The law is hertz, ``mindlin_rescale/force`` and ``coeff_restitution`` with ``limit_damping``. That is the law of
+contact.py with ``dem.slip=full_radius``: the forces of a state agree to rounding. In a step two points remain that
+LAMMPS has no setting for. Damping takes half-step velocities, which costs restitution a term of first order in the
+step. What a sliding contact remembers is the limit less the damping, not a share of both.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gran_bench.scene.walls import turns_into_itself
 from gran_bench.state import FloatArray
 
 OURS = "mindlin_rescale/force"
-LAW = f"LAMMPS granular: hertz, {OURS}, coeff_restitution, limit_damping; slip, and torque of walls, by full radii"
+LAW = f"LAMMPS granular: hertz, {OURS}, coeff_restitution, limit_damping; slip by full radii"
 
 
 def given_restitution(damping: float) -> float:
@@ -58,13 +58,19 @@ def opening(physics: Physics, lower: FloatArray, upper: FloatArray, processors: 
     ]  # fmt: skip
 
 
+def curvature(pose: FloatArray, radius: FloatArray | float) -> FloatArray | float:
+    """LAMMPS' R* of spheres of a radius, m, in a wall over the radius: it counts the bend of a cylinder, we don't."""
+    return 1.0 / (1.0 - radius / (2.0 * pose[7])) if pose[KIND] == CYLINDER else 1.0
+
+
 def acting(
-    physics: Physics, time_step: float, poses: FloatArray, turning: Mapping[int, Rotation], tangential: str = OURS,
-    restitution: float | None = None,
+    physics: Physics, time_step: float, poses: FloatArray, turning: Mapping[int, Rotation], radius: float = 0.0,
+    tangential: str = OURS, restitution: float | None = None,
 ) -> list[str]:  # fmt: skip
     """Commands that follow the spheres: contacts, gravity, walls at poses ``(W, 22)``, and who of them turns.
 
-    Wall w turns by the variable ``angle<w>``, rad, which must be there.
+    Wall w turns by the variable ``angle<w>``, rad, which must be there. For spheres of this radius, m, its stiffness
+    makes up for :func:`curvature`; 0 leaves LAMMPS' own.
     """
     kinds = range(len(physics.pair_laws))
 
@@ -90,8 +96,9 @@ def acting(
         rotates = "" if turn is None else f" rotate v_angle{w} {_row(turn.point)} {_row(turn.axis)}"
         commands.append(f"region wall{w} {shape} side in{rotates}")
         for kind in kinds:
-            law = words(physics.wall_laws[kind, w])
-            commands.append(f"fix wall{w}_{kind} kind{kind} wall/gran/region granular {law} region wall{w}")
+            law = np.array(physics.wall_laws[kind, w])
+            law[:2] /= np.sqrt(curvature(pose, radius))
+            commands.append(f"fix wall{w}_{kind} kind{kind} wall/gran/region granular {words(law)} region wall{w}")
     return commands
 
 

@@ -159,9 +159,7 @@ def settle(
             follow(substeps, run.time, f", speed {rest.speed:.2g} m/s")
         state, peaks = run.state(run.time), run.take_peaks()
     check_initial_state(still, state, remedy=STIFFEN)
-    for said in impact_warnings(
-        still, filling.smallest_radius, time_step, impact_speed(scene), [run.time], [peaks]
-    ):
+    for said in impact_warnings(still, filling.smallest_radius, time_step, impact_speed(scene), [run.time], [peaks]):
         warn(f"while the bed of {scene.name!r} settled: {said}")
     return replace(state, time=scene.start_time)
 
