@@ -94,8 +94,8 @@ def test_forces_of_a_state_agree_to_rounding_and_memory_is_handed_over(moving):
 @needs_lammps
 def test_what_contacts_remember_comes_back(moving):
     scene, state = moving
-    slow = replace(state, velocity=0.0 * state.velocity, angular_velocity=0.0 * state.angular_velocity)
-    slow = replace(slow, history=replace(state.history, force=1e-3 * state.history.force))  # nothing slides
+    slow = replace(state, velocity=0.0 * state.velocity, angular_velocity=0.0 * state.angular_velocity, time=1.0)
+    slow = replace(slow, history=replace(state.history, force=1e-6 * state.history.force))  # nothing slides
     physics, poses = Physics.of(scene, 0.025, 0.005), wall_poses(scene, 1.0, 1e-4, 1)
     with Lammps(scene) as engine:
         found = engine.Stretch(slow, physics, 1e-4, poses).state().history
@@ -104,8 +104,10 @@ def test_what_contacts_remember_comes_back(moving):
     assert len(found) == len(expected) > 300
     for name in ("first", "second"):
         assert np.array_equal(getattr(found, name)[order], getattr(expected, name))
-    assert np.allclose(found.force[order], expected.force, rtol=1e-12, atol=1e-15)
-    assert np.allclose(found.overlap[order], expected.overlap, rtol=1e-9)
+    firm = expected.overlap > 1e-6  # the others may slide all the same
+    assert np.count_nonzero(firm) > 300
+    assert np.allclose(found.force[order][firm], expected.force[firm], rtol=1e-8, atol=0.0)
+    assert np.allclose(found.overlap[order][firm], expected.overlap[firm], rtol=1e-8, atol=0.0)
     assert (found.second < 0).any()
 
 
@@ -290,7 +292,7 @@ TILTED = (math.sqrt(0.5), math.sqrt(0.5), 0.0)
 def test_walls_that_lammps_has_not_are_refused_by_name(walls, words):
     scene = replace(two_spheres(1.0, 0.0, 0.0)[0], walls=walls)
     with pytest.raises(SceneError, match=words):
-        simulate(scene, two_spheres(1.0, 0.0, 0.0)[1], 0.01, dem=LAMMPS)
+        check_scene(scene)
 
 
 def test_a_wall_with_a_spin_of_its_own_is_handed_on():
@@ -308,7 +310,7 @@ def test_rolling_friction_hoppers_and_too_much_damping_are_refused():
     with pytest.raises(SceneError, match="rolling_friction > 0, and LAMMPS' law of rolling is another"):
         check_scene(rolling)
     with pytest.raises(SceneError, match=r"wall 0 \(cylinder\) is thin"):
-        check_scene(shipped_scene("hopper"))
+        settle(shipped_scene("hopper"), 0, dem=LAMMPS)
     with pytest.raises(SceneError, match="restitution needs a damping of"):
         given_restitution(2.3)
 
