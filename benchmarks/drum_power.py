@@ -19,7 +19,8 @@ from pathlib import Path
 
 import numpy as np
 from dem_page import keep
-from drum_flow import spec_of
+from dem_vs_lammps import write_lammps_scene
+from drum_flow import SKIN, spec_of
 from drum_flow_page import STEADY_FROM
 
 from gran_bench.config import DemConfig
@@ -86,8 +87,10 @@ def theirs(packing: int, python: str, root: Path) -> dict[str, float]:
         with tempfile.TemporaryDirectory() as folder:
             given = Path(folder) / "bed.npz"
             np.savez(given, **{n: getattr(bed, n) for n in ("position", "velocity", "angular_velocity")})
-            words = [python, str(Path(__file__).with_name("lammps_drum.py")), str(given), str(kept)]
-            subprocess.run([*words, "--rpm", str(RPM), "--step", str(STEP)], check=True)
+            told = Path(folder) / "scene.json"
+            write_lammps_scene(told, spec.scene, STEP, SKIN)
+            words = [python, str(Path(__file__).with_name("lammps_drum.py")), *map(str, (given, told, kept))]
+            subprocess.run([*words, "--step", str(STEP)], check=True)
     series = json.loads(kept.read_text())
     first = round((STEADY_FROM - spec.scene.start_time) / spec.scene.frame_interval)
     momentum, weight = (np.array(series[name][first:]) for name in ("angular_momentum", "weight_torque"))

@@ -197,7 +197,7 @@ def test_an_end_between_two_frames_is_refused(scene):
 
 
 def test_an_unknown_engine_is_refused_with_the_known_ones(scene):
-    with pytest.raises(ValueError, match=r"dem\.engine=nunba is impossible; choose numba or numpy"):
+    with pytest.raises(ValueError, match=r"dem\.engine=nunba is impossible; choose numba or numpy or lammps"):
         simulate(scene, at((0, 0, 0)), 0.1, dem=DemConfig(engine="nunba"))
 
 

@@ -61,7 +61,7 @@ from gran_bench.surrogate.rollout import rollout
 
 @doors(
     (lambda: DemConfig(precision="float16"), "dem.precision=float16 is impossible; choose float64 or float32"),
-    (lambda: DemConfig(engine="nunba"), "dem.engine=nunba is impossible; choose numba or numpy"),
+    (lambda: DemConfig(engine="nunba"), "dem.engine=nunba is impossible; choose numba or numpy or lammps"),
     (lambda: DemConfig(time_step=-1), "dem.time_step=-1 is impossible; choose a value > 0 s, or null"),
     (lambda: DemConfig(time_step=math.inf), "dem.time_step=inf is impossible; choose a value > 0 s, or null"),
     (lambda: DemConfig(time_step=10**400), "dem.time_step=inf is impossible"),

@@ -45,6 +45,12 @@ def check_dem(dem: schema.DemConfig) -> Iterator[str]:
     """Refuse, as a `ConfigError`, settings of the solver that contradict each other."""
     if dem.precision != "float64" and dem.engine != "numba":
         yield f"dem.precision={dem.precision} is for dem.engine=numba; dem.engine={dem.engine} computes in float64"
+    if dem.engine == "lammps" and dem.slip != "full_radius":
+        yield f"dem.slip={dem.slip} is no law of dem.engine=lammps; choose dem.slip=full_radius, which is its law"
+    if dem.engine == "lammps" and dem.power:
+        yield "dem.power=true is for dem.engine=numba or numpy; dem.engine=lammps counts no energy"
+    if dem.engine != "lammps" and dem.ranks != 1:
+        yield f"dem.ranks={dem.ranks} is for dem.engine=lammps; dem.engine={dem.engine} has dem.threads"
 
 
 @raising

@@ -27,6 +27,7 @@ def deciding_keys(config: TrainConfig) -> dict[str, Any]:
     values = asdict(config)
     undeciding = UNDECIDING | ({"boundary"} if MODELS[config.model.name].own_walls else set())
     undeciding |= {f"loss.{term}" for term in ADDED_TERMS if values["loss"].get(term) == 0}
+    undeciding |= {"dem.ranks"} if config.dem.engine != "lammps" else set()
     for key in undeciding - ({"trainer.minutes"} if config.trainer.budget == "time" else set()):
         section, _, name = key.rpartition(".")
         del (values[section] if section else values)[name]

@@ -138,10 +138,11 @@ class SceneConfig(Section, place="scene"):
 class DemConfig(Section, place="dem"):
     """The solver."""
 
-    engine: str = key("numba", one_of("numba", "numpy"))
+    engine: str = key("numba", one_of("numba", "numpy", "lammps"))
     time_step: float | None = key(None, positive("s"))  # null: a stated fraction of min(Rayleigh time, contact time)
     skin: float | None = key(None, positive("m"))  # Verlet; null: chosen by the clock; changes no bit
     threads: int | None = key(None, at_least(1))  # of numba; null: chosen by the clock; changes no bit
+    ranks: int = key(1, at_least(1))  # of lammps: processes under MPI; they change the order of sums
     precision: str = key("float64", one_of("float64", "float32"))  # of contact forces; positions stay float64
     slip: str = key("contact_point", one_of("contact_point", "full_radius"))  # the arms of spins; full_radius: LAMMPS's
     power: bool = False  # torque, power, losses and impact spectra of each frame; changes no bit of the trajectory

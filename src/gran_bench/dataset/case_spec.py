@@ -178,6 +178,8 @@ def _time_step(scene: Scene, dem: DemConfig) -> float:
 def _key(kind: str, scene: Scene, dem: DemConfig) -> dict[str, Any]:
     """A scene, the solver's settings that change numbers (skin and threads don't), and its code."""
     solver = {"engine": dem.engine, "time_step": _time_step(scene, dem), "precision": dem.precision, "slip": dem.slip}
+    if dem.engine == "lammps":
+        solver["ranks"] = dem.ranks
     document = to_document(scene)
     return {"kind": kind, "format": FORMAT_VERSION, "scene": document, "dem": solver, "code": dem_source_hash()}
 

@@ -15,6 +15,7 @@ import numpy as np
 import gran_bench
 from gran_bench.dataset.case_file import read_attributes, read_settled, write_case, write_settled
 from gran_bench.dataset.case_spec import CaseSpec, DatasetError, dem_source_hash
+from gran_bench.dem.lammps_script import LAW
 from gran_bench.dem.simulate import settle, simulate
 from gran_bench.files import locked, remove_leftovers
 from gran_bench.state import ParticleState
@@ -114,12 +115,17 @@ def nudged(state: ParticleState, length: float, seed: int) -> ParticleState:
 
 def _facts(spec: CaseSpec) -> dict[str, Any]:
     """Attributes that say who made a file, with what."""
+    software = f"Python {platform.python_version()}, numpy {version('numpy')}, numba {version('numba')}"
+    law = {}
+    if spec.dem.engine == "lammps":
+        software, law = f"{software}, lammps {version('lammps')}", {"law": LAW}
     return {
         "engine": spec.dem.engine,
+        **law,
         "packing_seed": int(spec.packing_seed),
         "code_version": gran_bench.__version__,
         "dem_code": dem_source_hash(),
-        "software": f"Python {platform.python_version()}, numpy {version('numpy')}, numba {version('numba')}",
+        "software": software,
         "machine": platform.platform(),
         "made_at": datetime.now(UTC).isoformat(timespec="seconds"),
     }

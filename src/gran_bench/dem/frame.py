@@ -15,6 +15,7 @@ import numpy as np
 from gran_bench.dem.energy import Work, energy_figures
 from gran_bench.dem.fast.tuning import Tuner
 from gran_bench.dem.integrate import Divergence, Peaks
+from gran_bench.dem.lammps import Lammps
 from gran_bench.dem.outlet import leaked, part_of, rejoined, taking_part
 from gran_bench.dem.record import FrameRecord, SimulationError
 from gran_bench.dem.walls import PATH, largest_excess, wall_poses
@@ -40,11 +41,11 @@ class Run:
     What changes a run follows from the count of its steps: at a look spheres beyond the outlet leave and whoever came
     through a wall stops the run. Frames are copies, so they change no bit.
 
-    ``engine`` is a module with a ``Stretch``, whose physics ``tuner`` gives; ``record`` has the frames so far.
+    ``engine`` is a module with a ``Stretch``, or `Lammps`; ``tuner`` gives it its physics; ``record`` has the frames.
     """
 
     def __init__(
-        self, engine: ModuleType, state: ParticleState, scene: Scene, time_step: float, tuner: Tuner,
+        self, engine: ModuleType | Lammps, state: ParticleState, scene: Scene, time_step: float, tuner: Tuner,
         record: FrameRecord,
     ) -> None:  # fmt: skip
         self._engine, self._scene, self._time_step, self._tuner, self._record = engine, scene, time_step, tuner, record
@@ -57,7 +58,7 @@ class Run:
         self._whole, self._held, self._stretch = state, None, None
         self._start, self._steps, self._peaks = state.time, 0, Peaks()
         self._work = Work.none(len(scene.walls))
-        with _compiling_notice():
+        with _compiling_notice(isinstance(engine, ModuleType)):
             # Where the run goes on, this tells what the first frame's contacts do, and nothing else.
             self._begin()
             self.moving()
@@ -272,8 +273,11 @@ class Run:
 
 
 @contextmanager
-def _compiling_notice() -> Iterator[None]:
+def _compiling_notice(compiles: bool) -> Iterator[None]:
     """Says on stderr what a user waits for when the kernels are not in Numba's cache, from where they load sooner."""
+    if not compiles:
+        yield
+        return
     said = "compiling the DEM kernels (once, about 10 s) …"
     notice = threading.Timer(1.0, print, (said,), {"file": sys.stderr, "flush": True})
     notice.daemon = True

@@ -18,6 +18,7 @@ from gran_bench.dem.fast.tuning import Tuner
 from gran_bench.dem.frame import Run, steps_between_looks
 from gran_bench.dem.initial_checks import STIFFEN, check_initial_speed, check_initial_state, closing_speed
 from gran_bench.dem.integrate import Physics
+from gran_bench.dem.lammps import SKIN_DIAMETERS, Lammps
 from gran_bench.dem.record import FrameRecord, SimulationError, impact_warnings
 from gran_bench.dem.rest import Rest
 from gran_bench.dem.time_step import choose_time_step, impact_speed, unresolved
@@ -63,6 +64,7 @@ def simulate(
         StateError: a state that cannot start.
         TimeStepError: a step that cannot resolve a contact.
         SimulationError: divergence, or a centre further than its radius outside the container.
+        SceneError, MissingProgramError, LammpsError: with ``dem.engine=lammps``, as of `Lammps`.
     """
     dem = DemConfig() if dem is None else dem
     check_arguments(scene=(scene, Scene), state=(state, ParticleState), dem=(dem, DemConfig))
@@ -83,22 +85,24 @@ def simulate(
     state = replace(state, **{name: np.array(getattr(state, name), np.float64) for name in names})
     record = FrameRecord(scene, state, len(times) + 1)
     tuner = _tuner(scene, largest, state.count, dem)
-    run = Run(ENGINES[dem.engine], state, scene, time_step, tuner, record)
-    run.record_frame(state.time)
-    started = clock.perf_counter()
-    with _followed(progress, len(times) * substeps, "DEM") as follow:
-        for time in times:
-            run.advance(substeps)
-            # The frame's clock, not the sum of its steps: a restart finds the same number.
-            run.record_frame(time)
-            follow(substeps, time)
-    run.check_escapes()
+    with _engine(scene, dem) as engine:
+        run = Run(engine, state, scene, time_step, tuner, record)
+        run.record_frame(state.time)
+        started = clock.perf_counter()
+        with _followed(progress, len(times) * substeps, "DEM") as follow:
+            for time in times:
+                run.advance(substeps)
+                # The frame's clock, not the sum of its steps: a restart finds the same number.
+                run.record_frame(time)
+                follow(substeps, time)
+        run.check_escapes()
+        final, wall_seconds = run.final(record.time[-1]), clock.perf_counter() - started
     return SimulationResult(
         trajectory=record.trajectory(),
-        final=run.final(record.time[-1]),
+        final=final,
         time_step=time_step,
         steps=len(times) * substeps,
-        wall_seconds=clock.perf_counter() - started,
+        wall_seconds=wall_seconds,
         warnings=said + impact_warnings(scene, smallest, time_step, judged, record.time, record.peaks),
         skin=tuner.chosen.skin,
         threads=tuner.chosen.threads,
@@ -140,8 +144,9 @@ def settle(
     substeps = min(steps_between_looks(still, time_step), max(1, round(rest.look_interval / time_step)))
     tuner = _tuner(still, filling.largest_radius, state.count, dem)
     record = FrameRecord(still, state)  # of no frames but one where it fails
-    run, rests = Run(ENGINES[dem.engine], state, still, time_step, tuner, record), False
-    with _followed(progress, None, "settling") as follow:
+    rests = False
+    with _engine(still, dem) as engine, _followed(progress, None, "settling") as follow:
+        run = Run(engine, state, still, time_step, tuner, record)
         while state.count and (not rests or run.time < scene.start_time - 1e-7 * scene.frame_interval):
             if not rests and run.time > scene.longest_settling:
                 raise SimulationError(
@@ -152,16 +157,26 @@ def settle(
             run.advance(substeps)
             rests = rest.look(run.time, *run.moving()[:2])
             follow(substeps, run.time, f", speed {rest.speed:.2g} m/s")
-    state = run.state(run.time)
+        state, peaks = run.state(run.time), run.take_peaks()
     check_initial_state(still, state, remedy=STIFFEN)
-    for said in impact_warnings(
-        still, filling.smallest_radius, time_step, impact_speed(scene), [run.time], [run.take_peaks()]
-    ):
+    for said in impact_warnings(still, filling.smallest_radius, time_step, impact_speed(scene), [run.time], [peaks]):
         warn(f"while the bed of {scene.name!r} settled: {said}")
     return replace(state, time=scene.start_time)
 
 
+@contextmanager
+def _engine(scene: Scene, dem: DemConfig) -> Iterator[ModuleType | Lammps]:
+    """What a run is given to make stretches with."""
+    if dem.engine == "lammps":
+        with Lammps(scene, dem.ranks) as engine:
+            yield engine
+    else:
+        yield ENGINES[dem.engine]
+
+
 def _tuner(scene: Scene, largest_radius: float, count: int, dem: DemConfig) -> Tuner:
+    if dem.engine == "lammps":  # which keeps its skin, and has no threads
+        dem = replace(dem, skin=dem.skin or SKIN_DIAMETERS * 2.0 * largest_radius, threads=1)
     single, full = dem.precision == "float32", dem.slip == "full_radius"
     physics = Physics.of(scene, largest_radius, dem.skin)
     physics = replace(physics, threads=dem.threads or 1, single_precision=single, full_radius=full, power=dem.power)

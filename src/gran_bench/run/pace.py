@@ -28,7 +28,7 @@ from gran_bench.state import ParticleState
 if TYPE_CHECKING:  # these load PyTorch, which the DEM alone does not need
     from gran_bench.surrogate.step import Surrogate
 
-SAMPLE_STEPS = {"numba": 200, "numpy": 20}  # that the pace of the DEM is measured over
+SAMPLE_STEPS = {"numba": 200, "numpy": 20, "lammps": 200}  # that the pace of the DEM is measured over
 SAMPLE_FRAMES = 3  # of a model
 # Of neighbours in the sample, in diameters, at this E; of stiffer spheres less, for the same force.
 OVERLAP, OVERLAP_MODULUS, LARGEST_OVERLAP = 1.0e-3, 1.0e7, 0.05
