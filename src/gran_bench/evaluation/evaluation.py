@@ -19,13 +19,14 @@ from gran_bench.files import whole_file
 from gran_bench.metrics.judge import judge, nearest_case
 from gran_bench.metrics.judgement import Judgement
 from gran_bench.metrics.position_error import HORIZONS, short_horizon_errors, spread_starts
+from gran_bench.metrics.requirements import ANGLES, SPEEDS, WITHOUT_ANGLE
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.state import FloatArray, Trajectory
 from gran_bench.surrogate.rollout import Rollout, extrapolations, rollout
 from gran_bench.surrogate.step import Surrogate
 
 # The distances that stand in the short table, for the model and for the baselines.
-COMPARED = ("surface_angle", "com_angle", "speed_w1")
+COMPARED = (*ANGLES, SPEEDS)
 
 
 @dataclass(frozen=True)
@@ -159,10 +160,10 @@ def _baselines(
     step = "" if plan.imported else f"DEM, steps of {1e3 * plan.coarser.dem.time_step:g} ms"
     if step:
         candidates[step] = _summary(plan.coarser, plan, kind)
-    table = {}
+    table, rows = {}, COMPARED if scene.has_angle_of_repose else (*COMPARED, *WITHOUT_ANGLE)
     for name, candidate in candidates.items():
         errors = judge(candidate, doubles, scene, asked=plan.judge.requirements).to_dict()["errors"]
-        table[name] = {row: errors[row] for row in COMPARED}
+        table[name] = {row: errors[row] for row in rows}
     if coarse in table:
         table[coarse]["ms_per_frame"] = _dem_ms_per_frame(case)
     if step:
@@ -172,6 +173,8 @@ def _baselines(
 
 def _nearest(plan: Plan, rollouts: dict[str, Rollout], cases: dict[str, Case]) -> dict[str, Any]:
     """For each judged speed: the DEM case with the nearest speeds, and the distances to all, m/s."""
+    if plan.judged_rpm is None:
+        return {}
     truth = {rpm: cases[rollout_name(rpm)].trajectory for rpm in plan.speeds_rpm}
     table = {}
     for rpm in plan.speeds_rpm:
