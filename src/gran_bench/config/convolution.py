@@ -40,9 +40,7 @@ class CconvModelConfig(ConvolutionConfig, place="model"):
     update: str = key("mean", one_of("mean", "trapezoid"))
 
 
-@register_model(
-    "lu2021", build="gran_bench.surrogate.convolution.lu2021:Lu2021Network", own_walls=False, code=CODE
-)
+@register_model("lu2021", build="gran_bench.surrogate.convolution.lu2021:Lu2021Network", own_walls=False, code=CODE)
 @dataclass
 class Lu2021Config(ConvolutionConfig, place="model"):
     """One network that predicts the next position, after Lu et al. 2021; its one unit of output is in d a frame."""

@@ -144,7 +144,9 @@ def _baselines(
     """What costs next to nothing, held against the same replicas: distances by baseline and name."""
     scene, kind = case.scene.fine, doubles[0].velocity_kind
     candidates = {
-        "rigid rotation": summarise(rigid_rotation(scene, case.settled), scene, kind),
+        "bed at rest" if scene.rotation.is_still else "rigid rotation": summarise(
+            rigid_rotation(scene, case.settled), scene, kind
+        ),
         "ballistic": summarise(ballistic(scene, case.settled), scene, kind),
     }
     coarse = f"DEM, {case.scene.spheres}"
