@@ -59,8 +59,10 @@ def draw_evaluation(
         with titled(f"{default_title(case.scene)}, {packing_words(packing, holdout_rpm)}"):
             instant = replicas[0].phases.pattern_time
             paths.append(flow_pattern(runs, case.scene, folder / f"flow_pattern{suffix}.png", instant))
-            flow = angle_of_repose if case.scene.has_angle_of_repose else purpose
-            for draw in (flow, speed_distribution, position_error, speed_by_depth, diagnostics):
+            first, last = (purpose,), (diagnostics,)
+            if case.scene.drum_radius is not None:
+                first, last = (angle_of_repose,), (speed_by_depth, diagnostics)
+            for draw in (*first, speed_distribution, position_error, *last):
                 paths.append(draw(candidate, replicas, folder / f"{draw.__name__}{suffix}.png"))
             if case.trajectory.energy:
                 path = folder / f"energy_balance{suffix}.png"
@@ -101,7 +103,7 @@ def purpose(candidates: Candidates, replicas: Replicas, path: Path | str) -> Pat
         for axes, (name, title, label, scale) in zip(panels, rows, strict=True):
             axes.set(title=title, ylabel=label)
             _draw_series(axes, name, candidates, replicas, scale)
-        panels[0].legend(loc="upper right", ncols=1)
+        panels[0].legend(loc="best")
         panels[-1].set(xlabel="time, s", xlim=(replicas[0].time[0], replicas[0].time[-1]))
     return Path(path)
 

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -86,7 +87,9 @@ def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
         further = [line for line in missed if not line.endswith("packing)")]  # the others are in the table
         yield f"**{len(missed)} requirements are not met**{': ' * bool(further)}{'; '.join(further)}."
         yield ""
-    for name, caption in FIGURES.items():
+    # Time and numbers of figures are of the article's drum.
+    foreign = r" at 2\.5 s| \(.*?\)" if rpm is None else "$^"
+    for name, caption in ((name, re.sub(foreign, "", words)) for name, words in FIGURES.items()):
         if (folder / "figures" / name).exists():
             yield f"![{caption}](figures/{name})"
             yield ""
