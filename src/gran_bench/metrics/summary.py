@@ -109,7 +109,8 @@ def _jump(position: FloatArray, velocity: FloatArray, kind: str, scene: Scene) -
         step = nearest_image(np.diff(position.astype(np.float64), axis=0), scene.period)
         off = np.sqrt(((step - between * scene.frame_interval) ** 2).sum(axis=2))
         if scene.needs.outlet:  # a sphere beyond it stands still and keeps its velocity
-            off = off[[taking_part(scene, before) for before in position[:-1].astype(np.float64)]]
+            before = position[:-1].astype(np.float64)
+            off = off[np.array([taking_part(scene, state) for state in before]) | ~np.isfinite(before).all(axis=2)]
         return float(off.mean() / scene.filling.diameter) if off.size else np.nan
 
 

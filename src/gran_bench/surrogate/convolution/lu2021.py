@@ -79,14 +79,14 @@ class Lu2021Network(Surrogate):
         interval, velocity = scene.frame_interval, state.velocity
         if scene.needs.gravity:
             velocity = velocity + velocity.new_tensor(scene.gravity) * interval
-        moved = interval * velocity
-        guess = wrap(state.position + moved, scene.period)
+        guess = wrap(state.position + interval * velocity, scene.period)
         if torch.isfinite(guess).all() and torch.isfinite(velocity).all():
-            moved = moved + self.correction(guess, velocity, scene, time)
+            correction = self.correction(guess, velocity, scene, time)
         else:  # neighbours of nowhere do not exist: the failure shows
-            moved = torch.full_like(velocity, torch.nan)
-        # The difference of two positions, before it is rounded to theirs.
-        return FrameState(wrap(state.position + moved, scene.period), moved / interval)
+            correction = torch.full_like(velocity, torch.nan)
+        # (xⁿ⁺¹ − xⁿ)/Δt without the rounding of positions, which would be 1e-5 m/s a frame.
+        velocity = velocity + correction / interval
+        return FrameState(wrap(guess + correction, scene.period), velocity)
 
     def correction(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> Tensor:
         """Δx at x* (m) and v* (m/s), of the frame from ``time``, s: ``(N, 3)`` m."""
