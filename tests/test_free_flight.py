@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from gran_bench.config import BoundaryConfig, CconvModelConfig, ContactModelConfig, GnsConfig
+from gran_bench.config.registry import MODELS
 from gran_bench.scene import Plane
 from gran_bench.shipped import shipped_model, shipped_scene
 from gran_bench.state import ParticleState
@@ -32,6 +33,8 @@ CASES = [
     ),
     ("radial", {"pair_branch": "antisymmetric"}, "spheres"),
     *(("gns", {"update": update}, "own") for update in ("mean", "trapezoid")),
+    *(("xu_shen2022", choices, kind) for choices in CONVOLUTION for kind in ("static", "none")),
+    *(("lu2021", {"backend": backend}, kind) for backend in ("fused", "torch") for kind in ("static", "none")),
 ]
 
 
@@ -42,10 +45,13 @@ def lively(name: str, choices: dict, boundary: str) -> Surrogate:
         config = ContactModelConfig(**{"iterations": 3} | choices)
     elif name == "gns":
         config = GnsConfig(**{"width": 8} | choices)
+    elif name in ("lu2021", "xu_shen2022"):
+        config = MODELS[name].config(**{"width": 8} | choices)
     else:
         kernel = "radial" if name == "radial" else "lattice"
         config = CconvModelConfig(**{"name": name, "kernel": kernel, "width": 8} | choices)
-    model = build_model(config, BoundaryConfig(kind=boundary), SCENE)
+    walls = BoundaryConfig(velocity=False) if boundary == "static" else BoundaryConfig(kind=boundary)
+    model = build_model(config, walls, SCENE)
     with torch.no_grad():
         for weight in model.parameters():
             weight += 0.3 * torch.randn_like(weight)

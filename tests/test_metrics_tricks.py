@@ -171,3 +171,12 @@ def test_where_nudges_do_not_grow_the_floor_is_between_packings(replicas):
     judgement = judge(still[0], still, SCENE, packings=replicas)
     assert judgement.floor_between == "packings"
     assert judgement.error(row.key).floor.number == pytest.approx(floor.of(row).number)
+
+
+def test_a_run_that_stores_mean_velocities_in_single_precision_moves_as_they_say(runs):
+    """As a model of mean velocities does; the DEM's own means follow from its positions without any rounding."""
+    mean = replace(runs[0], velocity=runs[0].mean_velocity().astype(np.float32), velocity_kind="mean")
+    again = verdicts(judge(mean, runs[1:], SCENE))
+    assert again["moves_by_velocity"] == "pass"
+    slower = replace(mean, velocity=0.9 * mean.velocity)
+    assert verdicts(judge(slower, runs[1:], SCENE))["moves_by_velocity"] == "fail"

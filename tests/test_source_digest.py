@@ -57,6 +57,7 @@ def edit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return changes
 
 
+CONVOLUTIONS = ("ccnn", "radial", "lu2021", "xu_shen2022")
 TRAININGS = {f"train {model}" for model in MODELS}
 
 
@@ -66,7 +67,10 @@ TRAININGS = {f"train {model}" for model in MODELS}
         ("trainer/trainer.py", TRAININGS),
         ("losses/frame_ahead.py", TRAININGS),
         ("surrogate/contact/solver.py", {"train contact", "model contact", "compare"}),
-        ("surrogate/convolution/cconv.py", {"train ccnn", "train radial", "model ccnn", "model radial", "compare"}),
+        (
+            "surrogate/convolution/cconv.py",
+            {f"{what} {name}" for what in ("train", "model") for name in CONVOLUTIONS} | {"compare"},
+        ),
         ("surrogate/graph/messages.py", {"train gns", "model gns", "compare"}),
         ("metrics/angle_of_repose.py", {"judge", "compare", "train emulator", "model emulator"}),
         ("emulator/network.py", {"train emulator", "model emulator", "compare"}),

@@ -279,6 +279,7 @@ def _why_unfair(card: ModelCard, scene: Scene, packing_seed: int) -> str:
     speeds = set(map(abs, scene.rotation.speeds_rpm))
     if scene.takes_speeds and speeds & set(map(abs, card.origin.get("training_speeds_rpm", ()))):
         return f"it was trained at {max(speeds):g} rpm"
-    if scene.takes_speeds and card.origin.get("packing_seed") == packing_seed:
+    seen = [card.origin.get("packing_seed")] if scene.takes_speeds else card.origin.get("training_packings", ())
+    if packing_seed in seen:
         return f"it was trained on packing {packing_seed}"
     return ""

@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from gran_bench.evaluation.plan import motion_words, rollout_name
 from gran_bench.metrics.judgement import shown_multiple
 from gran_bench.metrics.outside import counted
-from gran_bench.run.summary import broken_rollouts, registered_metrics, requirements_met
+from gran_bench.run.summary import broken_rollouts, ranked_errors, registered_metrics, requirements_met
 from gran_bench.tracking import TrackingError, shown_name
 from gran_bench.tracking.search import CONFIG, SUMMARY, RunError, stored_runs
 
 _PARTS = {"judged", "judged_rpm", "model", "training", "rollouts", "nearest_case", "position_error"}  # of a summary
-ERRORS = ("surface_angle", "com_angle", "speed_w1")  # the headline's distances; a plugin's metrics follow them
 FROM_START = ("position_10", "position_30")
 UNSEEN = ", unseen packing"
 ABSENT, UNKNOWN = "–", "?"
@@ -34,11 +34,11 @@ class ComparedRun:
     keys: dict[str, Any]  # of its config, dotted; where a run is kept is not among them
     whole: frozenset[str]  # sections of the config that the folder records in full
 
-    def scene_at(self, rpm: float) -> str:
+    def scene_at(self, rpm: float | None) -> str:
         """For people: ``drum, 3000 spheres, 30 rpm``, with the name of the scene where it is recorded."""
         failures = self.summary["judged"]["shared"]["failures"]
         count = f"{failures['spheres']} spheres, " if failures else ""
-        return f"{self.keys.get('scene.name', 'unnamed scene')}, {count}{rpm:g} rpm"
+        return f"{self.keys.get('scene.name', 'unnamed scene')}, {count}{motion_words(rpm)}"
 
 
 def read_run(folder: Path, root: Path) -> ComparedRun:
@@ -113,13 +113,13 @@ def _plain(value: Any) -> str:
     return value if isinstance(value, str) else re.sub(r"\.0\b", "", text).replace('"', "")
 
 
-def figures_of(run: ComparedRun, rpm: float) -> Iterator[tuple[str, Figure]]:
+def figures_of(run: ComparedRun, rpm: float | None) -> Iterator[tuple[str, Figure]]:
     """The headline figures of a run by name, at the judged speed or, without floors, at another one of its rollouts."""
     summary, training, judged = run.summary, run.summary["training"], run.summary["judged"]
     broken, at_rpm = broken_rollouts(summary), judged if rpm == summary["judged_rpm"] else {}
     after = {packing: "" if packing == "shared" else UNSEEN for packing in judged}
     for packing, found in at_rpm.items():
-        for key in (*ERRORS, *registered_metrics(found), *(FROM_START if packing == "shared" else ())):
+        for key in (*ranked_errors(found), *registered_metrics(found), *(FROM_START if packing == "shared" else ())):
             if row := found["errors"].get(key):
                 floor, unit, times = _shown(row["floor"], row["unit"]), row["unit"], row["multiple_of_floor"]
                 shown = _shown(row["value"], unit) + ("" if times is None else f" (× {shown_multiple(times)})")
@@ -129,8 +129,8 @@ def figures_of(run: ComparedRun, rpm: float) -> Iterator[tuple[str, Figure]]:
         for name, row in summary["position_error"].items():
             frames = counted(int(name.partition("_")[0]), "frame")
             yield f"position {frames} after a frame of the DEM", Figure(_shown(row["m"], "m"), "mm")
-    elif nearest := summary["nearest_case"].get(f"{rpm:g}rpm"):
-        yield "speeds, W1 to the one DEM run", Figure(_shown(nearest["w1_m_s"].get(f"{rpm:g}rpm")), "m/s")
+    elif nearest := summary["nearest_case"].get(rollout_name(rpm)):
+        yield "speeds, W1 to the one DEM run", Figure(_shown(nearest["w1_m_s"].get(rollout_name(rpm))), "m/s")
         yield "speed of the nearest DEM run", Figure(_shown(nearest["nearest_rpm"]), "rpm")
     for packing, found in at_rpm.items():
         if counts := found["failures"]:
@@ -139,7 +139,7 @@ def figures_of(run: ComparedRun, rpm: float) -> Iterator[tuple[str, Figure]]:
             yield f"sphere states outside by > r{after[packing]}", Figure(f"{counts['outside_radius']}")
     where = "".join(f"; {name} at frame {frame}" for name, frame in broken.items())
     yield "rollouts broken down", Figure(f"{len(broken)} of {len(summary['rollouts'])}{where}")
-    if rollout := summary["rollouts"].get(f"{rpm:g}rpm"):
+    if rollout := summary["rollouts"].get(rollout_name(rpm)):
         time, dem = (_shown(rollout[key]) for key in ("ms_per_frame_median", "dem_ms_per_frame"))
         yield "time of a frame (of the DEM)", Figure(f"{time} ({dem})", "ms")
     yield "training (updates)", Figure(f"{training['seconds'] / 60.0:.3g} ({training['steps']})", "min")

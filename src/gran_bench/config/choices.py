@@ -5,13 +5,13 @@ from dataclasses import fields
 
 from gran_bench.config import (
     BoundaryConfig,
-    CconvModelConfig,
     ContactModelConfig,
     EmulatorConfig,
     GnsConfig,
     LossConfig,
     TrainConfig,
 )
+from gran_bench.config.convolution import ConvolutionConfig, Lu2021Config, XuShen2022Config
 from gran_bench.config.registry import MODELS
 from gran_bench.config.rules import Section, raising, shown
 
@@ -50,13 +50,13 @@ def check_radius(model: Section, diameter: float, period: float) -> Iterator[str
         diameter: of the spheres, m.
         period: length of the periodic axis, m; 0 for none.
     """
-    if not isinstance(model, CconvModelConfig | ContactModelConfig | GnsConfig):
+    if not isinstance(model, ConvolutionConfig | ContactModelConfig | GnsConfig):
         return
     radius = given_or(model.radius_m, model.radius_diameters, diameter)
     unit = diameter if model.radius_m is None else 1.0
     key, of = ("radius_diameters", "diameters") if model.radius_m is None else ("radius_m", "m")
     given = f"model.{key}={getattr(model, key):g}"
-    if isinstance(model, CconvModelConfig) and radius <= diameter:
+    if isinstance(model, ConvolutionConfig) and radius <= diameter:
         yield f"{given} reaches no neighbour; choose more than {diameter / unit:g} {of}, the size of a particle"
     if isinstance(model, ContactModelConfig | GnsConfig):
         least = (1.0 + PAIR_FADE) * diameter
@@ -66,6 +66,18 @@ def check_radius(model: Section, diameter: float, period: float) -> Iterator[str
             ends = f"both ends of the period, scene.container.length={period:g}"
             remedy = f"choose at most {0.5 * period / unit:g} {of}, or model=radial"
             yield f"{given} sees a neighbour through {ends}; {remedy}"
+
+
+@raising
+def check_static(model: Section, boundary: BoundaryConfig) -> Iterator[str]:
+    """Refuse, as a `ConfigError`, walls that move for a model whose boundary is static: points without a velocity."""
+    if not isinstance(model, Lu2021Config | XuShen2022Config):
+        return
+    if boundary.kind not in ("spheres", "none"):
+        yield f"boundary.kind={boundary.kind}: the walls of model={model.name} are static points; choose spheres"
+    if boundary.kind == "spheres" and boundary.velocity:
+        given = f"boundary.velocity=true: model={model.name} has a static boundary, whose points carry no velocity"
+        yield f"{given}; choose boundary=spheres_normal, or model=ccnn"
 
 
 @raising
@@ -90,6 +102,7 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
             remedy = f"leave it at {shown(usual)}, or choose {users}"
             remedy += " with model=radial or model=ccnn" if kind == "own" else ""
             yield f"boundary.{name}={shown(value)} changes nothing for boundary.kind={kind}; {remedy}"
+    check_static(config.model, boundary)
     loss, model, terms, gravity = config.loss, config.model.name, loss_terms(), config.scene.gravity
     if not weighed_terms(loss):
         yield f"loss.{terms[0]}=0 and every other term is 0 too; give one of {', '.join(terms)} a weight"

@@ -8,7 +8,8 @@ from typing import Any
 from gran_bench.config import schema
 from gran_bench.config.choices import check_choices
 from gran_bench.config.commands import CalibrateConfig, CoarseGrainingConfig
-from gran_bench.config.registry import HOUSE, WALLS
+from gran_bench.config.convolution import ConvolutionConfig
+from gran_bench.config.registry import HOUSE, MODELS, WALLS
 from gran_bench.config.rules import ConfigError, Section, raising, shown
 
 # What rooms further on can do, said here because a config is refused before they are loaded; a test holds them equal.
@@ -115,8 +116,9 @@ def check_coarse_graining(factor: float, filling: Any) -> Iterator[str]:
 @raising
 def check_model(model: Section) -> Iterator[str]:
     """Refuse, as a `ConfigError`, values of a model of the house that contradict each other."""
-    if isinstance(model, schema.CconvModelConfig):
-        if model.kernel != ("radial" if model.name == "radial" else "lattice"):
+    if isinstance(model, ConvolutionConfig):
+        kernels = {"ccnn": "lattice", "radial": "radial"}
+        if model.kernel != kernels.get(model.name, model.kernel):
             other = "ccnn" if model.name == "radial" else "radial"
             yield f"model.kernel={model.kernel} is not the kernel of model={model.name}; choose model={other}"
         if model.width % 2:
@@ -164,8 +166,17 @@ def _check_scene(scene: schema.SceneConfig, dataset: schema.DatasetConfig) -> It
         for name, value in asdict(scene.mixed).items():
             if value is not None:
                 yield f"scene.mixed.{name}={value} is of a second material, and there is none; {describe} or give null"
-    if WALLS[kind].drum and len(set(rotation.speeds_rpm)) == 1 and not dataset.training_speeds_rpm:
-        yield "dataset.training_speeds_rpm=[] leaves nothing to train on; give at least one speed"
+    if takes_speeds(scene):
+        if not dataset.training_speeds_rpm:
+            yield "dataset.training_speeds_rpm=[] leaves nothing to train on; give at least one speed"
+        if packings := dataset.training_packings:
+            given = f"dataset.training_packings={packings}: the cases of a drum are its speeds, all from one packing"
+            yield f"{given}; choose dataset.training_packings=[], such as dataset=holdout30"
+
+
+def takes_speeds(scene: schema.SceneConfig) -> bool:
+    """Whether the cases of a data set give the scene their speeds, as `Scene.takes_speeds`."""
+    return WALLS[scene.container.kind].drum and len(set(scene.rotation.speeds_rpm)) == 1
 
 
 @raising
@@ -182,6 +193,14 @@ def _check_dataset(dataset: schema.DatasetConfig) -> Iterator[str]:
     if dataset.unseen_packing_seed == dataset.packing_seed:
         given = f"dataset.unseen_packing_seed={dataset.unseen_packing_seed}"
         yield f"{given} is dataset.packing_seed too, so the packing would not be unseen; choose another"
+    packings = dataset.training_packings
+    for seed in packings:
+        given = f"dataset.training_packings={packings} has {seed}"
+        if packings.count(seed) > 1:
+            yield f"{given} twice; give each seed once"
+        for name in ("packing_seed", "unseen_packing_seed"):
+            if seed == getattr(dataset, name):
+                yield f"{given}, which is dataset.{name}: training would see what it is judged on; choose another"
 
 
 @raising
@@ -192,20 +211,26 @@ def _check_training(config: schema.TrainConfig) -> Iterator[str]:
         yield f"scene.filling.count={filling.count} leaves nothing to learn from; choose a value ≥ 1"
     if kind == "none":
         yield "scene.container.kind=none has no container that could turn, so nothing to train on; choose a drum"
-    if not WALLS[kind].drum:
-        remedy = "choose a drum (python -m gran_bench.generate makes the case)"
-        yield f"scene.container.kind={kind} does not turn: it makes one case and no data set to train on; {remedy}"
-    if len(set(speeds)) != 1:
-        why = "is a schedule, which its one case keeps, so there is no data set to train on"
-        yield f"scene.rotation.speeds_rpm={speeds} {why}; train on a drum with one speed"
+    turns = takes_speeds(scene)
+    if not turns:
+        does = f"rotation.speeds_rpm={speeds} is a schedule"
+        if not WALLS[kind].drum:
+            does = f"container.kind={kind} does not turn"
+        if not MODELS[config.model.name].particles:
+            yield f"scene.{does}: model={config.model.name} learns from drums at many speeds; choose scene=drum"
+        if not config.dataset.training_packings:
+            why = "its cases are packings, and dataset.training_packings=[] leaves nothing to train on"
+            yield f"scene.{does}: {why}; give seeds, such as dataset=packings"
+        if config.judge.speeds_rpm is not None:
+            yield f"judge.speeds_rpm={config.judge.speeds_rpm}: scene.{does}; choose judge.speeds_rpm=null"
     for name, differs in {
         f"sizes.kind={filling.sizes.kind} makes spheres that": filling.sizes.kind != "one",
         f"second_fraction={filling.second_fraction:g} makes spheres that": filling.second_fraction != 0,
-        "settles=false makes a start that": not filling.settles,
+        "settles=false makes a start that": turns and not filling.settles,
         "positions make a start that": bool(filling.positions),
     }.items():
         if differs:
-            yield f"scene.filling.{name} no surrogate can learn; train on a drum of equal spheres that have settled"
+            yield f"scene.filling.{name} no surrogate can learn; train on equal spheres, in a drum on settled ones"
     available, needed = round((scene.end_time - scene.start_time) / scene.frame_interval), LONGEST_HORIZON
     if available < needed:
         given = f"scene.end_time={scene.end_time:g} makes cases of {available} frames"

@@ -4,6 +4,7 @@ from __future__ import annotations  # the types of keys are read as words
 
 from dataclasses import dataclass, field
 
+from gran_bench.config.convolution import CconvModelConfig, Lu2021Config, XuShen2022Config
 from gran_bench.config.emulator import EmulatorConfig
 from gran_bench.config.graph import GnsConfig
 from gran_bench.config.registry import holds_weights, register_model, register_wall
@@ -158,8 +159,9 @@ class DatasetConfig(Section, place="dataset"):
     training_speeds_rpm: list[float] = key([20.0, 25.0, 35.0, 40.0, 50.0, 60.0], Range(unit="rpm"))
     validation_speeds_rpm: list[float] = key([], Range(unit="rpm"))  # held out of training, used to choose
     holdout_speeds_rpm: list[float] = key([30.0], Range(unit="rpm"))  # never read in training
-    packing_seed: int = key(0, SEED)  # the filling shared by all cases
+    packing_seed: int = key(0, SEED)  # the judged filling, which all cases of a drum share
     unseen_packing_seed: int = key(1, SEED)  # the filling that only judging sees
+    training_packings: list[int] = key([], SEED)  # fillings to train on in a scene that keeps its own motion
     replicas: int = key(5, at_least(2))  # nudged runs of the held-out case for the noise floor
     workers: int = key(2, at_least(1))  # cases made at a time
 
@@ -186,32 +188,6 @@ class ContactModelConfig(Section, place="model"):
     memory: bool = False  # carry a tangential spring vector of each contact from frame to frame
     velocity: str = key("mean", one_of("mean", "instantaneous"))  # what the state's velocity is
     backend: str = key("fused", BACKEND)  # fused: Numba, CPU
-
-
-@register_model(
-    *("ccnn", "radial"),
-    build="gran_bench.surrogate.convolution.ccnn:ContinuousConvolutionNetwork",
-    own_walls=False,
-    code=("surrogate/convolution",),
-)
-@dataclass
-class CconvModelConfig(Section, place="model"):
-    """A continuous-convolution network: lattice (the paper's CCNN) or radial kernel basis."""
-
-    name: str = key("ccnn", one_of("ccnn", "radial"))
-    kernel: str = key("lattice", one_of("lattice", "radial"))
-    kernel_size: int = key(4, at_least(2))  # lattice nodes along an edge of the cube
-    width: int = key(64, at_least(2))
-    layers: int = key(3, at_least(1))  # hidden layers of each branch
-    radius_diameters: float = key(2.25, positive("diameters"))  # support radius R
-    radius_m: float | None = key(None, positive("m"))  # null: by radius_diameters
-    constant_input: bool = True  # a constant 1 among the input features
-    residual: bool = True  # where widths agree
-    pair_branch: str = key("plain", one_of("plain", "antisymmetric"))  # antisymmetric: pairs conserve momentum
-    output_scale_diameters: float = key(0.02, positive("diameters per frame²"))  # one unit of the network's output
-    update: str = key("mean", one_of("mean", "trapezoid"))
-    backend: str = key("fused", BACKEND)  # fused: Numba, CPU
-    precision: str = key("float32", one_of("float32", "bfloat16"))  # of the factors of the convolutions
 
 
 @dataclass
@@ -334,7 +310,7 @@ class TrainConfig(GenerateConfig):
     seed: int = key(0, SEED)
     device: str = key("auto", one_of("auto", "cpu", "cuda"))
     threads: int = key(2, at_least(1))  # CPU threads of the surrogate
-    model: ContactModelConfig | CconvModelConfig | GnsConfig | EmulatorConfig = field(
+    model: ContactModelConfig | CconvModelConfig | Lu2021Config | XuShen2022Config | GnsConfig | EmulatorConfig = field(
         default_factory=ContactModelConfig
     )
     boundary: BoundaryConfig = field(default_factory=lambda: BoundaryConfig(kind="own"))  # of the contact network

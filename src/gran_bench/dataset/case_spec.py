@@ -126,18 +126,22 @@ class Split:
 
 
 def split_cases(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> Split:
-    """The cases of a data set, one for each speed, all from one packing.
+    """The cases of a data set: one for each speed, all from one packing.
+
+    A scene that keeps its own motion has one for each packing: ``training_packings``, and ``packing_seed`` held out.
 
     Raises:
-        DatasetError: a scene that keeps its own motion, a speed that is in two splits or twice in one, or nothing
-            left to train on.
+        DatasetError: a speed that is in two splits or twice in one, or nothing left to train on.
     """
     check_arguments(scene=(scene, Scene), dem=(dem, DemConfig), dataset=(dataset, DatasetConfig))
-    if not scene.takes_speeds:
+    if not has_splits(scene, dataset):
         raise DatasetError(
             f"scene {scene.name!r} keeps its own motion, so it makes one case and no splits by speed; "
-            "choose a drum with one speed"
+            "give dataset.training_packings, or choose a drum with one speed"
         )
+    if not scene.takes_speeds:
+        packings = dataset.training_packings, [], [dataset.packing_seed]
+        return Split(*([CaseSpec(scene, dem, seed) for seed in seeds] for seeds in packings))
     sides = {side: getattr(dataset, f"{side}_speeds_rpm") for side in ("training", "validation", "holdout")}
     seen: dict[float, str] = {}
     for side, speeds in sides.items():
@@ -158,6 +162,11 @@ def split_cases(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> Split:
         raise DatasetError("dataset.training_speeds_rpm is empty; give at least one speed to train on")
     cases = [[CaseSpec(scene.at_speed(v), dem, dataset.packing_seed) for v in speeds] for speeds in sides.values()]
     return Split(*cases)
+
+
+def has_splits(scene: Scene, dataset: DatasetConfig) -> bool:
+    """Whether a scene's cases are split by what training may see: of a drum by speed, of others by packing."""
+    return scene.takes_speeds or bool(dataset.training_packings)
 
 
 def own_case(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> CaseSpec:

@@ -49,7 +49,7 @@ def split_cases(scene: Scene, dem: DemConfig, dataset: DatasetConfig) -> Split:
         FilesError: no imported case of a speed, or several.
     """
     sides = vars(case_spec.split_cases(scene, dem, dataset)).values()
-    return Split(*([case_at(spec.scene, dem, dataset, dataset.packing_seed) for spec in side] for side in sides))
+    return Split(*([case_at(spec.scene, dem, dataset, spec.packing_seed) for spec in side] for side in sides))
 
 
 def case_at(scene: Scene, dem: DemConfig, dataset: DatasetConfig, packing: int) -> CaseSpec:

@@ -7,7 +7,7 @@ import numpy as np
 
 from gran_bench.config import GenerateConfig
 from gran_bench.dataset.case_file import read_attributes, read_case
-from gran_bench.dataset.case_spec import CaseSpec, DatasetError, dem_source_hash, own_case, rotation_label
+from gran_bench.dataset.case_spec import CaseSpec, DatasetError, dem_source_hash, has_splits, own_case, rotation_label
 from gran_bench.dataset.ensure import ensure_cases
 from gran_bench.dataset.imported import ENGINE, split_cases
 from gran_bench.dem.energy_balance import EnergyBalance
@@ -26,7 +26,7 @@ def generate(config: GenerateConfig) -> list[Path]:
     scene = build_scene(config.scene)
     root = config.dataset.root
     print(f"scene {scene.name}: {scene.spheres}; {scene.needs}")
-    if scene.takes_speeds:
+    if has_splits(scene, config.dataset):
         split = split_cases(scene, config.dem, config.dataset)
         sides = {id(spec): side for side in ("training", "validation", "holdout") for spec in getattr(split, side)}
         specs = split.all
@@ -84,7 +84,8 @@ def _row(spec: CaseSpec, path: Path, side: str) -> tuple[str, ...]:
         speed = f"{np.linalg.norm(late, axis=2).mean(dtype=np.float64):.3f}"
     step, seconds = case.attributes["time_step"], case.attributes["wall_seconds"]
     numbers = f"{case.settled.count}", f"{motion.frame_count}", f"{1e6 * step:.0f}", speed, f"{seconds:.1f}"
-    return rotation_label(spec.scene), side, *numbers, f"{path.stat().st_size / 1e6:.1f}", str(path)
+    motion = rotation_label(spec.scene) + f", packing {spec.packing_seed}" * (not scene.takes_speeds)
+    return motion, side, *numbers, f"{path.stat().st_size / 1e6:.1f}", str(path)
 
 
 def _table(lines: list[tuple[str, ...]]) -> str:

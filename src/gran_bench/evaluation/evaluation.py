@@ -19,13 +19,14 @@ from gran_bench.files import whole_file
 from gran_bench.metrics.judge import judge, nearest_case
 from gran_bench.metrics.judgement import Judgement
 from gran_bench.metrics.position_error import HORIZONS, short_horizon_errors, spread_starts
+from gran_bench.metrics.requirements import ANGLES, SPEEDS, WITHOUT_ANGLE
 from gran_bench.metrics.summary import TrajectorySummary, summarise
 from gran_bench.state import FloatArray, Trajectory
 from gran_bench.surrogate.rollout import Rollout, extrapolations, rollout
 from gran_bench.surrogate.step import Surrogate
 
 # The distances that stand in the short table, for the model and for the baselines.
-COMPARED = ("surface_angle", "com_angle", "speed_w1")
+COMPARED = (*ANGLES, SPEEDS)
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def evaluate(
                 tell(f"  unlike the training: {warning}")
     finally:
         torch.set_num_threads(threads)
-    judgements, candidates, doubles = {}, {}, {}
+    judgements, candidates, doubles, apart = {}, {}, {}, {}
     replays = {f"{rpm:g} rpm replayed": _summary(plan.case(rpm), plan, model.velocity_kind)
                for rpm in plan.replayed_rpm}  # fmt: skip
     for unseen in plan.packings:
@@ -79,8 +80,8 @@ def evaluate(
         if not unseen and not plan.imported:
             beside["half_step"] = plan.finer
         beside = {name: _summary(spec, plan, candidate.velocity_kind) for name, spec in beside.items()}
-        packings = [doubles[packing][0], beside["other_packing"]] if "other_packing" in beside else []
-        found = judge(candidate, doubles[packing], judged_scene, beside, replays, asked, packings)
+        apart[packing] = [doubles[packing][0], beside["other_packing"]] if "other_packing" in beside else []
+        found = judge(candidate, doubles[packing], judged_scene, beside, replays, asked, apart[packing])
         judgements[packing] = found
         candidates[packing] = replace(candidate, phases=found.phases)
         doubles[packing] = [replace(run, phases=found.phases) for run in doubles[packing]]
@@ -89,7 +90,7 @@ def evaluate(
         "judged_rpm": plan.judged_rpm,
         "judged_as": "validation" if plan.validates else "held out",
         "judged": {packing: judgement.to_dict() for packing, judgement in judgements.items()},
-        "baselines": _baselines(plan, judged, doubles["shared"], replays),
+        "baselines": _baselines(plan, judged, doubles["shared"], replays, apart["shared"]),
         "nearest_case": _nearest(plan, rollouts, cases),
         "position_error": _short_horizon(model, judged, plan.judge),
         "rollouts": {name: _rollout_facts(result, cases[name], steady) for name, result in rollouts.items()},
@@ -138,12 +139,15 @@ def weights_digest(model: Surrogate) -> str:
 
 
 def _baselines(
-    plan: Plan, case: Case, doubles: list[TrajectorySummary], replays: dict[str, TrajectorySummary]
-) -> dict[str, Any]:
+    plan: Plan, case: Case, doubles: list[TrajectorySummary], replays: dict[str, TrajectorySummary],
+    packings: list[TrajectorySummary],
+) -> dict[str, Any]:  # fmt: skip
     """What costs next to nothing, held against the same replicas: distances by baseline and name."""
     scene, kind = case.scene.fine, doubles[0].velocity_kind
     candidates = {
-        "rigid rotation": summarise(rigid_rotation(scene, case.settled), scene, kind),
+        "bed at rest" if scene.rotation.is_still else "rigid rotation": summarise(
+            rigid_rotation(scene, case.settled), scene, kind
+        ),
         "ballistic": summarise(ballistic(scene, case.settled), scene, kind),
     }
     coarse = f"DEM, {case.scene.spheres}"
@@ -159,10 +163,11 @@ def _baselines(
     step = "" if plan.imported else f"DEM, steps of {1e3 * plan.coarser.dem.time_step:g} ms"
     if step:
         candidates[step] = _summary(plan.coarser, plan, kind)
-    table = {}
+    table, rows = {}, COMPARED if scene.has_angle_of_repose else (*COMPARED, *WITHOUT_ANGLE)
     for name, candidate in candidates.items():
-        errors = judge(candidate, doubles, scene, asked=plan.judge.requirements).to_dict()["errors"]
-        table[name] = {row: errors[row] for row in COMPARED}
+        found = judge(candidate, doubles, scene, asked=plan.judge.requirements, packings=packings)
+        errors = found.to_dict()["errors"]
+        table[name] = {row: errors[row] for row in rows}
     if coarse in table:
         table[coarse]["ms_per_frame"] = _dem_ms_per_frame(case)
     if step:
@@ -172,6 +177,8 @@ def _baselines(
 
 def _nearest(plan: Plan, rollouts: dict[str, Rollout], cases: dict[str, Case]) -> dict[str, Any]:
     """For each judged speed: the DEM case with the nearest speeds, and the distances to all, m/s."""
+    if plan.judged_rpm is None:
+        return {}
     truth = {rpm: cases[rollout_name(rpm)].trajectory for rpm in plan.speeds_rpm}
     table = {}
     for rpm in plan.speeds_rpm:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from gran_bench.baselines import nearest_speeds, neighbouring_speeds
+from gran_bench.baselines import nearest_speeds
 from gran_bench.config import DatasetConfig, DemConfig, JudgeConfig
 from gran_bench.dataset import CaseSpec, case_at, half_step, imported_replicas, replicas
 from gran_bench.dem.simulate import choose_time_step
@@ -18,6 +18,9 @@ class Plan:
 
     Where the data set has a validation speed, that one is judged, and the held-out speed is neither rolled out nor
     opened: whoever chooses must not see it.
+
+    A scene that keeps its own motion has no speeds: its judged case has ``None`` for one. The model saw neither of its
+    two packings, ``dataset.packing_seed`` and ``dataset.unseen_packing_seed``.
     """
 
     scene: Scene  # without a speed of its own
@@ -28,17 +31,21 @@ class Plan:
     @property
     def validates(self) -> bool:
         """Whether the judged speed is a validation speed."""
-        return bool(self.dataset.validation_speeds_rpm)
+        return self.scene.takes_speeds and bool(self.dataset.validation_speeds_rpm)
 
     @property
-    def judged_rpm(self) -> float:
+    def judged_rpm(self) -> float | None:
         """The speed that is judged against replicas, rpm."""
+        if not self.scene.takes_speeds:
+            return None
         speeds = self.dataset.validation_speeds_rpm if self.validates else self.dataset.holdout_speeds_rpm
         return float(speeds[0])
 
     @property
-    def speeds_rpm(self) -> list[float]:
+    def speeds_rpm(self) -> list[float | None]:
         """Every speed that is rolled out from the shared packing, rpm."""
+        if self.judged_rpm is None:
+            return [None]
         hidden = set(self.dataset.holdout_speeds_rpm) if self.validates else set()
         chosen = self.judge.speeds_rpm
         if chosen is None:
@@ -50,7 +57,7 @@ class Plan:
         """Whether the judged packings are unseen: the shared one is not, and stands first."""
         return [False, True] if self.judge.unseen_packing else [False]
 
-    def case(self, rpm: float, unseen: bool = False) -> CaseSpec:
+    def case(self, rpm: float | None, unseen: bool = False) -> CaseSpec:
         """The DEM's case at a speed, from the shared or the unseen packing."""
         return self._case(self.scene, rpm, unseen)
 
@@ -58,9 +65,9 @@ class Plan:
         """The DEM's case that errors are measured from: of the fine spheres, where the scene's are coarse-grained."""
         return self._case(self.scene.fine, self.judged_rpm, unseen)
 
-    def _case(self, scene: Scene, rpm: float, unseen: bool) -> CaseSpec:
+    def _case(self, scene: Scene, rpm: float | None, unseen: bool) -> CaseSpec:
         seed = self.dataset.unseen_packing_seed if unseen else self.dataset.packing_seed
-        return case_at(scene.at_speed(rpm), self.dem, self.dataset, seed)
+        return case_at(scene if rpm is None else scene.at_speed(rpm), self.dem, self.dataset, seed)
 
     def replicas(self, unseen: bool) -> list[CaseSpec]:
         """The nudged runs of the judged case that give the noise floor."""
@@ -87,12 +94,14 @@ class Plan:
     @property
     def neighbours_rpm(self) -> tuple[float, float] | None:
         """The training speeds below and above the judged one, rpm; None where a side has none."""
-        return neighbouring_speeds(self.judged_rpm, self.dataset.training_speeds_rpm)
+        found = self.replayed_rpm
+        return (found[0], found[1]) if len(found) == 2 else None
 
     @property
     def replayed_rpm(self) -> list[float]:
         """The training speeds next to the judged one, on one side or both, whose runs a model must be better than."""
-        return nearest_speeds(self.judged_rpm, self.dataset.training_speeds_rpm, 1)
+        trained = self.dataset.training_speeds_rpm
+        return [] if self.judged_rpm is None else nearest_speeds(self.judged_rpm, trained, 1)
 
     @property
     def cases(self) -> list[CaseSpec]:
@@ -104,6 +113,16 @@ class Plan:
         return [*own, *speeds, *judged, *doubles, *([] if self.imported else [self.finer, self.coarser])]
 
 
-def rollout_name(rpm: float, unseen: bool = False) -> str:
-    """``30rpm``, or ``30rpm_unseen`` from the unseen packing."""
-    return f"{rpm:g}rpm_unseen" if unseen else f"{rpm:g}rpm"
+def rollout_name(rpm: float | None, unseen: bool = False) -> str:
+    """``30rpm``, or ``30rpm_unseen`` from the unseen packing; ``own_motion`` where the scene keeps its own."""
+    return ("own_motion" if rpm is None else f"{rpm:g}rpm") + "_unseen" * unseen
+
+
+def motion_words(rpm: float | None) -> str:
+    """The judged motion for people: ``30 rpm``, or ``own motion``."""
+    return "own motion" if rpm is None else f"{rpm:g} rpm"
+
+
+def packing_words(packing: str, rpm: float | None) -> str:
+    """A judged packing for people, ``shared`` or ``unseen``; where the scene keeps its own motion both are unseen."""
+    return f"{packing if rpm is not None else {'shared': 'first'}.get(packing, 'second')} packing"

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gran_bench.dataset import Case, DatasetError, read_attributes, read_case
+from gran_bench.evaluation.plan import rollout_name
 from gran_bench.export.formats import FORMATS
 from gran_bench.processes import run_command
 from gran_bench.run.summary import read_summary
@@ -46,7 +47,7 @@ def _rollout(folder: Path, cases: Sequence[Path], chosen: argparse.Namespace) ->
     """The case that a stored rollout started from with the rollout's motion, and a name for the file."""
     files = {path.stem: path for path in sorted((folder / "rollouts").glob("*.npz"))}
     summary = read_summary(folder)
-    name = chosen.rollout or (f"{summary['judged_rpm']:g}rpm" if summary else "")
+    name = chosen.rollout or (rollout_name(summary["judged_rpm"]) if summary else "")
     if name not in files:
         there = f"has {', '.join(files)}; choose one" if files else "holds no rollouts/*.npz; finish the run"
         raise RunError(f"--rollout {name}: {folder} {there}")

@@ -17,6 +17,7 @@ from gran_bench.metrics.summary import TrajectorySummary
 START_WITHIN = 0.01  # diameters, mean over the spheres
 START_APART = 2.0  # times the distance of the replicas themselves, where they start farther apart
 JUMPS = 10.0  # times the DEM's own
+ROUNDING = 1.0e-4  # diameters a frame, of stored positions: mean velocities of the DEM follow from them exactly
 DEEPEST = 0.5  # diameters: two centres nearer than half a diameter
 DEEPER = 2.0  # times the DEM's own largest overlap, where its spheres are that soft
 SAMPLE = ("is_sample", "starts_settled", "moves_by_velocity")  # keys of the requirements on a sample
@@ -39,7 +40,7 @@ def sample_rows(candidate: TrajectorySummary, replicas: Sequence[TrajectorySumma
         yield Requirement("starts_settled", f"starts at the settled bed, within {bound:.2g} d", start, bound, verdict)
     if len(candidate.time) > 1:
         own = float(np.mean([run.jump for run in truth]))
-        found, bound = Measured.of(candidate.jump, "d", "not finite in a state"), JUMPS * own
+        found, bound = Measured.of(candidate.jump, "d", "not finite in a state"), max(ROUNDING, JUMPS * own)
         verdict = "pass" if found.defined and found.number <= bound else "fail"
         yield Requirement("moves_by_velocity", f"moves as its velocities say, within {bound:.2g} d a frame", found,
                           bound, verdict)  # fmt: skip

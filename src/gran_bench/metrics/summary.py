@@ -6,6 +6,7 @@ import numpy as np
 
 from gran_bench.config.registry import METRICS
 from gran_bench.config.rules import ConfigError, check_arguments
+from gran_bench.dem.outlet import taking_part
 from gran_bench.metrics import power  # noqa: F401 — registers its metrics
 from gran_bench.metrics.angle_of_repose import SurfaceAngle
 from gran_bench.metrics.bed import overlap_series, sphere_masses
@@ -61,6 +62,8 @@ def summarise(trajectory: Trajectory, scene: Scene, velocity_kind: str | None = 
     check_arguments(trajectory=(trajectory, Trajectory), scene=(scene, Scene))
     kind = velocity_kind or trajectory.velocity_kind
     velocity = velocities(trajectory, kind, scene.period)
+    if kind != trajectory.velocity_kind and scene.needs.outlet:
+        _hold_discharged(velocity, trajectory.position, scene)
     # Four metrics share the overlaps, so they are carried along as the engine's own are.
     overlaps = {name: series.value for name, series in overlap_series(trajectory, scene).items()}
     run = replace(trajectory, diagnostics=trajectory.diagnostics | overlaps)
@@ -87,6 +90,16 @@ def summarise(trajectory: Trajectory, scene: Scene, velocity_kind: str | None = 
     )
 
 
+def _hold_discharged(velocity: FloatArray, position: FloatArray, scene: Scene) -> None:
+    """Let spheres beyond the outlet keep their last velocity, as every stored state of theirs does.
+
+    They stand still in the frames, so means over a frame would be 0 in the DEM and not in a rollout.
+    """
+    for frame in range(1, len(velocity)):
+        gone = ~taking_part(scene, position[frame - 1].astype(np.float64))
+        velocity[frame, gone] = velocity[frame - 1, gone]
+
+
 def _jump(position: FloatArray, velocity: FloatArray, kind: str, scene: Scene) -> float:
     """Mean over spheres and frames of ‖Δx − v̄ Δt‖ / d, v̄ the mean of the velocities at both ends of a frame."""
     if len(position) < 2:
@@ -95,6 +108,9 @@ def _jump(position: FloatArray, velocity: FloatArray, kind: str, scene: Scene) -
     with np.errstate(invalid="ignore", over="ignore"):
         step = nearest_image(np.diff(position.astype(np.float64), axis=0), scene.period)
         off = np.sqrt(((step - between * scene.frame_interval) ** 2).sum(axis=2))
+        if scene.needs.outlet:  # a sphere beyond it stands still and keeps its velocity
+            before = position[:-1].astype(np.float64)
+            off = off[np.array([taking_part(scene, state) for state in before]) | ~np.isfinite(before).all(axis=2)]
         return float(off.mean() / scene.filling.diameter) if off.size else np.nan
 
 

@@ -9,7 +9,7 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 
 from gran_bench.evaluation import Evaluation
-from gran_bench.evaluation.plan import rollout_name
+from gran_bench.evaluation.plan import packing_words, rollout_name
 from gran_bench.metrics.measured import Measured, Series, frame_at
 from gran_bench.metrics.position_error import DIVERGED, divergence_horizon, mean_spread, separation
 from gran_bench.metrics.summary import TrajectorySummary
@@ -31,14 +31,21 @@ DIAGNOSTICS = (
     ("overlap_max", "Largest overlap of a pair", "overlap, mm", 1e3),
     ("wall_overlap_max", "Largest overlap with a wall", "overlap, mm", 1e3),
 )
+PURPOSE = (
+    ("center_height", "Height of the centre of mass", "height, m", 1.0),
+    ("discharge_rate", "Discharge rate", "rate, kg/s", 1.0),
+    ("packing_fraction", "Packing fraction of the bed's lower half", "fraction", 1.0),
+    ("mean_speed", "Mean speed", "speed, m/s", 1.0),
+)
 USUAL = (1e-4, 30.0)  # d; the axis of every run that stays within, so that figures can be compared
 CLASS = 0.1  # m/s
 WIDEST = 10.0  # times the speeds of the DEM: a wild model would leave no room for it
 
 
 def draw_evaluation(
-    evaluation: Evaluation, holdout_rpm: float, folder: Path | str, gif: bool = True, model_name: str = "surrogate"
-) -> list[Path]:
+    evaluation: Evaluation, holdout_rpm: float | None, folder: Path | str, gif: bool = True,
+    model_name: str = "surrogate",
+) -> list[Path]:  # fmt: skip
     """Draw the paper's figures of the held-out speed for both packings, those of the unseen one ending in ``_unseen``.
 
     With ``gif`` there is a film of both flows, too. Returns the paths, those of the paper's figures first.
@@ -49,17 +56,21 @@ def draw_evaluation(
         name, suffix = rollout_name(holdout_rpm, unseen), "_unseen" if unseen else ""
         case, candidate = evaluation.cases[name], {model_name: evaluation.candidates[packing]}
         runs = {"DEM": case.trajectory, model_name: evaluation.rollouts[name].trajectory}
-        with titled(f"{default_title(case.scene)}, {packing} packing"):
+        with titled(f"{default_title(case.scene)}, {packing_words(packing, holdout_rpm)}"):
             instant = replicas[0].phases.pattern_time
             paths.append(flow_pattern(runs, case.scene, folder / f"flow_pattern{suffix}.png", instant))
-            for draw in (angle_of_repose, speed_distribution, position_error, speed_by_depth, diagnostics):
+            first, last = (purpose,), (diagnostics,)
+            if case.scene.drum_radius is not None:
+                first, last = (angle_of_repose,), (speed_by_depth, diagnostics)
+            for draw in (*first, speed_distribution, position_error, *last):
                 paths.append(draw(candidate, replicas, folder / f"{draw.__name__}{suffix}.png"))
             if case.trajectory.energy:
                 path = folder / f"energy_balance{suffix}.png"
                 paths.append(energy_balance(case.trajectory, path, replicas[0].phases.steady_from))
             if gif and not unseen:
                 paths.append(flow_animation(runs, case.scene, folder / "flow.gif"))
-    rows = evaluation.summary["nearest_case"].values()
+    if not (rows := evaluation.summary["nearest_case"].values()):
+        return paths
     speeds = {rollout_name(row["own_rpm"]): row["own_rpm"] for row in rows}
     distances = {row["own_rpm"]: {speeds[name]: value for name, value in row["w1_m_s"].items()} for row in rows}
     with titled(f"{evaluation.cases[rollout_name(holdout_rpm)].scene.name}, shared packing"):
@@ -80,6 +91,19 @@ def angle_of_repose(candidates: Candidates, replicas: Replicas, path: Path | str
                 mark_place(axes, replicas[0].phases.steady_from, "steady")
         if panels[0].get_legend_handles_labels()[0]:
             panels[0].legend(loc="upper right", ncols=1)
+        panels[-1].set(xlabel="time, s", xlim=(replicas[0].time[0], replicas[0].time[-1]))
+    return Path(path)
+
+
+def purpose(candidates: Candidates, replicas: Replicas, path: Path | str) -> Path:
+    """Draw what a scene without an angle is for, against time: height, discharge rate, packing fraction, speed."""
+    rows = [entry for entry in PURPOSE if not replicas[0].series[entry[0]].undefined_because]
+    with drawing(path, 8.0, 2.6 * len(rows)) as figure:
+        panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (name, title, label, scale) in zip(panels, rows, strict=True):
+            axes.set(title=title, ylabel=label)
+            _draw_series(axes, name, candidates, replicas, scale)
+        panels[0].legend(loc="best")
         panels[-1].set(xlabel="time, s", xlim=(replicas[0].time[0], replicas[0].time[-1]))
     return Path(path)
 

@@ -40,12 +40,14 @@ def default_title(scene: Scene) -> str:
 def flow_pattern(runs: Mapping[str, Trajectory], scene: Scene, path: Path | str, time: float) -> Path:
     """Draw the flow patterns of several runs of a scene, by their names, side by side at ``time`` (s).
 
-    There is one scale of speed: of the definition of the runs' own velocities, or of means where they differ.
+    Where there is no drum, all show the room that the first run takes up in all its states. There is one scale of
+    speed: of the definition of the runs' own velocities, or of means where they differ.
     """
     kind, speeds = _speeds(runs, scene)
     states = {name: frame_at(run.time, time) for name, run in runs.items()}
     speeds = {name: speed[states[name]] for name, speed in speeds.items() if states[name] is not None}
     norm = Normalize(0.0, fastest(list(speeds.values())))
+    view = pattern_view(next(iter(runs.values())).position, scene)
     with drawing(path, 4.1 * len(runs) + 0.9, 4.35) as figure:
         panels = figure.subplots(1, len(runs), squeeze=False, sharey=True)[0]
         for axes, (name, run) in zip(panels, runs.items(), strict=True):
@@ -53,7 +55,7 @@ def flow_pattern(runs: Mapping[str, Trajectory], scene: Scene, path: Path | str,
             if states[name] is None:
                 say(axes, f"no state at {time:g} s")
                 continue
-            draw_pattern(axes, run.position[states[name]], speeds[name], run.radius, scene, norm)
+            draw_pattern(axes, run.position[states[name]], speeds[name], run.radius, scene, norm, view)
         finish_patterns(figure, panels, norm, speed_label(kind), shrink=0.82)
         figure.suptitle(f"flow at {time:g} s, seen along the axis")
     return Path(path)
@@ -163,7 +165,7 @@ def _frames(runs: Mapping[str, Trajectory], scene: Scene, stride: int) -> Iterat
     kind, speeds = _speeds(runs, scene)
     norm, ends = Normalize(0.0, fastest(list(speeds.values()))), max(run.frame_count for run in runs.values())
     colours = np.vstack([matplotlib.colormaps[SPEED_MAP](np.linspace(0, 1, 160)), np.linspace([0] * 4, [1] * 4, 32)])
-    palette = Image.new("P", (1, 1))
+    palette, view = Image.new("P", (1, 1)), pattern_view(next(iter(runs.values())).position, scene)
     palette.putpalette(np.round(255 * np.vstack([colours, colours[:64] * 0.5])[:, :3]).astype(int).ravel().tolist())
     with matplotlib.rc_context(LOOK):
         figure = Figure(figsize=(3.0 * len(runs), 3.9), dpi=100)
@@ -179,7 +181,7 @@ def _frames(runs: Mapping[str, Trajectory], scene: Scene, stride: int) -> Iterat
             for axes, (name, run) in zip(panels, runs.items(), strict=True):
                 axes.clear()
                 if frame < run.frame_count and np.isfinite(run.position[frame]).any():
-                    draw_pattern(axes, run.position[frame], speeds[name][frame], run.radius, scene, norm)
+                    draw_pattern(axes, run.position[frame], speeds[name][frame], run.radius, scene, norm, view)
                 else:
                     say(axes, "not finite" if frame < run.frame_count else "ended")
                 axes.set_title(name)

@@ -12,6 +12,7 @@ from typing import Any
 
 from gran_bench.benchmark import page as benchmark
 from gran_bench.benchmark.results import Entry, ResultsError, entries, equal_accuracy, read_all
+from gran_bench.evaluation.plan import rollout_name
 from gran_bench.files import markdown, write_part
 from gran_bench.plots.time_error import frontier
 from gran_bench.provenance import read_table
@@ -51,7 +52,7 @@ def drum_table(root: Path) -> list[str]:
     for name, summary in _runs(root):
         if not any(row["name"].startswith(name) for row in rows):
             errors = summary["judged"]["shared"]["errors"]
-            rollout = summary["rollouts"][f"{summary['judged_rpm']:g}rpm"]
+            rollout = summary["rollouts"][rollout_name(summary["judged_rpm"])]
             time, who = rollout["ms_per_frame_median"], f"`{summary['model']['name']}` ([{name}]({name}/README.md))"
             times = time / summary["frame_ms"], time / rollout["dem_ms_per_frame"]
             lines.append(_row(f"{who}, judged by itself", *times, errors, _worst(errors, ranked)))

@@ -2,23 +2,29 @@
 
 import argparse
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from gran_bench.evaluation.plan import motion_words, packing_words
 from gran_bench.files import markdown, whole_file, write_part
 from gran_bench.metrics.judgement import shown_multiple
 from gran_bench.provenance import stamp
-from gran_bench.run.summary import SUMMARY, missed_requirements, read_summary
+from gran_bench.run.summary import SUMMARY, missed_requirements, ranked_errors, read_summary
 from gran_bench.surrogate.checkpoint import file_digest
 
 MODEL, PAGE = "model.pt", "README.md"
 LARGEST_MODEL = 1_000_000  # bytes; a larger one is not kept with the page
-ERRORS = {"surface_angle": "angle of repose", "com_angle": "centre-of-mass angle", "speed_w1": "speeds"}
+ERRORS = {
+    **{"surface_angle": "angle of repose", "com_angle": "centre-of-mass angle", "speed_w1": "speeds"},
+    **{"center_height": "height", "discharge_rate": "discharge rate", "packing_fraction": "packing fraction"},
+}
 FIGURES = {
     "flow_pattern.png": "Flow pattern at 2.5 s, DEM beside surrogate, coloured by speed (the article's figure 2).",
     "angle_of_repose.png": "Angle of repose against time over the band of the DEM's replicas (figure 3a).",
+    "purpose.png": "What the scene is for, against time over the band of the DEM's replicas.",
     "speed_distribution.png": "Distribution of speeds at 2.5 s (figure 3b).",
     "flow.gif": "Both flows, moving.",
 }
@@ -51,19 +57,20 @@ def renew_page(folder: Path, title: str = "") -> Path:
 
 
 def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
-    training, packings = summary["training"], summary["judged"]
+    training, packings, rpm = summary["training"], summary["judged"], summary["judged_rpm"]
+    ranked = ranked_errors(packings["shared"])
     yield (
         f"`{summary['model']['name']}`, {training['parameters']:,} parameters, {training['steps']} updates in "
-        f"{training['seconds'] / 60:.0f} min; judged at {summary['judged_rpm']:g} rpm, {summary['judged_as']}."
+        f"{training['seconds'] / 60:.0f} min; judged at {motion_words(rpm)}, {summary['judged_as']}."
     )
     yield ""
-    rows = [["", *(f"{name} packing" for name in packings)]]
+    rows = [["", *(packing_words(name, rpm) for name in packings)]]
     for kind, shown, what in (
         ("requirements", lambda row: f"{_value(row)}, {row['verdict']}", ""),
         ("errors", _error, " (noise floors)"),
     ):
         for key in next(iter(packings.values()))[kind]:
-            if kind == "requirements" or key in ERRORS:
+            if kind == "requirements" or key in ranked:
                 labels = dict.fromkeys(one[kind][key]["label"] for one in packings.values())  # a bound has its packing
                 rows.append([f"{'; '.join(labels)}{what}", *(shown(one[kind][key]) for one in packings.values())])
     counts = [judged["failures"] for judged in packings.values()]
@@ -72,14 +79,17 @@ def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     )
     yield from markdown([*rows, ["states not finite; spheres outside by more than r", *failures]])
     yield ""
-    baselines = ([name, *(_error(errors[key]) for key in ERRORS)] for name, errors in summary["baselines"].items())
-    yield from markdown([["baseline, shared packing", *ERRORS.values()], *baselines])
+    baselines = ([name, *(_error(errors[key]) for key in ranked)] for name, errors in summary["baselines"].items())
+    heads = [ERRORS[key] for key in ranked]
+    yield from markdown([[f"baseline, {packing_words('shared', rpm)}", *heads], *baselines])
     yield ""
     if missed := missed_requirements(summary):
         further = [line for line in missed if not line.endswith("packing)")]  # the others are in the table
         yield f"**{len(missed)} requirements are not met**{': ' * bool(further)}{'; '.join(further)}."
         yield ""
-    for name, caption in FIGURES.items():
+    # Time and numbers of figures are of the article's drum.
+    foreign = r" at 2\.5 s| \(.*?\)" if rpm is None else "$^"
+    for name, caption in ((name, re.sub(foreign, "", words)) for name, words in FIGURES.items()):
         if (folder / "figures" / name).exists():
             yield f"![{caption}](figures/{name})"
             yield ""

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from gran_bench.config import DemConfig, GenerateConfig, RolloutConfig, TrainConfig
-from gran_bench.dataset import CaseSpec, own_case, split_cases
+from gran_bench.dataset import CaseSpec, has_splits, own_case, split_cases
 from gran_bench.dem.simulate import choose_time_step
 from gran_bench.dem.time_step import step_bound
 from gran_bench.evaluation.plan import Plan
@@ -185,7 +185,8 @@ def _steps(spec: CaseSpec, settles: bool) -> float:
 def generate_cost(config: GenerateConfig) -> Cost:
     """What `python -m gran_bench.generate` will take."""
     scene, data = build_scene(config.scene), config.dataset
-    specs = split_cases(scene, config.dem, data).all if scene.takes_speeds else [own_case(scene, config.dem, data)]
+    split = has_splits(scene, data)
+    specs = split_cases(scene, config.dem, data).all if split else [own_case(scene, config.dem, data)]
     return flow_cost(scene, config.dem) + data_cost(scene, config.dem, specs, data.root, data.workers)
 
 
@@ -196,8 +197,8 @@ def training_cost(config: TrainConfig, plan: Plan, done: int | None = 0) -> Cost
     budget, scene, name = config.trainer, build_scene(config.scene), config.model.name
     model, minutes = make_model(config, scene), math.inf if config.trainer.minutes is None else config.trainer.minutes
     cost = judging_cost(plan, rollout_pace(model, scene))
-    cases = FRAME_BYTES * scene.frame_count * scene.filling.count * len(config.dataset.training_speeds_rpm)
-    cost.memory += 2.0 * cases
+    cases = len(split_cases(scene, config.dem, config.dataset).training)
+    cost.memory += 2.0 * cases * FRAME_BYTES * scene.frame_count * scene.filling.count
     if done is None:
         return Cost([f"training: {name}, finished before"]) + cost
     threads = min(config.threads, config.optim.accumulate)
@@ -253,7 +254,7 @@ def judging_cost(plan: Plan, frame: float) -> Cost:
     sums = len(plan.packings) * (plan.dataset.replicas + 2) + 6
     # Errors after 1, 3 and 10 frames come from rollouts of 10 frames.
     seconds = frame * (frames + 10 * plan.judge.short_horizon_starts)
-    seconds += summary_pace(plan.scene.fine.at_speed(plan.judged_rpm)) * count * sums
+    seconds += summary_pace(plan.judged_case().scene) * count * sums
     stages = {"judging": seconds, "figures": FIGURES[plan.judge.gif]}
     return Cost([line], stages, PROCESS_BYTES["torch"], FRAME_BYTES * frames * plan.scene.filling.count)
 

@@ -33,8 +33,8 @@ from gran_bench.run.going_on import go_on, parent_of, updates_ahead
 from gran_bench.run.identity import RunIdentity, hash_of, identify, judged_by, judging_plan, splits, wants_more
 from gran_bench.run.pace import rollout_pace
 from gran_bench.run.record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, training_metrics
-from gran_bench.run.start_from import Start, refuse_unfair, start_of
-from gran_bench.run.summary import FIGURES, cut_short, finished_summary, record_judgement
+from gran_bench.run.start_from import Start, refuse_unfair, start_of, trained_on
+from gran_bench.run.summary import FIGURES, cut_short, finished_summary, record_judgement, training_words
 from gran_bench.scene import build_scene
 from gran_bench.surrogate.checkpoint import (
     CheckpointError,
@@ -195,9 +195,7 @@ def train_stage(
     training = result | {
         "seed": config.seed,
         "experiment": config.experiment,
-        "training_speeds_rpm": list(config.dataset.training_speeds_rpm),
-        "validation_speeds_rpm": list(config.dataset.validation_speeds_rpm),
-        "packing_seed": config.dataset.packing_seed,
+        **trained_on(config),
         "data_digest": windows.digest,
         **({"figures": windows.figures} if isinstance(windows, TrainingRuns) else {}),
         "data_seconds": windows.data_seconds,
@@ -225,8 +223,7 @@ def judge_stage(
         place = folder / FIGURES
         figures = draw_evaluation(evaluation, plan.judged_rpm, place, config.judge.gif, card["name"])
         if (folder / LOSSES).exists():
-            speeds = ", ".join(f"{rpm:g}" for rpm in training["training_speeds_rpm"])
-            with titled(f"{record.scene_name}, trained at {speeds} rpm, packing {training['packing_seed']}"):
+            with titled(f"{record.scene_name}, {training_words(training)}"):
                 figures.append(loss_curves(pd.read_csv(folder / LOSSES), place / "loss.png"))
     summary = {
         "experiment": training["experiment"],

@@ -58,8 +58,11 @@ class Start:
     def record(self, config: TrainConfig) -> dict[str, Any]:
         """What a training says of its start: whose weights, and the speeds (rpm) that they have seen in its scene."""
         earlier = seen_speeds(self.card.origin) if self._same_scene(config) else []
-        seen = sorted({*earlier, *config.dataset.training_speeds_rpm})
-        return {"parent_run": self.name, "parent_weights": self.digest, "seen_speeds_rpm": seen}
+        seen = sorted({*earlier, *trained_on(config)["training_speeds_rpm"]})
+        packings = seen_packings(self.card.origin) if self._same_scene(config) else []
+        packings = sorted({*packings, *config.dataset.training_packings})
+        names = {"parent_run": self.name, "parent_weights": self.digest}
+        return names | {"seen_speeds_rpm": seen, "seen_packings": packings}
 
     def _same_scene(self, config: TrainConfig) -> bool:
         return all(line.startswith("scene.name=") for line in self._differences("scene", config))
@@ -106,6 +109,22 @@ def seen_speeds(origin: Mapping[str, Any]) -> list[float]:
     return origin.get("seen_speeds_rpm") or origin.get("training_speeds_rpm", [])
 
 
+def seen_packings(origin: Mapping[str, Any]) -> list[int]:
+    """Packings that a model was trained on in a scene that keeps its own motion, in the same way."""
+    return origin.get("seen_packings") or origin.get("training_packings", [])
+
+
+def trained_on(config: TrainConfig) -> dict[str, Any]:
+    """What a training says of its cases: speeds (rpm) of a drum, or packings of a scene that keeps its own motion."""
+    data, packings = config.dataset, config.dataset.training_packings
+    return {
+        "training_speeds_rpm": [] if packings else list(data.training_speeds_rpm),
+        "validation_speeds_rpm": [] if packings else list(data.validation_speeds_rpm),
+        "training_packings": list(packings),
+        "packing_seed": None if packings else data.packing_seed,
+    }
+
+
 def refuse_unfair(config: TrainConfig | EvaluateConfig, origin: Mapping[str, Any], model: str) -> None:
     """Refuse, as a `ConfigError`, to judge a model on a speed or a packing that it was trained on."""
     dataset = config.dataset
@@ -117,6 +136,9 @@ def refuse_unfair(config: TrainConfig | EvaluateConfig, origin: Mapping[str, Any
             f"dataset.holdout_speeds_rpm={speeds}: {model} was trained on {seen[0]:g} rpm; judge another speed, "
             "or choose the dataset= and judge= that it was trained with (dataset=small judge=quick for drum_small)"
         )
-    if config.judge.unseen_packing and dataset.unseen_packing_seed == origin.get("packing_seed"):
-        given = f"dataset.unseen_packing_seed={dataset.unseen_packing_seed}"
-        raise ConfigError(f"{given}: {model} was trained on that packing; choose another seed")
+    packings = {"packing_seed": seen_packings(origin)}
+    if config.judge.unseen_packing:
+        packings["unseen_packing_seed"] = [*seen_packings(origin), origin.get("packing_seed")]
+    for name, trained in packings.items():
+        if (seed := getattr(dataset, name)) in trained:
+            raise ConfigError(f"dataset.{name}={seed}: {model} was trained on that packing; choose another seed")

@@ -13,14 +13,25 @@ from gran_bench.config.choices import loss_terms
 from gran_bench.config.registry import METRICS
 from gran_bench.emulator.runs import COMPARED
 from gran_bench.emulator.runs import FIGURES as EMULATED
+from gran_bench.evaluation.plan import motion_words, packing_words, rollout_name
 from gran_bench.files import write_text
 from gran_bench.metrics.judgement import shown_multiple
 from gran_bench.metrics.outside import FailureCount, counted
+from gran_bench.metrics.requirements import ANGLES, SPEEDS, WITHOUT_ANGLE
 from gran_bench.run.identity import RunIdentity
 from gran_bench.tracking.search import SUMMARY
 
 FIGURES = "figures"
-FIRST_FIGURES = ("flow_pattern.png", "angle_of_repose.png", "loss.png")  # in the description itself
+FIRST_FIGURES = ("flow_pattern.png", "angle_of_repose.png", "purpose.png", "loss.png")  # in the description itself
+
+_HEADLINE_ERRORS = {  # name and unit in MLflow
+    "surface_angle": ("angle error", "deg"),
+    "com_angle": ("com angle error", "deg"),
+    "center_height": ("height error", "m"),
+    "discharge_rate": ("discharge rate error", "kg per s"),
+    "packing_fraction": ("packing fraction error", "share"),
+    "speed_w1": ("speed W1", "m per s"),
+}
 
 
 def write_summary(folder: Path, summary: dict[str, Any]) -> Path:
@@ -44,7 +55,7 @@ def finished_summary(identity: RunIdentity) -> dict[str, Any] | None:
 
 def judged_words(summary: Mapping[str, Any]) -> str:
     """On which speed a run was judged: ``validation, 35 rpm``."""
-    return f"{summary['judged_as']}, {summary['judged_rpm']:g} rpm"
+    return f"{summary['judged_as']}, {motion_words(summary['judged_rpm'])}"
 
 
 def judged_tags(judged: str, missed: float) -> dict[str, str]:
@@ -57,16 +68,12 @@ def headline(summary: Mapping[str, Any]) -> dict[str, float]:
     """The figures that a person looks at first, by their names in MLflow; one that is undefined is absent."""
     shared, last = summary["judged"]["shared"], summary["position_error"]["10_frames"]["m"]
     found = {}
-    for name, key, unit in (
-        ("angle error", "surface_angle", "deg"),
-        ("com angle error", "com_angle", "deg"),
-        ("speed W1", "speed_w1", "m per s"),
-    ):
-        row = shared["errors"][key]
+    for key in ranked_errors(shared):
+        row, (name, unit) = shared["errors"][key], _HEADLINE_ERRORS[key]
         found |= {f"{name} {unit}": row["value"], f"{name} floors": row["multiple_of_floor"]}
     found |= {
         "position error 10 frames mm": None if last is None else 1e3 * last,
-        "rollout ms per frame": summary["rollouts"][f"{summary['judged_rpm']:g}rpm"]["ms_per_frame_median"],
+        "rollout ms per frame": summary["rollouts"][rollout_name(summary["judged_rpm"])]["ms_per_frame_median"],
         "training minutes": summary["training"]["seconds"] / 60.0,
         "requirements failed": len(missed_requirements(summary)),
         "rollouts failed": len(broken_rollouts(summary)),
@@ -77,6 +84,15 @@ def headline(summary: Mapping[str, Any]) -> dict[str, float]:
     return {name: float(value) for name, value in found.items() if value is not None}
 
 
+def ranked_errors(judged: Mapping[str, Any]) -> list[str]:
+    """The distances of a judgement that a method is ranked by; where the DEM has no angle, what the scene is for."""
+    errors, rows = judged["errors"], ANGLES
+    known = [key for key in WITHOUT_ANGLE if errors.get(key, {}).get("floor") is not None]
+    if known and not any(errors[key]["floor"] is not None for key in ANGLES):
+        rows = known
+    return [*rows, SPEEDS]
+
+
 def registered_metrics(judged: Mapping[str, Any]) -> list[str]:
     """The metrics of plugins that a judgement has."""
     return [name for name in METRICS.added() if name in judged["errors"]]
@@ -85,7 +101,7 @@ def registered_metrics(judged: Mapping[str, Any]) -> list[str]:
 def missed_requirements(summary: Mapping[str, Any]) -> list[str]:
     """A line for each requirement that is not met: judged ones, speeds not told apart, rollouts that broke down."""
     missed = [
-        f"{row['label']}: {_figure(row)} ({packing} packing)"
+        f"{row['label']}: {_figure(row)} ({packing_words(packing, summary['judged_rpm'])})"
         for packing, judged in summary["judged"].items()
         for row in judged["requirements"].values()
         if row["verdict"] == "fail"
@@ -100,9 +116,9 @@ def missed_requirements(summary: Mapping[str, Any]) -> list[str]:
 def requirements_met(summary: Mapping[str, Any]) -> dict[str, tuple[int, int]]:
     """How many requirements are met, and of how many, by the part of the table that lists them; none is undefined."""
     parts = {
-        f"{packing} packing": [row["verdict"] == "pass" for row in rows if row["verdict"] != "undefined"]
+        packing_words(packing, summary["judged_rpm"]): [row["verdict"] == "pass" for row in rows]
         for packing, judged in summary["judged"].items()
-        if (rows := judged["requirements"].values())
+        if (rows := [row for row in judged["requirements"].values() if row["verdict"] != "undefined"])
     }
     parts["tells speeds apart"] = [row["is_own"] for row in summary["nearest_case"].values()]
     parts["rollouts"] = [row["failed_frame"] is None for row in summary["rollouts"].values()]
@@ -156,6 +172,14 @@ def cut_short(training: Mapping[str, Any]) -> str | None:
     )
 
 
+def training_words(training: Mapping[str, Any]) -> str:
+    """What a model was trained on, as ``training.json`` says it: ``trained at 20, 25 rpm, packing 0``."""
+    if packings := training.get("training_packings"):
+        return f"trained on packings {', '.join(map(str, packings))}"
+    speeds = ", ".join(f"{rpm:g}" for rpm in training["training_speeds_rpm"])
+    return f"trained at {speeds} rpm, packing {training['packing_seed']}"
+
+
 def descent(training: Mapping[str, Any]) -> str | None:
     """From which run a training went on, or whose weights it started from; ``training.json`` says it. Else None."""
     if (parent := training.get("parent_run")) is None:
@@ -170,19 +194,20 @@ def summary_table(summary: Mapping[str, Any]) -> str:
 
 
 def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
-    training, judged_rpm = summary["training"], f"{summary['judged_rpm']:g}"
+    training, rpm = summary["training"], summary["judged_rpm"]
     yield f"{summary['experiment']}: {summary['model']['name']}, {training['parameters']} parameters"
     minutes = training["seconds"] / 60
     yield f"trained {training['steps']} updates in {minutes:.1f} min (stopped by {training['stopped_by']})"
     yield from (line for line in (descent(training), cut_short(training)) if line is not None)
     for packing, judged in summary["judged"].items():
-        yield from ("", f"{judged_rpm} rpm, {summary['judged_as']}, {packing} packing", _row("", "found", "verdict"))
+        head = f"{motion_words(rpm)}, {summary['judged_as']}, {packing_words(packing, rpm)}"
+        yield from ("", head, _row("", "found", "verdict"))
         for row in judged["requirements"].values():
             yield _row(row["label"], _figure(row), f"{row['verdict']}{_note(row)}")
         if judged.get("phases"):
             yield f"  the DEM's flow: {judged['phases']['label']}"
         yield _row("distance from the DEM", "found", "noise floor")
-        for name in ("surface_angle", "com_angle", "speed_w1", *registered_metrics(judged)):
+        for name in (*ranked_errors(judged), *registered_metrics(judged)):
             row = judged["errors"][name]
             times = "" if row["multiple_of_floor"] is None else f" (× {shown_multiple(row['multiple_of_floor'])})"
             yield _row(row["label"], _figure(row), f"{_figure(row, 'floor')}{times}{_note(row)}")
@@ -198,12 +223,15 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
     if statistics := summary.get("statistics"):
         yield from ("", *statistics_lines(statistics), *_rollout_lines(summary), "", verdict(summary))
         return
-    yield from ("", f"baselines at {judged_rpm} rpm, shared packing")
-    yield f"  {'':<56}{'angle':>16}{'speed W1':>14}{'a frame':>12}"
+    ranked = [key for key in ranked_errors(summary["judged"]["shared"]) if key != "com_angle"]
+    yield from ("", f"baselines, {motion_words(rpm)}, {packing_words('shared', rpm)}")
+    heads = [_HEADLINE_ERRORS[key][0].removesuffix(" error") for key in ranked]
+    yield f"  {'':<56}" + "".join(f"{head:>17}" for head in heads) + f"{'a frame':>12}"
     for name, errors in summary["baselines"].items():
         time = _figure(errors | {"unit": "ms"}, "ms_per_frame") if "ms_per_frame" in errors else "not timed"
-        yield f"  {name:<56}{_figure(errors['surface_angle']):>16}{_figure(errors['speed_w1']):>14}{time:>12}"
-    yield from ("", "tells speeds apart (the one DEM run at each speed that is nearest, by speed W1)")
+        yield f"  {name:<56}" + "".join(f"{_figure(errors[key]):>17}" for key in ranked) + f"{time:>12}"
+    if summary["nearest_case"]:
+        yield from ("", "tells speeds apart (the one DEM run at each speed that is nearest, by speed W1)")
     alone = "  [the only speed, so there is none to be told from]" if len(summary["nearest_case"]) == 1 else ""
     for name, row in summary["nearest_case"].items():
         nearest = "undefined" if row["nearest_rpm"] is None else f"{row['nearest_rpm']:g} rpm"
@@ -213,7 +241,7 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
     shown = ", ".join(_figure(row | {"unit": "m"}, "m") for row in summary["position_error"].values())
     horizons = ", ".join(name.split("_")[0] for name in summary["position_error"])
     yield from ("", f"position error after {horizons} frames: {shown}")
-    rollout = summary["rollouts"][f"{judged_rpm}rpm"] | {"unit": "ms"}
+    rollout = summary["rollouts"][rollout_name(rpm)] | {"unit": "ms"}
     own, dem = (_figure(rollout, key) for key in ("ms_per_frame_median", "dem_ms_per_frame"))
     yield (
         f"time for a frame of {summary['frame_ms']:g} ms: surrogate {own}, this DEM {dem} (one core; other work on the "
@@ -332,7 +360,7 @@ def description(summary: dict[str, Any], folder: Path, figures: Sequence[str], r
     told = [line for line in (descent(training), cut_short(training)) if line is not None]
     lines = [
         f"**{summary['model']['name']}**, {training['parameters']} parameters, {training['steps']} updates; "
-        f"{summary['judged_rpm']:g} rpm, {summary['judged_as']}. **{verdict(summary)}.**",
+        f"{motion_words(summary['judged_rpm'])}, {summary['judged_as']}. **{verdict(summary)}.**",
         "",
         *(line for words in told for line in (f"**{words[0].upper()}{words[1:]}.**", "")),
         "| figure | value |",
@@ -357,5 +385,7 @@ def description(summary: dict[str, Any], folder: Path, figures: Sequence[str], r
 
 def undefined_figures(summary: dict[str, Any]) -> list[str]:
     """Names of the headline figures that have no value, because what they measure does not exist in this run."""
-    found, registered = headline(summary), registered_metrics(summary["judged"]["shared"])
-    return [name for name in (*tracking.HEADLINE_FIGURES, *registered) if name not in found]
+    found, shared = headline(summary), summary["judged"]["shared"]
+    heads = {key: f"{name} " for key, (name, _) in _HEADLINE_ERRORS.items() if key not in ranked_errors(shared)}
+    named = [name for name in tracking.HEADLINE_FIGURES if not name.startswith(tuple(heads.values()))]
+    return [name for name in (*named, *registered_metrics(shared)) if name not in found]

@@ -177,9 +177,10 @@ class Trainer:
                 terms[name] = terms.get(name, 0.0) + value.item()
             total = total + sum(shares.values())
             if not self.config.rollout.gradient_through_time or k == frames:
-                own = list(model.parameters())
-                found = torch.autograd.grad(total, own, allow_unused=True, materialize_grads=True)
-                gradients = [g + new for g, new in zip(gradients, found, strict=True)]
+                if total.requires_grad:  # or nobody is left, in a hopper that has run empty
+                    own = list(model.parameters())
+                    found = torch.autograd.grad(total, own, allow_unused=True, materialize_grads=True)
+                    gradients = [g + new for g, new in zip(gradients, found, strict=True)]
                 total, state = 0.0, state.detached()
         return sum(terms.values()), terms, gradients
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from gran_bench.config import BoundaryConfig, CconvModelConfig
+from gran_bench.config import BoundaryConfig, CconvModelConfig, Lu2021Config, XuShen2022Config
 from gran_bench.config.choices import check_radius, given_or
 from gran_bench.config.consistency import check_model
 from gran_bench.config.rules import ConfigError
@@ -26,6 +26,7 @@ from gran_bench.surrogate.convolution.neighborhood import (
 )
 from gran_bench.surrogate.step import NewtonSurrogate
 
+AnyConvolution = CconvModelConfig | Lu2021Config | XuShen2022Config
 _SOLID_FRACTION = 0.58  # of a settled bed; only sets the scale of the first weights
 _FRAMES = 5.0  # velocities count diameters in so many frames: m/s where d = 50 mm and Δt = 10 ms
 _OUTPUT_START = 0.1  # first output weights, of their usual size: an untrained network starts near pure gravity
@@ -35,7 +36,7 @@ class MixingLayer(nn.Module):
     """convolution(h) + W h + b of h = ReLU(features); with ``residual``, + features where C_in = C_out."""
 
     def __init__(
-        self, width_in: int, width_out: int, basis: KernelBasis, config: CconvModelConfig, neighbors: float
+        self, width_in: int, width_out: int, basis: KernelBasis, config: AnyConvolution, neighbors: float
     ) -> None:
         super().__init__()
         choices = config.backend, neighbors, config.precision
@@ -48,6 +49,48 @@ class MixingLayer(nn.Module):
         active = torch.relu(features)
         mixed = self.convolution(active, pairs) + self.linear(active)
         return mixed + features if self.residual else mixed
+
+
+def kernel_bases(
+    config: AnyConvolution, diameter: float, radius: float
+) -> tuple[KernelBasis, KernelBasis]:
+    """The bases of kernels over particles and over walls, within R = ``radius``, m, of particles of a diameter, m."""
+    if config.kernel == "lattice":
+        basis = LatticeBasis(radius, config.kernel_size)
+        return basis, basis
+    around = (RadialBasis.around_contact(diameter, radius, touching) for touching in (diameter, 0.5 * diameter))
+    return tuple(around)
+
+
+def later_layers(
+    config: AnyConvolution, width_in: int, basis: KernelBasis, neighbors: float
+) -> nn.ModuleList:
+    """Hidden layers after the first, and the output."""
+    widths = [width_in] + [config.width] * (config.layers - 1) + [3]
+    layers = nn.ModuleList(
+        MixingLayer(a, b, basis, config, neighbors) for a, b in itertools.pairwise(widths)
+    )
+    output = layers[-1]
+    with torch.no_grad():
+        output.convolution.weight.mul_(_OUTPUT_START)
+        output.linear.weight.mul_(_OUTPUT_START)
+        output.linear.bias.zero_()
+    return layers
+
+
+def expected_neighbors(radius: float, diameter: float) -> float:
+    """Neighbours within ``radius``, m, of a particle in a settled bed; only the scale of first weights follows."""
+    return 8.0 * _SOLID_FRACTION * (radius / diameter) ** 3
+
+
+def expected_points(radius: float, diameter: float, spacing: float) -> float:
+    """Wall points, ``spacing`` diameters apart, within ``radius``, m, of a particle that touches the wall."""
+    return math.pi * (radius**2 - (0.5 * diameter) ** 2) / (spacing * diameter) ** 2
+
+
+def pace(scene: Scene) -> float:
+    """What turns a velocity, m/s, into the network's unit."""
+    return _FRAMES * scene.frame_interval / scene.filling.diameter
 
 
 class ContinuousConvolutionNetwork(NewtonSurrogate):
@@ -82,7 +125,7 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         ValueError: an unknown kernel, boundary kind, backend, precision or update, or an impossible size.
     """
 
-    def __init__(self, config: CconvModelConfig, boundary: BoundaryConfig, scene: Scene) -> None:
+    def __init__(self, config: CconvModelConfig | XuShen2022Config, boundary: BoundaryConfig, scene: Scene) -> None:
         super().__init__(config.update)
         check_model(config)
         diameter = scene.filling.diameter
@@ -91,13 +134,8 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
             raise ConfigError(f"boundary.kind={boundary.kind} is not for {config.name}; choose {' or '.join(KINDS)}")
         self.config, self.boundary = config, boundary
         self.diameter, self.radius = diameter, given_or(config.radius_m, config.radius_diameters, diameter)
-        if config.kernel == "lattice":
-            self.pair_basis = self.wall_basis = LatticeBasis(self.radius, config.kernel_size)
-        else:
-            self.pair_basis = RadialBasis.around_contact(diameter, self.radius, diameter)
-            self.wall_basis = RadialBasis.around_contact(diameter, self.radius, 0.5 * diameter)
-        half = config.width // 2
-        neighbors = 8.0 * _SOLID_FRACTION * (self.radius / diameter) ** 3
+        self.pair_basis, self.wall_basis = kernel_bases(config, diameter, self.radius)
+        half, neighbors = config.width // 2, expected_neighbors(self.radius, diameter)
 
         def convolution(width_in: int, basis: KernelBasis, count: float) -> ContinuousConvolution:
             return ContinuousConvolution(width_in, half, basis, config.backend, count, config.precision)
@@ -105,8 +143,8 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         self.pair_input = convolution(4 if config.constant_input else 3, self.pair_basis, neighbors)
         self.pair_linear = nn.Linear(3, half)
         self.pair_bias = nn.Parameter(torch.zeros(half))
-        self.pair_layers = self._layers(2 * half, neighbors)
-        self.conserves = config.pair_branch == "antisymmetric"
+        self.pair_layers = later_layers(config, 2 * half, self.pair_basis, neighbors)
+        self.conserves = isinstance(config, CconvModelConfig) and config.pair_branch == "antisymmetric"
         if self.conserves:
             self.pair_layers[-1] = AntisymmetricLayer(
                 self.pair_layers[-1].linear.in_features, 3, self.pair_basis, config.backend, neighbors
@@ -117,29 +155,14 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         self.has_walls = boundary.kind != "none" and scene.needs.walls
         if self.has_walls:
             analytic = boundary.kind == "analytic"
-            cap = math.pi * (self.radius**2 - (0.5 * diameter) ** 2)  # what a touching particle sees of a wall
-            seen = 1.0 if analytic else cap / (boundary.spacing * diameter) ** 2
+            seen = 1.0 if analytic else expected_points(self.radius, diameter, boundary.spacing)
             shape = (3 if boundary.normal else 1) + analytic
             self.wall_linear = nn.Linear(3, half)
             self.wall_normal = convolution(shape, self.wall_basis, seen)
             self.wall_velocity = convolution(6 if analytic else 3, self.wall_basis, seen) if boundary.velocity else None
             inputs = 3 if boundary.velocity else 2
             self.wall_bias = nn.Parameter(torch.zeros((inputs - 1) * half))
-            self.wall_layers = self._layers(inputs * half, neighbors)
-
-    def _layers(self, width_in: int, neighbors: float) -> nn.ModuleList:
-        """Hidden layers after the first, and the output."""
-        config = self.config
-        widths = [width_in] + [config.width] * (config.layers - 1) + [3]
-        layers = nn.ModuleList(
-            MixingLayer(a, b, self.pair_basis, config, neighbors) for a, b in itertools.pairwise(widths)
-        )
-        output = layers[-1]
-        with torch.no_grad():
-            output.convolution.weight.mul_(_OUTPUT_START)
-            output.linear.weight.mul_(_OUTPUT_START)
-            output.linear.bias.zero_()
-        return layers
+            self.wall_layers = later_layers(config, inputs * half, self.pair_basis, neighbors)
 
     def acceleration(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> Tensor:
         return self.accelerations(position, velocity, scene, time)[0]
@@ -149,7 +172,7 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         if self.config.backend == "fused":
             position = position.detach()
         pairs = particle_neighborhood(self.pair_basis, position, scene.period)
-        inputs = velocity = velocity * self._pace(scene)
+        inputs = velocity = velocity * pace(scene)
         if self.config.constant_input:
             inputs = torch.cat((velocity, torch.ones_like(velocity[:, :1])), dim=1)
         seen = self.pair_input(inputs, pairs) + self.pair_bias
@@ -168,18 +191,14 @@ class ContinuousConvolutionNetwork(NewtonSurrogate):
         unit = self.config.output_scale_diameters * self.diameter / scene.frame_interval**2
         return output * unit, of_pairs * unit
 
-    def _pace(self, scene: Scene) -> float:
-        """What turns a velocity, m/s, into the network's unit."""
-        return _FRAMES * scene.frame_interval / self.diameter
-
     def _see_walls(self, position: Tensor, velocity: Tensor, scene: Scene, time: float) -> WallPairs:
         """What particles of a velocity, m/s, see of the walls; velocities of walls in the network's unit."""
         if self.boundary.kind == "analytic":
             seen = see_contacts(position, velocity, scene, time, self.radius)
         else:
             seen = self._see_spheres(position, scene, time)
-        pace = self._pace(scene)
-        return replace(seen, velocity=pace * seen.velocity, slip=None if seen.slip is None else pace * seen.slip)
+        unit = pace(scene)
+        return replace(seen, velocity=unit * seen.velocity, slip=None if seen.slip is None else unit * seen.slip)
 
     def _see_spheres(self, position: Tensor, scene: Scene, time: float) -> WallPairs:
         return see_spheres(position, scene, time, self.radius, self.boundary.spacing * scene.filling.diameter)
