@@ -58,10 +58,12 @@ class Start:
     def record(self, config: TrainConfig) -> dict[str, Any]:
         """What a training says of its start: whose weights, and the speeds (rpm) that they have seen in its scene."""
         earlier = seen_speeds(self.card.origin) if self._same_scene(config) else []
-        seen = sorted({*earlier, *config.dataset.training_speeds_rpm})
+        seen = sorted({*earlier, *config.dataset.training_speeds_rpm, *config.trainer.mixture.speeds_rpm})
         return {"parent_run": self.name, "parent_weights": self.digest, "seen_speeds_rpm": seen}
 
     def _same_scene(self, config: TrainConfig) -> bool:
+        if config.scene.name in self.card.origin.get("further_scenes", ()):
+            return True
         return all(line.startswith("scene.name=") for line in self._differences("scene", config))
 
     def _differences(self, section: str, config: TrainConfig) -> Iterator[str]:
@@ -104,6 +106,14 @@ def start_of(config: TrainConfig) -> Start | None:
 def seen_speeds(origin: Mapping[str, Any]) -> list[float]:
     """Speeds (rpm) that a model was trained on in its scene, those of the model that it started from included."""
     return origin.get("seen_speeds_rpm") or origin.get("training_speeds_rpm", [])
+
+
+def seen_elsewhere(config: TrainConfig) -> dict[str, Any]:
+    """What a training says of further scenes: their names, and every speed (rpm) that it saw anywhere."""
+    mixture, speeds = config.trainer.mixture, config.dataset.training_speeds_rpm
+    if not mixture.scenes:
+        return {}
+    return {"further_scenes": mixture.scenes, "seen_speeds_rpm": sorted({*speeds, *mixture.speeds_rpm})}
 
 
 def refuse_unfair(config: TrainConfig | EvaluateConfig, origin: Mapping[str, Any], model: str) -> None:
