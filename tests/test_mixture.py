@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from gran_bench.dataset import Split
 from gran_bench.dataset.mixture import Mixture
 from gran_bench.run.cost import training_cost
 from gran_bench.run.further_scenes import of_the_same_spheres
+from gran_bench.run.going_on import Parent, _bent_by
 from gran_bench.run.identity import judging_plan, splits
 from gran_bench.run.start_from import seen_elsewhere
 from gran_bench.scene import build_scene
@@ -145,3 +147,10 @@ def test_a_model_says_which_scenes_and_speeds_it_has_seen():
         "further_scenes": ["drum_slice"],
         "seen_speeds_rpm": [20.0, 25.0, 33.0, 35.0, 40.0, 50.0, 60.0],
     }
+
+
+def test_stages_bend_the_updates_of_a_shorter_training_only_where_they_differ():
+    config = train_config("model=ccnn", "mixture=growing", "optim.schedule=constant", "rollout=frames1")
+    config.trainer.steps = 1000
+    assert _bent_by(config, Parent(300, 500, Path("a"))) == []  # the first stage of 500 updates ends at 300
+    assert _bent_by(config, Parent(500, 500, Path("a"))) == ["trainer.mixture.until"]
