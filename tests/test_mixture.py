@@ -128,8 +128,7 @@ def test_a_further_scene_that_cannot_be_is_refused_before_any_work(overrides: li
         (["mixture=slice", "trainer.mixture.shares=[[0,0]]"], "does not give 2 numbers, not all 0"),
         (["mixture=growing", "trainer.mixture.until=[]"], "does not give 1 rising numbers"),
         (["mixture=slice", "trainer.mixture.until=[0.5]"], "does not give 0 rising numbers"),
-        (["mixture=slice", "model=emulator"], "model=emulator does not learn from them"),
-        (["mixture=slice", "dataset=imported"], "does not learn from them"),
+        (["mixture=slice", "dataset=imported"], "is for cases that this DEM makes"),
         (["model=contact", "rollout.rotation=true"], "for networks that see none, and not for model=contact"),
     ],
 )

@@ -143,9 +143,8 @@ def check_mixture(config: TrainConfig) -> Iterator[str]:
     given = f"{place}.scenes={shown(scenes)}"
     if not scenes and (mixture.speeds_rpm or rows or until):
         yield f"{given} has no further scene, and {place}.speeds_rpm, shares and until are of some; leave them at []"
-    if scenes and (data.files or not MODELS[config.model.name].particles):
-        found = f"dataset.files={shown(data.files)}" if data.files else f"model={config.model.name}"
-        yield f"{given} are made by this DEM, and {found} does not learn from them; leave it at []"
+    if scenes and data.files:
+        yield f"{given} is for cases that this DEM makes, and dataset.files={shown(data.files)} has others; leave it at []"
     if len({config.scene.name, *scenes}) <= len(scenes):
         yield f"{given} has a scene twice, or the run's own scene.name={config.scene.name}; name each other one once"
     hidden = {abs(speed) for speed in (*data.validation_speeds_rpm, *data.holdout_speeds_rpm)}
