@@ -144,7 +144,8 @@ def check_mixture(config: TrainConfig) -> Iterator[str]:
     if not scenes and (mixture.speeds_rpm or rows or until):
         yield f"{given} has no further scene, and {place}.speeds_rpm, shares and until are of some; leave them at []"
     if scenes and data.files:
-        yield f"{given} is for cases that this DEM makes, and dataset.files={shown(data.files)} has others; leave it at []"
+        why = f"is for cases that this DEM makes, and dataset.files={shown(data.files)} has others"
+        yield f"{given} {why}; leave it at []"
     if len({config.scene.name, *scenes}) <= len(scenes):
         yield f"{given} has a scene twice, or the run's own scene.name={config.scene.name}; name each other one once"
     hidden = {abs(speed) for speed in (*data.validation_speeds_rpm, *data.holdout_speeds_rpm)}
