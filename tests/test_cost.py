@@ -24,11 +24,12 @@ from gran_bench.config import (
 from gran_bench.dataset import own_case, split_cases
 from gran_bench.progress import Progress
 from gran_bench.run import cost, experiment
-from gran_bench.run.cost import Cost, data_cost, duration, flow_cost, makespan, softer, work_ahead
+from gran_bench.run.cost import Cost, data_cost, duration, flow_cost, makespan, softer
 from gran_bench.run.experiment import run_evaluation, run_experiment
 from gran_bench.run.pace import dem_pace, touching_bed
 from gran_bench.shipped import shipped_model, shipped_scene
 from gran_bench.stress.command import run_stress
+from gran_bench.trainer import work_of_updates
 
 
 def with_modulus(scene, modulus):
@@ -112,10 +113,10 @@ def test_data_take_beds_and_cases_at_the_pace_of_the_machine(monkeypatch, tmp_pa
 
 
 def test_training_takes_as_many_frames_as_its_updates_look_ahead():
-    assert work_ahead(RolloutConfig(frames=3), 0, 100) == 300
+    assert sum(work_of_updates(RolloutConfig(frames=3), 100, None)) == 300
     grown = RolloutConfig(frames=2, final_frames=5, final_from=0.5)
-    assert work_ahead(grown, 0, 100) == 50 * 2 + 50 * 5
-    assert work_ahead(grown, 90, 100) == 50
+    assert sum(work_of_updates(grown, 100, None)) == 50 * 2 + 50 * 5
+    assert sum(work_of_updates(grown, 100, None, 90)) == 50
 
 
 def test_costs_add_their_stages_and_disk_and_share_memory():

@@ -200,7 +200,7 @@ def test_the_validation_loss_is_the_training_loss_of_its_windows(
     scene = build_scene(config.scene)
     windows = validation_windows(quiet, split_cases(scene, config.dem, config.dataset))
     model = make_model(quiet, scene)
-    monkeypatch.setattr(windows, "draw", lambda number, frames: windows.window(0, number, frames))
+    monkeypatch.setattr(windows, "draw", lambda number, frames, progress: windows.window(0, number, frames))
     found = [Trainer(model, windows, quiet, tmp_path)._window_gradients(model, start, 2)[0] for start in (0, 6)]
     assert windows.cases[0].trajectory.frame_count == 21
     monkeypatch.setattr(looks, "STARTS", (0.0, 0.3))

@@ -183,7 +183,7 @@ def test_a_thread_that_runs_windows_has_no_threads_inside_an_operation(tmp_path)
     seen = []
 
     class Watching(FakeWindows):
-        def draw(self, draw: int, frames: int) -> FakeWindow:
+        def draw(self, draw: int, frames: int, progress: float = 0.0) -> FakeWindow:
             seen.append((threading.current_thread().name, torch.get_num_threads()))
             return super().draw(draw, frames)
 

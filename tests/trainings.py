@@ -53,7 +53,9 @@ class FakeWindow:
 class FakeWindows:
     """Spheres that lose a third of their velocity each frame; every draw is a function of its number."""
 
-    def draw(self, draw: int, frames: int) -> FakeWindow:
+    mixture = None
+
+    def draw(self, draw: int, frames: int, progress: float = 0.0) -> FakeWindow:
         rng = np.random.default_rng((5, draw))
         start, speed = rng.normal(size=(2, 20, 3)).astype(np.float32)
         k = np.arange(frames + 1, dtype=np.float32)[:, None, None]
@@ -65,7 +67,7 @@ class FakeWindows:
 class CrowdedWindows(FakeWindows):
     """The same in a box of half a metre, so that spheres have neighbours and walls."""
 
-    def draw(self, draw: int, frames: int) -> FakeWindow:
+    def draw(self, draw: int, frames: int, progress: float = 0.0) -> FakeWindow:
         window = super().draw(draw, frames)
         crowd = np.random.default_rng((6, draw)).uniform(-0.25, 0.25, (frames + 1, 400, 3)).astype(np.float32)
         zeros = np.zeros_like(crowd)

@@ -8,7 +8,7 @@ from omegaconf import OmegaConf
 
 import gran_bench
 from gran_bench.compose import compose
-from gran_bench.config import GenerateConfig
+from gran_bench.config import GenerateConfig, SceneConfig
 from gran_bench.config.override_errors import explain
 from gran_bench.config.reading import read_config, unknown_key
 from gran_bench.config.rules import ConfigError, Name, check_arguments, checked_value
@@ -25,6 +25,11 @@ def shipped_scene(name: str, changes: Mapping[str, object] | None = None) -> Sce
         ConfigError: no such scene (names those there are), or a change that the schema does not allow.
         SceneError: a scene that cannot be.
     """
+    return build_scene(shipped_scene_config(name, changes))
+
+
+def shipped_scene_config(name: str, changes: Mapping[str, object] | None = None) -> SceneConfig:
+    """What :func:`shipped_scene` builds a scene of; raises the same."""
     name, changes = checked_value(str, Name(), name, "scene"), {} if changes is None else changes
     check_arguments(changes=(changes, Mapping))
     try:
@@ -41,7 +46,7 @@ def shipped_scene(name: str, changes: Mapping[str, object] | None = None) -> Sce
                 raise unknown_key(f"scene.{key}", value, GenerateConfig)
         section[last] = value
     # Read as part of a whole config, so that what contradicts itself is refused as it is on the command line.
-    return build_scene(read_config(GenerateConfig, {"scene": values}).scene)
+    return read_config(GenerateConfig, {"scene": values}).scene
 
 
 def shipped_model(name: str = DEFAULT_MODEL) -> Path:

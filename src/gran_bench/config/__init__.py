@@ -3,3 +3,4 @@
 from gran_bench.config.commands import *
 from gran_bench.config.emulator import SchedulesConfig
 from gran_bench.config.schema import *
+from gran_bench.config.trainer import MixtureConfig, TrainerConfig

@@ -5,6 +5,7 @@ from dataclasses import fields
 
 from gran_bench.config import (
     BoundaryConfig,
+    CconvModelConfig,
     ContactModelConfig,
     EmulatorConfig,
     GnsConfig,
@@ -140,6 +141,9 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
     if trainer.startup_fraction > 0 and trainer.startup_seconds is None and not any(gravity):
         why = "fall times, and scene.gravity is 0; give trainer.startup_seconds"
         yield f"trainer.startup_fall_times={trainer.startup_fall_times:g} {why}"
+    if config.rollout.rotation and not MODELS[model].gravity_outside:
+        yield f"rollout.rotation=true turns gravity too, which is for networks that see none, and not for model={model}"
+    check_mixture(config)
     rollout, scene, first, last = config.rollout, config.scene, config.rollout.frames, config.rollout.final_frames
     available = round((scene.end_time - scene.start_time) / scene.frame_interval)
     for name, frames in (("frames", first), ("final_frames", last or 0)):
@@ -150,3 +154,28 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
     if last is not None and last < first:
         remedy = f"choose at least {first}, or rollout.final_frames=null to look equally far all the time"
         yield f"rollout.final_frames={last} is fewer than rollout.frames={first}; {remedy}"
+
+
+@raising
+def check_mixture(config: TrainConfig) -> Iterator[str]:
+    """Refuse, as a `ConfigError`, further scenes that a training cannot use, and shares that do not fit them."""
+    mixture, data, place = config.trainer.mixture, config.dataset, "trainer.mixture"
+    scenes, rows, until = mixture.scenes, mixture.shares, mixture.until
+    given = f"{place}.scenes={shown(scenes)}"
+    if not scenes and (mixture.speeds_rpm or rows or until):
+        yield f"{given} has no further scene, and {place}.speeds_rpm, shares and until are of some; leave them at []"
+    if scenes and data.files:
+        why = f"is for cases that this DEM makes, and dataset.files={shown(data.files)} has others"
+        yield f"{given} {why}; leave it at []"
+    if len({config.scene.name, *scenes}) <= len(scenes):
+        yield f"{given} has a scene twice, or the run's own scene.name={config.scene.name}; name each other one once"
+    hidden = {abs(speed) for speed in (*data.validation_speeds_rpm, *data.holdout_speeds_rpm)}
+    for speed in mixture.speeds_rpm:
+        if abs(speed) in hidden:
+            yield f"{place}.speeds_rpm={mixture.speeds_rpm} has {speed:g} rpm, which is held out; leave it out"
+    if any(len(row) != len(scenes) + 1 or not any(row) for row in rows):
+        why = f"does not give {len(scenes) + 1} numbers, not all 0, for {config.scene.name} and each further scene"
+        yield f"{place}.shares={shown(rows)} has a row that {why}"
+    if sorted(set(until)) != until or len(until) != max(len(rows) - 1, 0):
+        why = f"does not give {max(len(rows) - 1, 0)} rising numbers, the end of each stage but the last"
+        yield f"{place}.until={until} {why}, for {place}.shares={shown(rows)}"

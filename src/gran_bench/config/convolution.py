@@ -31,6 +31,7 @@ class ConvolutionConfig(Section, place="model"):
     *("ccnn", "radial"),
     build="gran_bench.surrogate.convolution.ccnn:ContinuousConvolutionNetwork",
     own_walls=False,
+    gravity_outside=True,
     code=CODE,
 )
 @dataclass

@@ -113,6 +113,7 @@ class Model(Builder):
     spin: bool = False  # predicts spin
     conserves_momentum: bool = False  # its pairs do, exactly
     particles: bool = True  # steps particles; else it gives statistics alone
+    gravity_outside: bool = False  # its network sees no gravity, so that turned windows are windows like any other
     code: tuple[str, ...] = ()  # rooms of the house that its weights pass through; a plugin's are all of its package
 
 
@@ -147,6 +148,7 @@ def register_model(
     spin: bool = False,
     conserves_momentum: bool = False,
     particles: bool = True,
+    gravity_outside: bool = False,
     code: tuple[str, ...] = (),
 ) -> Callable[[Config], Config]:
     """Let ``model.name`` be one of ``names``; decorates the dataclass of the model's keys.
@@ -154,12 +156,13 @@ def register_model(
     Args:
         build: the `Surrogate`'s class, or ``package.module:Class``. It is called with the config and the scene; where
             the walls are not its own, with the config, the ``boundary`` and the scene.
-        own_walls, spin, conserves_momentum, particles, code: as in `Model`.
+        own_walls, spin, conserves_momentum, particles, gravity_outside, code: as in `Model`.
 
     Raises:
         ConfigError: no dataclass of `Section`, or a name that another package has.
     """
     model = {"own_walls": own_walls, "spin": spin, "conserves_momentum": conserves_momentum, "particles": particles}
+    model |= {"gravity_outside": gravity_outside}
     return lambda config: MODELS.section(config, names, Model(config, build, **model, code=code))
 
 

@@ -10,6 +10,7 @@ from gran_bench.config.graph import GnsConfig
 from gran_bench.config.registry import holds_weights, register_model, register_wall
 from gran_bench.config.requirements import RequirementsConfig
 from gran_bench.config.rules import MISSING, Name, Range, Section, at_least, between, key, one_of, positive
+from gran_bench.config.trainer import TrainerConfig
 
 FRACTION, RESTITUTION, SEED = Range(0.0, 1.0), Range(0.0, 1.0, open_low=True), at_least(0)
 BACKEND, FRAME_WEIGHTS = one_of("fused", "torch"), one_of("uniform", "discounted", "inverse", "rising")
@@ -235,6 +236,7 @@ class RolloutConfig(Section, place="rollout"):
     noise_m: float | None = key(None, at_least(0, "m"))  # null: by noise_diameters
     independent_noise: bool = False  # own noise on velocity × Δt and spin × r × Δt; false: the velocity implied
     mirror: bool = False  # random reflection along the drum's axis
+    rotation: bool = False  # each window turned at random, gravity and walls with it; about y where y is periodic
 
 
 @dataclass
@@ -249,22 +251,6 @@ class OptimConfig(Section, place="optim"):
     accumulate: int = key(5, at_least(1))  # windows whose gradients make one update
     gradient_clip: float | None = key(None, positive())  # norm; null: off
     weight_average: float = key(0.0, Range(0.0, 1.0, open_high=True))  # decay of the exponential average; 0: off
-
-
-@dataclass
-class TrainerConfig(Section, place="trainer"):
-    """Budgets, checkpoints, validation."""
-
-    budget: str = key("steps", one_of("steps", "time"))  # what the schedule runs through, and what ends it
-    steps: int = key(1000, at_least(1))  # optimiser updates, at most
-    minutes: float | None = key(None, positive("minutes"))  # across resumes; a cap, or the budget of budget=time
-    checkpoint_every: float = key(30.0, positive("s"))  # between checkpoints
-    checkpoint_steps: int | None = key(None, at_least(1))  # or every so many updates
-    log_every: int = key(20, at_least(1))  # updates between logged losses
-    startup_fraction: float = key(0.0, FRACTION)  # share of windows drawn from the start-up
-    startup_fall_times: float = key(14.0, positive("√(d/g)"))  # of rotation that count as start-up
-    startup_seconds: float | None = key(None, positive("s"))  # null: by startup_fall_times
-    start_from: str | None = None  # run or model file whose weights it starts from; null: random ones
 
 
 @dataclass

@@ -14,6 +14,7 @@ from gran_bench.config import SEED, RolloutConfig, TrainerConfig
 from gran_bench.config.rules import checked, checked_value
 from gran_bench.dataset.case_file import Case, read_attributes
 from gran_bench.dataset.case_spec import DatasetError
+from gran_bench.dataset.mixture import Mixture
 from gran_bench.scene import Scene
 from gran_bench.state import FloatArray
 
@@ -71,6 +72,7 @@ class Windows:
         startup_fraction: share of windows that start in the start-up of a case.
         startup_fall_times: its length, √(d/g).
         startup_seconds: its length, s; None: by the fall times.
+        mixture: of cases of several scenes; None: every case is as likely.
 
     Raises:
         ConfigError: an impossible seed, share or span.
@@ -79,7 +81,7 @@ class Windows:
 
     def __init__(
         self, cases: Sequence[Case], seed: int = 0, startup_fraction: float = 0.0,
-        startup_fall_times: float = 14.0, startup_seconds: float | None = None,
+        startup_fall_times: float = 14.0, startup_seconds: float | None = None, mixture: Mixture | None = None,
     ) -> None:  # fmt: skip
         if not cases:
             raise DatasetError("there is no case to train on; give dataset.training_speeds_rpm")
@@ -98,16 +100,17 @@ class Windows:
                     f"{case.path} has a {name} that is not finite in {len(broken)} of its frames, first in frame "
                     f"{broken[0]}; no training can use it: delete it and run the same command again, or leave it out"
                 )
-        self.cases, self.seed = list(cases), seed
+        self.cases, self.seed, self.mixture = list(cases), seed, mixture
         self.startup_fraction, self._startup = startup_fraction, (startup_fall_times, startup_seconds)
         self._overlap = [_mean_overlap(case) for case in cases]
 
-    def draw(self, number: int, frames_ahead: int) -> Window:
+    def draw(self, number: int, frames_ahead: int, progress: float = 0.0) -> Window:
         """Window ``number`` of an endless, seeded sequence; a pure function of the seed and the arguments.
 
         Args:
             number: 0, 1, 2, …; a resumed run goes on with the next number.
             frames_ahead: A.
+            progress: share of the training's budget that is spent, which a mixture goes by.
 
         Raises:
             DatasetError: no case has A + 1 frames.
@@ -115,7 +118,8 @@ class Windows:
         checked_value(int, SEED, number, "number")
         checked(RolloutConfig, "frames", frames_ahead)
         rng = np.random.default_rng((self.seed, number))
-        index = int(rng.integers(len(self.cases)))
+        mixed = self.mixture
+        index = int(rng.integers(len(self.cases))) if mixed is None else mixed.draw(rng, progress)
         case = self.cases[index]
         starts = case.trajectory.frame_count - frames_ahead
         if starts < 1:

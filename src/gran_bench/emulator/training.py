@@ -36,6 +36,8 @@ class TrainingRuns:
         batch: series whose gradients are computed together.
     """
 
+    mixture = None  # of scenes: these are of one
+
     def __init__(self, cases: Sequence[CaseSpec], series: Sequence[RunStatistics], batch: int) -> None:
         self.series, self.batch = list(series), min(batch, len(series))
         self.digest = hashlib.sha256(" ".join(one.digest for one in series).encode()).hexdigest()[:16]

@@ -21,7 +21,7 @@ SOLVER = ("dem", "neighbors", "scene")
 _READING = (
     *("state.py", "scene", "neighbors", "dem/outlet.py", "dem/seams.py", "dem/fast/wall_list.py", "dem/walls.py"),
     "dem/vectors.py",
-    *("dataset/case_file.py", "dataset/scene_document.py", "dataset/windows.py"),
+    *("dataset/case_file.py", "dataset/scene_document.py", "dataset/windows.py", "dataset/mixture.py"),
     *(
         "surrogate",
         *(f"-surrogate/{name}" for name in ("checkpoint.py", "rollout.py", "contact", "convolution", "graph")),

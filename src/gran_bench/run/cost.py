@@ -15,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gran_bench.config import DemConfig, GenerateConfig, RolloutConfig, TrainConfig
+from gran_bench.config import DemConfig, GenerateConfig, TrainConfig
 from gran_bench.dataset import CaseSpec, has_splits, own_case, split_cases
+from gran_bench.dataset.mixture import Mixture
 from gran_bench.dem.simulate import choose_time_step
 from gran_bench.dem.time_step import step_bound
 from gran_bench.evaluation.plan import Plan
@@ -190,27 +191,32 @@ def generate_cost(config: GenerateConfig) -> Cost:
     return flow_cost(scene, config.dem) + data_cost(scene, config.dem, specs, data.root, data.workers)
 
 
-def training_cost(config: TrainConfig, plan: Plan, done: int | None = 0) -> Cost:
+def training_cost(config: TrainConfig, plan: Plan, training: Sequence[CaseSpec], done: int | None = 0) -> Cost:
     """What training and judging will take; ``done`` updates are there, and all that are wanted where it is None."""
     from gran_bench.trainer.start import make_model
 
     budget, scene, name = config.trainer, build_scene(config.scene), config.model.name
     model, minutes = make_model(config, scene), math.inf if config.trainer.minutes is None else config.trainer.minutes
     cost = judging_cost(plan, rollout_pace(model, scene))
-    cases = len(split_cases(scene, config.dem, config.dataset).training)
-    cost.memory += 2.0 * cases * FRAME_BYTES * scene.frame_count * scene.filling.count
+    cases = FRAME_BYTES * sum(spec.scene.frame_count * spec.scene.filling.count for spec in training)
+    cost.memory += 2.0 * cases
     if done is None:
         return Cost([f"training: {name}, finished before"]) + cost
     threads = min(config.threads, config.optim.accumulate)
     seconds, words = 60.0 * minutes / threads, f"{minutes:g} minutes of the processor's time"
     if budget.budget == "steps":
-        needed = update_pace(config, model, scene) * work_ahead(config.rollout, done, budget.steps)
+        from gran_bench.trainer import work_of_updates
+
+        mixture = Mixture(training, budget.mixture.shares, budget.mixture.until) if budget.mixture.scenes else None
+        needed = update_pace(config, model, scene) * sum(work_of_updates(config.rollout, budget.steps, mixture, done))
         seconds = min(60.0 * minutes, needed)
         words = counted(budget.steps - done, "update") + f" after {done}" * (done > 0)
         words += f", cut at {minutes:g} minutes (trainer.minutes)" * (seconds < needed)
     ahead = max(config.rollout.frames, config.rollout.final_frames or 0)
     windows, frames = counted(config.optim.accumulate, "window"), counted(ahead, "frame")
     words += f", each of {windows} of up to {frames} ahead, {counted(config.threads, 'thread')}"
+    scenes = dict.fromkeys(spec.scene.name for spec in training)
+    words += f"; windows of {', '.join(scenes)}" * (len(scenes) > 1)
     return Cost([f"training: {name}, {words}"], {"training": seconds}) + cost
 
 
@@ -257,10 +263,3 @@ def judging_cost(plan: Plan, frame: float) -> Cost:
     seconds += summary_pace(plan.judged_case().scene) * count * sums
     stages = {"judging": seconds, "figures": FIGURES[plan.judge.gif]}
     return Cost([line], stages, PROCESS_BYTES["torch"], FRAME_BYTES * frames * plan.scene.filling.count)
-
-
-def work_ahead(rollout: RolloutConfig, done: int, steps: int) -> int:
-    """Frames ahead of all updates from number ``done`` on: an update takes as long as it looks ahead."""
-    from gran_bench.trainer import frames_ahead
-
-    return sum(frames_ahead(rollout, step, steps) for step in range(done, steps))

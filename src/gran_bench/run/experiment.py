@@ -33,7 +33,7 @@ from gran_bench.run.going_on import go_on, parent_of, updates_ahead
 from gran_bench.run.identity import RunIdentity, hash_of, identify, judged_by, judging_plan, splits, wants_more
 from gran_bench.run.pace import rollout_pace
 from gran_bench.run.record import LOSSES, MODEL, TRAINING, Clock, LossLog, RunRecord, training_metrics
-from gran_bench.run.start_from import Start, refuse_unfair, start_of, trained_on
+from gran_bench.run.start_from import Start, refuse_unfair, seen_elsewhere, start_of, trained_on
 from gran_bench.run.summary import FIGURES, cut_short, finished_summary, record_judgement, training_words
 from gran_bench.scene import build_scene
 from gran_bench.surrogate.checkpoint import (
@@ -145,7 +145,7 @@ def experiment_cost(config: TrainConfig) -> Cost:
         else:
             done = updates_ahead(config, identity)
     compile_ahead(config.model.name)
-    return cost + training_cost(config, plan, done)
+    return cost + training_cost(config, plan, split.training, done)
 
 
 def compile_ahead(model: str) -> None:
@@ -199,6 +199,7 @@ def train_stage(
         "data_digest": windows.digest,
         **({"figures": windows.figures} if isinstance(windows, TrainingRuns) else {}),
         "data_seconds": windows.data_seconds,
+        **seen_elsewhere(config),
         **({} if start is None else start.record(config)),
         **parent_of(folder),
         **provenance(),

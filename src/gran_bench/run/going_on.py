@@ -93,11 +93,13 @@ def _bent_by(config: TrainConfig, parent: Parent) -> list[str]:
     optim, rollout, budgets = config.optim, config.rollout, (parent.planned, config.trainer.steps)
     if config.trainer.budget == "time":  # whose end in updates nobody knows before
         budgets = parent.steps, 2 * parent.steps
+    stages = [[end * budget for end in config.trainer.mixture.until] for budget in budgets]
+    staged = ["trainer.mixture.until"] if any(parent.steps > min(ends) for ends in stages if ends) else []
     bent = {
         f"optim.schedule={optim.schedule}": (learning_rate, optim),
         f"rollout.final_frames={rollout.final_frames}": (frames_ahead, rollout),
     }
-    return [
+    return staged + [
         key
         for key, (what, section) in bent.items()
         if any(what(section, step, budgets[0]) != what(section, step, budgets[1]) for step in range(parent.steps))

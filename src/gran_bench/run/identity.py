@@ -18,6 +18,7 @@ from gran_bench.dataset.case_spec import key_hash
 from gran_bench.emulator.schedules import Judged, judged_schedules, training_cases
 from gran_bench.evaluation.plan import Plan
 from gran_bench.provenance.source_digest import judging_code, model_code, training_code
+from gran_bench.run.further_scenes import further_cases
 from gran_bench.scene import Scene, build_scene
 from gran_bench.shipped import shipped_scene
 
@@ -59,8 +60,9 @@ def key_of(config: TrainConfig, data_digest: str) -> str:
 
 
 def splits(config: TrainConfig) -> Split:
-    """The cases that a config trains on, chooses by and holds out."""
-    return split_cases(build_scene(config.scene), config.dem, config.dataset)
+    """The cases that a config trains on, those of further scenes last, chooses by and holds out."""
+    split = split_cases(build_scene(config.scene), config.dem, config.dataset)
+    return replace(split, training=[*split.training, *further_cases(config)])
 
 
 def needed_cases(config: TrainConfig) -> list[CaseSpec]:

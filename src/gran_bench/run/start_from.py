@@ -58,13 +58,16 @@ class Start:
     def record(self, config: TrainConfig) -> dict[str, Any]:
         """What a training says of its start: whose weights, and the speeds (rpm) that they have seen in its scene."""
         earlier = seen_speeds(self.card.origin) if self._same_scene(config) else []
-        seen = sorted({*earlier, *trained_on(config)["training_speeds_rpm"]})
+        trained = trained_on(config)["training_speeds_rpm"]
+        seen = sorted({*earlier, *trained, *config.trainer.mixture.speeds_rpm})
         packings = seen_packings(self.card.origin) if self._same_scene(config) else []
         packings = sorted({*packings, *config.dataset.training_packings})
         names = {"parent_run": self.name, "parent_weights": self.digest}
         return names | {"seen_speeds_rpm": seen, "seen_packings": packings}
 
     def _same_scene(self, config: TrainConfig) -> bool:
+        if config.scene.name in self.card.origin.get("further_scenes", ()):
+            return True
         return all(line.startswith("scene.name=") for line in self._differences("scene", config))
 
     def _differences(self, section: str, config: TrainConfig) -> Iterator[str]:
@@ -123,6 +126,12 @@ def trained_on(config: TrainConfig) -> dict[str, Any]:
         "training_packings": list(packings),
         "packing_seed": None if packings else data.packing_seed,
     }
+def seen_elsewhere(config: TrainConfig) -> dict[str, Any]:
+    """What a training says of further scenes: their names, and every speed (rpm) that it saw anywhere."""
+    mixture, speeds = config.trainer.mixture, config.dataset.training_speeds_rpm
+    if not mixture.scenes:
+        return {}
+    return {"further_scenes": mixture.scenes, "seen_speeds_rpm": sorted({*speeds, *mixture.speeds_rpm})}
 
 
 def refuse_unfair(config: TrainConfig | EvaluateConfig, origin: Mapping[str, Any], model: str) -> None:

@@ -21,7 +21,7 @@ from gran_bench.processes import stop_on_signals, tell
 from gran_bench.provenance import command, commit
 from gran_bench.provenance.source_digest import judging_code, taken_hashes, training_code
 from gran_bench.run.cost import Cost, data_cost, emulator_cost, flow_cost, training_cost
-from gran_bench.run.identity import emulator_plan, hash_of, identify, judging_plan, needed_cases, wants_more
+from gran_bench.run.identity import emulator_plan, hash_of, identify, judging_plan, needed_cases, splits, wants_more
 from gran_bench.run.record import Clock, RunRecord
 from gran_bench.run.summary import SUMMARY, broken_rollouts, finished_summary, flat_metrics, judged_words
 from gran_bench.scene import build_scene
@@ -99,7 +99,7 @@ def sweep_cost(planned: Sequence[SweepJob], folder: Path) -> Cost:
     from gran_bench.run.experiment import compile_ahead  # it loads PyTorch
 
     compile_ahead(left[0].config.model.name)
-    each = training_cost(left[0].config, judging_plan(left[0].config))
+    each = training_cost(left[0].config, judging_plan(left[0].config), splits(left[0].config).training)
     each.seconds = {name: seconds * len(left) for name, seconds in each.seconds.items()}
     return cost + each
 

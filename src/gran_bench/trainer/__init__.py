@@ -1,5 +1,6 @@
 """Training: updates, checkpoints, resuming bit for bit."""
 
+from gran_bench.trainer.schedule import frames_ahead, learning_rate, work_of_updates
 from gran_bench.trainer.trainer import (
     CHECKPOINT,
     DIVERGED,
@@ -7,6 +8,4 @@ from gran_bench.trainer.trainer import (
     TrainingDiverged,
     TrainingResult,
     TrainingStopped,
-    frames_ahead,
-    learning_rate,
 )

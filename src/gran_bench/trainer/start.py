@@ -4,6 +4,7 @@ import torch
 
 from gran_bench.config import TrainConfig
 from gran_bench.dataset import Split, Windows, read_case
+from gran_bench.dataset.mixture import Mixture
 from gran_bench.scene import Scene
 from gran_bench.surrogate.step import Surrogate, build_model
 
@@ -11,8 +12,10 @@ from gran_bench.surrogate.step import Surrogate, build_model
 def training_windows(config: TrainConfig, split: Split) -> Windows:
     """The training side of the data; nothing of the held-out cases is opened."""
     cases = [read_case(spec.path(config.dataset.root)) for spec in split.training]
-    trainer = config.trainer
-    return Windows(cases, config.seed, trainer.startup_fraction, trainer.startup_fall_times, trainer.startup_seconds)
+    trainer, mixed = config.trainer, config.trainer.mixture
+    startup = trainer.startup_fraction, trainer.startup_fall_times, trainer.startup_seconds
+    mixture = Mixture(cases, mixed.shares, mixed.until) if mixed.scenes else None
+    return Windows(cases, config.seed, *startup, mixture)
 
 
 def validation_windows(config: TrainConfig, split: Split) -> Windows | None:

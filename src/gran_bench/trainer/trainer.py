@@ -21,13 +21,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gran_bench.config import OptimConfig, RolloutConfig, TrainConfig
+from gran_bench.config import TrainConfig
 from gran_bench.config.choices import given_or
 from gran_bench.dataset import Window, Windows
 from gran_bench.losses import FrameAhead, Target, WindowLoss
 from gran_bench.progress import Progress
+from gran_bench.scene import Scene
 from gran_bench.surrogate.checkpoint import CHECKPOINT, CheckpointError, read_tensors, write_tensors
 from gran_bench.surrogate.step import FrameState, Surrogate
+from gran_bench.trainer.augmentation import Turn
+from gran_bench.trainer.schedule import frames_ahead, learning_rate, work_of_updates
 
 DIVERGED = "diverged.pt"
 
@@ -83,6 +86,7 @@ class Trainer:
         self.optimizer = torch.optim.Adam(self.parameters, lr=config.optim.learning_rate)
         self.average = [p.detach().clone() for p in self.parameters] if config.optim.weight_average else None
         self.step, self.seconds, self.spent, self.last_loss = 0, 0.0, 0.0, math.nan
+        self.progress = 0.0  # share of the budget at which the update in work begins
         self.workers = min(config.threads, config.optim.accumulate) if self._on_cpu else 1
         self.replicas = [model] + [copy.deepcopy(model) for _ in range(self.workers - 1)]
         for replica in self.replicas[1:]:  # it reads the same weights and collects gradients of its own
@@ -148,7 +152,7 @@ class Trainer:
     def _cut_ahead(self, work: np.ndarray, seconds_a_frame: float) -> str | None:
         """A sentence that says how much of a budget of steps the clock will cut at this pace; None for nothing.
 
-        ``work``: frames ahead of all updates up to each one; an update takes as long as it looks ahead.
+        ``work``: frames ahead of all updates up to each one, times the size of a window where scenes are mixed.
         """
         budget, done = self.config.trainer, work[self.step - 1]
         needed = self.spent + (work[-1] - done) * seconds_a_frame
@@ -163,16 +167,18 @@ class Trainer:
 
     def _window_gradients(self, model: Surrogate, draw: int, frames: int) -> tuple[float, dict[str, float], list]:
         """Loss, its terms and its gradients for one window; touches nothing that threads share."""
-        window = self.windows.draw(draw, frames)
+        window = self.windows.draw(draw, frames, self.progress)
         rng = np.random.default_rng((self.config.seed, 7919, draw))
         memory = self._memories[window.case][window.start] if model.has_memory else None
         if self.config.rollout.mirror and rng.random() < 0.5:
             count = len(window.position[0])
             window, memory = window.mirrored(), None if memory is None else memory.mirrored(window.scene, count)
+        turn = Turn.drawn(rng, window.scene.period) if self.config.rollout.rotation else None
         state = self._start(model, window, memory, rng)
+        state, seen = (state, window.scene) if turn is None else (turn.state(state), turn.scene(window.scene))
         total, terms, gradients = 0.0, {}, [torch.zeros_like(p) for p in self.parameters]
         for k in range(1, frames + 1):
-            state, shares = step_ahead(model, self.loss, window, state, k, frames)
+            state, shares = step_ahead(model, self.loss, window, state, k, frames, seen, turn)
             for name, value in shares.items():
                 terms[name] = terms.get(name, 0.0) + value.item()
             total = total + sum(shares.values())
@@ -215,7 +221,7 @@ class Trainer:
             TrainingDiverged: a loss or a gradient is not finite.
         """
         config, steps = self.config.optim, self.expected_steps
-        frames = frames_ahead(self.config.rollout, self.step, steps)
+        frames, self.progress = frames_ahead(self.config.rollout, self.step, steps), min(self.step / steps, 1.0)
         first = self.step * config.accumulate
         if self.model.has_memory:
             _ = self._memories  # before several threads want them
@@ -268,10 +274,10 @@ class Trainer:
         cap = math.inf if budget.minutes is None else 60.0 * budget.minutes
         last_saved = time.monotonic()
         before, began = (self.seconds, self.spent), (time.monotonic(), self._clock())
-        warm, frames = False, 0
+        warm, done = False, 0
         # What the clock may cut: a budget of steps with a cap of minutes. It is said once.
         capped = budget.budget == "steps" and budget.minutes is not None
-        work = np.cumsum([frames_ahead(self.config.rollout, i, budget.steps) for i in range(budget.steps * capped)])
+        work = np.cumsum(work_of_updates(self.config.rollout, budget.steps, self.windows.mixture)) if capped else None
         threads = torch.get_num_threads()
         # Threads run whole windows. Threads inside an operation would fight them, and would sum in another order.
         # OpenMP counts threads for each thread that calls it, so the pool's own have to be told as well.
@@ -287,9 +293,7 @@ class Trainer:
                     metrics = self.update(pool)
                     if not warm:
                         # A process's first update loads or compiles its kernels, which is no training.
-                        began, warm = (time.monotonic(), self._clock()), True
-                    else:
-                        frames += metrics["frames_ahead"]
+                        began, warm, done = (time.monotonic(), self._clock()), True, self.step
                     self.seconds = before[0] + time.monotonic() - began[0]
                     self.spent = before[1] + self._clock() - began[1]
                     self.last_loss = metrics["loss"]
@@ -297,10 +301,12 @@ class Trainer:
                     bar.set_postfix(loss=f"{self.last_loss:.4f}", refresh=False)
                     if self.step % budget.log_every == 0 or self.step == budget.steps or self.spent >= cap:
                         self.log(metrics | {"seconds": self.seconds}, self.step)
-                        if capped and frames and (said := self._cut_ahead(work, (self.spent - before[1]) / frames)):
-                            capped = False
-                            with Progress.external_write_mode():
-                                self.warn(said)
+                        if capped and self.step > done:
+                            pace = (self.spent - before[1]) / (work[self.step - 1] - work[done - 1])
+                            if said := self._cut_ahead(work, pace):
+                                capped = False
+                                with Progress.external_write_mode():
+                                    self.warn(said)
                     due = budget.checkpoint_steps and self.step % budget.checkpoint_steps == 0
                     stop = self.should_stop()
                     if due or stop or time.monotonic() - last_saved >= budget.checkpoint_every:
@@ -341,43 +347,16 @@ def motion_at(model: Surrogate, window: Window, k: int) -> tuple[Tensor, ...]:
 
 
 def step_ahead(
-    model: Surrogate, loss: WindowLoss, window: Window, state: FrameState, k: int, frames: int
-) -> tuple[FrameState, dict[str, Tensor]]:
-    """The model's frame ``k`` of ``frames`` ahead, from its frame before, and the loss there by term."""
+    model: Surrogate, loss: WindowLoss, window: Window, state: FrameState, k: int, frames: int,
+    seen: Scene | None = None, turn: Turn | None = None,
+) -> tuple[FrameState, dict[str, Tensor]]:  # fmt: skip
+    """The model's frame ``k`` of ``frames`` ahead, from its frame before, and the loss there by term.
+
+    With a ``turn``, the state is turned, and ``seen`` is the turned scene.
+    """
     scene, earlier = window.scene, like_weights(model, window.velocity_at(k - 1, model.velocity_kind))
     start = window.time + (k - 1) * scene.frame_interval
-    after = model(state, scene, start)
+    after = model(state, scene if seen is None else seen, start)
     target = Target(*motion_at(model, window, k), earlier, float(window.mean_overlap[k]))
-    return after, loss.terms(FrameAhead(state, after, target, scene, start), k, frames)
-
-
-def learning_rate(config: OptimConfig, step: int, steps: int) -> float:
-    """Learning rate of update ``step`` (0 … steps − 1).
-
-    ``steps`` falls geometrically in ``decay_steps`` equal drops from the first to the final rate, ``cosine``
-    follows half a cosine between them, ``constant`` stays. A linear warm-up multiplies the first updates.
-    """
-    first, final = config.learning_rate, config.final_learning_rate
-    progress = step / max(steps, 1)
-    if config.schedule == "steps":
-        drops = min(int(progress * (config.decay_steps + 1)), config.decay_steps)
-        rate = first * (final / first) ** (drops / max(config.decay_steps, 1))
-    elif config.schedule == "cosine":
-        rate = final + 0.5 * (first - final) * (1.0 + math.cos(math.pi * progress))
-    else:
-        rate = first
-    return rate * min(1.0, (step + 1) / config.warmup_steps) if config.warmup_steps else rate
-
-
-def frames_ahead(config: RolloutConfig, step: int, steps: int) -> int:
-    """F at update ``step``: ``frames``, growing to ``final_frames`` where that is set.
-
-    ``growth = jump`` goes there at once at ``final_from`` of the budget; ``linear`` takes every number on the way, each
-    for as many updates, and is there at the same moment.
-    """
-    first, last, until = config.frames, config.final_frames, config.final_from * steps
-    if last is None:
-        return first
-    if step >= until:
-        return last
-    return first + int((last - first) * step / until) if config.growth == "linear" else first
+    before, predicted = (state, after) if turn is None else (turn.back(state), turn.back(after))
+    return after, loss.terms(FrameAhead(before, predicted, target, scene, start), k, frames)

@@ -51,9 +51,7 @@ class MixingLayer(nn.Module):
         return mixed + features if self.residual else mixed
 
 
-def kernel_bases(
-    config: AnyConvolution, diameter: float, radius: float
-) -> tuple[KernelBasis, KernelBasis]:
+def kernel_bases(config: AnyConvolution, diameter: float, radius: float) -> tuple[KernelBasis, KernelBasis]:
     """The bases of kernels over particles and over walls, within R = ``radius``, m, of particles of a diameter, m."""
     if config.kernel == "lattice":
         basis = LatticeBasis(radius, config.kernel_size)
@@ -62,14 +60,10 @@ def kernel_bases(
     return tuple(around)
 
 
-def later_layers(
-    config: AnyConvolution, width_in: int, basis: KernelBasis, neighbors: float
-) -> nn.ModuleList:
+def later_layers(config: AnyConvolution, width_in: int, basis: KernelBasis, neighbors: float) -> nn.ModuleList:
     """Hidden layers after the first, and the output."""
     widths = [width_in] + [config.width] * (config.layers - 1) + [3]
-    layers = nn.ModuleList(
-        MixingLayer(a, b, basis, config, neighbors) for a, b in itertools.pairwise(widths)
-    )
+    layers = nn.ModuleList(MixingLayer(a, b, basis, config, neighbors) for a, b in itertools.pairwise(widths))
     output = layers[-1]
     with torch.no_grad():
         output.convolution.weight.mul_(_OUTPUT_START)

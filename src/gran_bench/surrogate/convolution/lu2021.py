@@ -16,7 +16,13 @@ from gran_bench.surrogate.convolution.ccnn import (
     pace,
 )
 from gran_bench.surrogate.convolution.cconv import ContinuousConvolution
-from gran_bench.surrogate.convolution.neighborhood import Neighborhood, nearness, particle_neighborhood, weigh_pairs
+from gran_bench.surrogate.convolution.neighborhood import (
+    KernelBasis,
+    Neighborhood,
+    nearness,
+    particle_neighborhood,
+    weigh_pairs,
+)
 from gran_bench.surrogate.step import FrameState, Surrogate, wrap
 
 
@@ -65,13 +71,17 @@ class Lu2021Network(Surrogate):
         half, neighbors = config.width // 2, expected_neighbors(self.radius, diameter)
         features = 4 if config.constant_input else 3
         self.linear = nn.Linear(3, half)
-        self.pair_input = ContinuousConvolution(features, half, self.pair_basis, config.backend, neighbors, config.precision)
+
+        def convolution(width_in: int, basis: KernelBasis, count: float) -> ContinuousConvolution:
+            return ContinuousConvolution(width_in, half, basis, config.backend, count, config.precision)
+
+        self.pair_input = convolution(features, self.pair_basis, neighbors)
         self.pair_bias = nn.Parameter(torch.zeros(half))
         self.has_walls = boundary.kind != "none" and scene.needs.walls
         if self.has_walls:
             seen = expected_points(self.radius, diameter, boundary.spacing)
             shape = 3 if boundary.normal else 1
-            self.wall_input = ContinuousConvolution(shape, half, self.wall_basis, config.backend, seen, config.precision)
+            self.wall_input = convolution(shape, self.wall_basis, seen)
             self.wall_bias = nn.Parameter(torch.zeros(half))
         self.layers = later_layers(config, (2 + self.has_walls) * half, self.pair_basis, neighbors)
 
