@@ -26,7 +26,6 @@ from gran_bench.surrogate.convolution.neighborhood import (
 )
 from gran_bench.surrogate.step import NewtonSurrogate
 
-AnyConvolution = CconvModelConfig | Lu2021Config | XuShen2022Config
 _SOLID_FRACTION = 0.58  # of a settled bed; only sets the scale of the first weights
 _FRAMES = 5.0  # velocities count diameters in so many frames: m/s where d = 50 mm and Δt = 10 ms
 _OUTPUT_START = 0.1  # first output weights, of their usual size: an untrained network starts near pure gravity
@@ -36,7 +35,12 @@ class MixingLayer(nn.Module):
     """convolution(h) + W h + b of h = ReLU(features); with ``residual``, + features where C_in = C_out."""
 
     def __init__(
-        self, width_in: int, width_out: int, basis: KernelBasis, config: AnyConvolution, neighbors: float
+        self,
+        width_in: int,
+        width_out: int,
+        basis: KernelBasis,
+        config: CconvModelConfig | Lu2021Config | XuShen2022Config,
+        neighbors: float,
     ) -> None:
         super().__init__()
         choices = config.backend, neighbors, config.precision
@@ -51,7 +55,9 @@ class MixingLayer(nn.Module):
         return mixed + features if self.residual else mixed
 
 
-def kernel_bases(config: AnyConvolution, diameter: float, radius: float) -> tuple[KernelBasis, KernelBasis]:
+def kernel_bases(
+    config: CconvModelConfig | Lu2021Config | XuShen2022Config, diameter: float, radius: float
+) -> tuple[KernelBasis, KernelBasis]:
     """The bases of kernels over particles and over walls, within R = ``radius``, m, of particles of a diameter, m."""
     if config.kernel == "lattice":
         basis = LatticeBasis(radius, config.kernel_size)
@@ -60,7 +66,9 @@ def kernel_bases(config: AnyConvolution, diameter: float, radius: float) -> tupl
     return tuple(around)
 
 
-def later_layers(config: AnyConvolution, width_in: int, basis: KernelBasis, neighbors: float) -> nn.ModuleList:
+def later_layers(
+    config: CconvModelConfig | Lu2021Config | XuShen2022Config, width_in: int, basis: KernelBasis, neighbors: float
+) -> nn.ModuleList:
     """Hidden layers after the first, and the output."""
     widths = [width_in] + [config.width] * (config.layers - 1) + [3]
     layers = nn.ModuleList(MixingLayer(a, b, basis, config, neighbors) for a, b in itertools.pairwise(widths))
