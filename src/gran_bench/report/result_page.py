@@ -12,7 +12,7 @@ from gran_bench.evaluation.plan import motion_words, packing_words
 from gran_bench.files import markdown, whole_file, write_part
 from gran_bench.metrics.judgement import shown_multiple
 from gran_bench.provenance import stamp
-from gran_bench.run.summary import SUMMARY, missed_requirements, ranked_errors, read_summary
+from gran_bench.run.summary import SUMMARY, compared_errors, missed_requirements, ranked_errors, read_summary
 from gran_bench.surrogate.checkpoint import file_digest
 
 MODEL, PAGE = "model.pt", "README.md"
@@ -58,7 +58,7 @@ def renew_page(folder: Path, title: str = "") -> Path:
 
 def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     training, packings, rpm = summary["training"], summary["judged"], summary["judged_rpm"]
-    ranked = ranked_errors(packings["shared"])
+    ranked, shared = ranked_errors(packings["shared"]), compared_errors(summary)
     yield (
         f"`{summary['model']['name']}`, {training['parameters']:,} parameters, {training['steps']} updates in "
         f"{training['seconds'] / 60:.0f} min; judged at {motion_words(rpm)}, {summary['judged_as']}."
@@ -79,8 +79,8 @@ def _lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     )
     yield from markdown([*rows, ["states not finite; spheres outside by more than r", *failures]])
     yield ""
-    baselines = ([name, *(_error(errors[key]) for key in ranked)] for name, errors in summary["baselines"].items())
-    heads = [ERRORS[key] for key in ranked]
+    baselines = ([name, *(_error(errors[key]) for key in shared)] for name, errors in summary["baselines"].items())
+    heads = [ERRORS[key] for key in shared]
     yield from markdown([[f"baseline, {packing_words('shared', rpm)}", *heads], *baselines])
     yield ""
     if missed := missed_requirements(summary):

@@ -93,6 +93,12 @@ def ranked_errors(judged: Mapping[str, Any]) -> list[str]:
     return [*rows, SPEEDS]
 
 
+def compared_errors(summary: Mapping[str, Any]) -> list[str]:
+    """Those that the baselines of a run have, too."""
+    rows = summary["baselines"].values()
+    return [key for key in ranked_errors(summary["judged"]["shared"]) if all(key in row for row in rows)]
+
+
 def registered_metrics(judged: Mapping[str, Any]) -> list[str]:
     """The metrics of plugins that a judgement has."""
     return [name for name in METRICS.added() if name in judged["errors"]]
@@ -223,7 +229,7 @@ def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
     if statistics := summary.get("statistics"):
         yield from ("", *statistics_lines(statistics), *_rollout_lines(summary), "", verdict(summary))
         return
-    ranked = [key for key in ranked_errors(summary["judged"]["shared"]) if key != "com_angle"]
+    ranked = [key for key in compared_errors(summary) if key != "com_angle"]
     yield from ("", f"baselines, {motion_words(rpm)}, {packing_words('shared', rpm)}")
     heads = [_HEADLINE_ERRORS[key][0].removesuffix(" error") for key in ranked]
     yield f"  {'':<56}" + "".join(f"{head:>17}" for head in heads) + f"{'a frame':>12}"
