@@ -65,7 +65,6 @@ def _do(solver: Any, request: dict[str, Any]) -> None:
             arrays[name][:] = bodies[row, columns]
     if request["do"] == "create" and own:
         arrays["radius"][:], arrays["rmass"][:] = bodies[row, RADIUS], bodies[row, MASS]
-    bodies.flush()
 
 
 if __name__ == "__main__":
