@@ -175,12 +175,12 @@ def _engine(scene: Scene, dem: DemConfig) -> Iterator[ModuleType | Lammps]:
 
 
 def _tuner(scene: Scene, largest_radius: float, count: int, dem: DemConfig) -> Tuner:
+    skin, threads, single = dem.skin, dem.threads, dem.precision == "float32"
     if dem.engine == "lammps":  # which keeps its skin, and has no threads
-        dem = replace(dem, skin=dem.skin or SKIN_DIAMETERS * 2.0 * largest_radius, threads=1)
-    single, full = dem.precision == "float32", dem.slip == "full_radius"
-    physics = Physics.of(scene, largest_radius, dem.skin)
-    physics = replace(physics, threads=dem.threads or 1, single_precision=single, full_radius=full, power=dem.power)
-    return Tuner(physics, count, dem.skin is not None, dem.threads)
+        skin, threads = skin or SKIN_DIAMETERS * 2.0 * largest_radius, 1
+    physics, full = Physics.of(scene, largest_radius, skin), dem.slip == "full_radius"
+    physics = replace(physics, threads=threads or 1, single_precision=single, full_radius=full, power=dem.power)
+    return Tuner(physics, count, skin is not None, threads)
 
 
 def _frame_times(scene: Scene, start: float, end: float) -> list[float]:
