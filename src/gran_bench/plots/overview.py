@@ -62,8 +62,9 @@ def overview(panels: Sequence[Panel], path: Path | str) -> Path:
             else:
                 axes = figure.add_subplot(place)
             _draw(panel, axes, apart)
+            if k + columns >= len(panels):  # nothing is drawn below it
+                axes.set_xlabel("time of a simulated second, s", fontsize=FONT)
         figure.supylabel("error (a run of the DEM: 1)", fontsize=FONT)
-        figure.supxlabel("time of a simulated second, s", fontsize=FONT)
         marks = [
             Line2D([], [], color=colour, marker=mark, markersize=size, linestyle="none", label=words)
             for name, (words, colour, mark, size) in (SAMPLES | STATISTICS).items()
@@ -71,13 +72,18 @@ def overview(panels: Sequence[Panel], path: Path | str) -> Path:
         ]
         marks.append(Line2D([], [], color=QUIET, linestyle=(0, (5, 3)), label="nothing is faster and better"))
         marks.append(Line2D([], [], color="#e0e0e0", linewidth=11.0, label="the DEM's own accuracy"))
-        figure.legend(handles=marks, loc="outside lower center", fontsize=FONT, ncols=min(columns + 1, len(marks)))
+        if len(panels) < rows * columns:
+            vacant = figure.add_subplot(grid[-1, -1])
+            vacant.set_axis_off()
+            vacant.legend(handles=marks, loc="center", fontsize=FONT, frameon=False)
+        else:
+            figure.legend(handles=marks, loc="outside lower center", fontsize=FONT, ncols=min(columns + 1, len(marks)))
     return Path(path)
 
 
 def _draw(panel: Panel, axes: Axes, apart: Axes | None) -> None:
     errors = [1.0, *(point.error for point in panel.points)]
-    low, high = 0.8 * min(errors), 1.3 * max(errors)
+    low, high = 0.8 * min(errors), 1.5 * max(errors)
     for one in filter(None, (axes, apart)):
         one.set(xscale="log", yscale="log", ylim=(low, high))
         one.set_yticks([tick for tick in _ticks(max(errors)) if low <= tick <= high], minor=False)
@@ -106,8 +112,8 @@ def _draw(panel: Panel, axes: Axes, apart: Axes | None) -> None:
     rungs = [ladder[factor] for factor in sorted(ladder)]
     axes.plot([p.seconds for p in rungs], [p.error for p in rungs], color=SAMPLES["coarse"][1], linewidth=1.6)
     for point in rungs:
-        axes.annotate(f"{point.factor:g}", (point.seconds, point.error), xytext=(-7, 6), textcoords="offset points",
-                      fontsize=FONT - 1.0, color=SAMPLES["coarse"][1], ha="right")  # fmt: skip
+        axes.annotate(f"{point.factor:g}", (point.seconds, point.error), xytext=(-6, 5), textcoords="offset points",
+                      fontsize=FONT - 3.0, color=SAMPLES["coarse"][1], ha="right")  # fmt: skip
     for point in panel.points:
         of_samples = point.family in SAMPLES
         _, colour, mark, size = (SAMPLES if of_samples else STATISTICS)[point.family]

@@ -37,7 +37,7 @@ JUDGING = (
 # What a benchmark measures of a method.
 COMPARING = (
     *(*JUDGING, *SOLVER, "surrogate"),
-    *("dataset/ensure.py", *(f"emulator/{name}.py" for name in ("network", "runs", "scan"))),
+    *("dataset/ensure.py", *(f"emulator/{name}.py" for name in ("network", "runs", "scan", "told"))),
     *("workers.py", *(f"benchmark/{name}.py" for name in ("contest", "errors", "jobs", "turns"))),
 )
 

@@ -40,7 +40,8 @@ def drum_table(root: Path) -> list[str]:
     if found is not None:
         ranked = [kind["key"] for kind in found["reference"]["ranked"]]
         automatic = next(row for row in found["methods"] if row["name"] == found["automatic"])
-        front = [entry for entry in frontier(entries(found)) if entry.seconds <= automatic["wall"]["median"]]
+        ranks = [entry for entry in entries(found) if entry.kind != "baseline"]
+        front = [entry for entry in frontier(ranks) if entry.seconds <= automatic["wall"]["median"]]
         shown = {found["automatic"], *(entry.name for entry in front)}
         rows = [row for row in found["methods"] if row["kind"] == "surrogate" or row["name"] in shown]
         floors = {key: {"value": error["floor"]} for key, error in _errors(automatic).items()}
