@@ -77,8 +77,9 @@ def test_every_choice_of_every_group_composes(group):
         with_it = ["dataset=small"] if path.stem == "quick" and group == "judge" else []
         with_it += ["judge=quick"] if path.stem == "small" and group == "dataset" else []
         with_it += ["scene=hopper"] if path.stem == "packings" else []  # a drum has speeds instead
-        # The contact network has walls of its own and no pair accelerations.
-        with_it += ["model=ccnn"] if group == "boundary" and path.stem not in ("contact", "emulator") else []
+        # Contact and graph networks have walls of their own, and no pair accelerations.
+        if group == "boundary":
+            with_it.append(f"model={path.stem if path.stem in MODELS else 'ccnn'}")
         with_it += ["model=ccnn"] if path.stem == "with_momentum" else []
         train_config(f"{group}={path.stem}", *with_it)
 

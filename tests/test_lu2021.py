@@ -101,7 +101,7 @@ def test_it_has_the_parameters_that_its_layers_add_up_to():
     cells, half = 64, 32
     mix = lambda a, b: cells * a * b + a * b + b  # noqa: E731
     first = cells * 4 * half + half + 3 * half + half + cells * 3 * half + half
-    model = build_model(Lu2021Config(), STATIC, drum())
+    model = build_model(Lu2021Config(width=64), STATIC, drum())
     assert model.parameter_count == first + mix(96, 64) + mix(64, 64) + mix(64, 3)
 
 

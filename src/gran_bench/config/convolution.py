@@ -49,6 +49,7 @@ class Lu2021Config(ConvolutionConfig, place="model"):
     """One network that predicts the next position, after Lu et al. 2021; its one unit of output is in d a frame."""
 
     name: str = key("lu2021", one_of("lu2021"))
+    width: int = key(32, at_least(2))
 
 
 @register_model(
@@ -59,4 +60,5 @@ class XuShen2022Config(ConvolutionConfig, place="model"):
     """Accelerations of a particle and a wall branch, then Newton's law, after Xu & Shen 2022."""
 
     name: str = key("xu_shen2022", one_of("xu_shen2022"))
+    width: int = key(32, at_least(2))
     update: str = key("mean", one_of("mean", "trapezoid"))

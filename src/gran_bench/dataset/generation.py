@@ -15,7 +15,6 @@ import numpy as np
 import gran_bench
 from gran_bench.dataset.case_file import read_attributes, read_settled, write_case, write_settled
 from gran_bench.dataset.case_spec import CaseSpec, DatasetError, dem_source_hash
-from gran_bench.dem.lammps_script import LAW
 from gran_bench.dem.simulate import settle, simulate
 from gran_bench.files import locked, remove_leftovers
 from gran_bench.state import ParticleState
@@ -118,7 +117,9 @@ def _facts(spec: CaseSpec) -> dict[str, Any]:
     software = f"Python {platform.python_version()}, numpy {version('numpy')}, numba {version('numba')}"
     law = {}
     if spec.dem.engine == "lammps":
-        software, law = f"{software}, lammps {version('lammps')}", {"law": LAW}
+        software = f"{software}, lammps {version('lammps')}"
+        terms = "hertz, mindlin_rescale/force, coeff_restitution, limit_damping"
+        law = {"law": f"LAMMPS granular: {terms}; slip by full radii"}
     return {
         "engine": spec.dem.engine,
         **law,

@@ -20,7 +20,6 @@ from gran_bench.scene.walls import turns_into_itself
 from gran_bench.state import FloatArray
 
 OURS = "mindlin_rescale/force"
-LAW = f"LAMMPS granular: hertz, {OURS}, coeff_restitution, limit_damping; slip by full radii"
 
 
 def given_restitution(damping: float) -> float:

@@ -126,6 +126,8 @@ def trained_on(config: TrainConfig) -> dict[str, Any]:
         "training_packings": list(packings),
         "packing_seed": None if packings else data.packing_seed,
     }
+
+
 def seen_elsewhere(config: TrainConfig) -> dict[str, Any]:
     """What a training says of further scenes: their names, and every speed (rpm) that it saw anywhere."""
     mixture, speeds = config.trainer.mixture, config.dataset.training_speeds_rpm

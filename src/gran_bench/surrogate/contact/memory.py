@@ -107,9 +107,7 @@ def gather(
     spin = (spins[0] + spins[1]) * np.float32(0.5 * radius * scene.frame_interval)
     keys, spring = np.empty(len(springs), np.int64), np.empty_like(springs)
     moves = walls.before, walls.after, walls.turn, walls.shift
-    found = stretch(
-        *_listed(contacts), start, end, spin, 2.0 * radius, contacts.period, *moves, springs, keys, spring
-    )
+    found = stretch(*_listed(contacts), start, end, spin, 2.0 * radius, contacts.period, *moves, springs, keys, spring)
     return ContactMemory(keys[:found].copy(), spring[:found].copy())
 
 
