@@ -183,8 +183,8 @@ def _compare(contest: Contest, folder: Path, reference: Reference) -> dict[str, 
         return take_turns(what, rounds, config.seed, place, conditions, scene.frame_interval, label=label, **judging)
 
     def wants_frames(method: Method, place: Path, index: int) -> bool:
-        known = errors_file(place, reference.digest, index).exists()
-        return index < judged_rounds(method, profile.judged_rounds) and not known
+        judged = errors_file(place, reference.digest, index).exists()
+        return method.has_frames and index < judged_rounds(method, profile.judged_rounds) and not judged
 
     with judges(reference) as judge:
 

@@ -44,6 +44,11 @@ class Method:
         """Settled beds that its rounds take turns with."""
         return len(self.job.get("beds", "1"))
 
+    @property
+    def has_frames(self) -> bool:
+        """Whether a run gives frames to judge, rather than statistics that its model gives at any time."""
+        return self.job["does"] not in ("emulator", "interpolation")
+
     def key(self, *conditions: str) -> str:
         """A readable name of its files, with a hash of job, length and whatever else decides a measurement."""
 
