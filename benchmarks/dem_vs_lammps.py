@@ -32,7 +32,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from gran_bench.dem.simulate import SimulationResult
     from gran_bench.scene import Scene
+    from gran_bench.state import ParticleState
 
 TIME_STEP = 1.0e-4  # s
 FRAME = 100  # steps
@@ -167,27 +169,25 @@ class Lammps:
 
 
 class OurRun:
-    """A bed that goes on in frames of 10 ms, as in `simulate`."""
+    """A bed that goes on by `simulate`, as in every run, with the skin that the clock finds in a warm-up."""
 
-    def __init__(self, scene, state, engine: Callable, threads: int, tuned: bool) -> None:
-        from gran_bench.dem.fast.tuning import Tuner
-        from gran_bench.dem.integrate import Physics
-        from gran_bench.dem.walls import wall_poses
+    def __init__(self, scene: Scene, state: ParticleState, engine: str, threads: int, warm_up: int) -> None:
+        from gran_bench.config import DemConfig  # here: LAMMPS' interpreter, which runs this file too, lacks it
 
-        self.state, self.engine = state, engine
-        self.walls = wall_poses(scene, state.time, TIME_STEP, FRAME)
-        self.physics = replace(Physics.of(scene, scene.filling.radius), threads=threads)
-        tuner = Tuner(self.physics, state.count, False, threads)
-        for _ in range(WARM_UP_FRAMES if tuned else 0):
-            self.physics = tuner.physics
-            tuner.took(self.seconds(FRAME))
-        self.physics, self.state = tuner.chosen, state  # the warm-up is not part of the flow
+        self.scene, self.state = replace(scene, end_time=1e3), state
+        self.dem = DemConfig(engine=engine, time_step=TIME_STEP, threads=threads)
+        self.skin = self._run(warm_up * FRAME).skin if warm_up else None  # the warm-up is not part of the flow
+        self.dem = replace(self.dem, skin=self.skin)
+
+    def _run(self, steps: int) -> SimulationResult:
+        from gran_bench.dem.simulate import simulate
+
+        return simulate(self.scene, self.state, self.state.time + steps * TIME_STEP, dem=self.dem)
 
     def seconds(self, steps: int) -> float:
-        """Goes on by so many steps, a multiple of a frame."""
+        """Goes on by so many steps, a multiple of a frame: time on the clock, frames and checks included."""
         started = time.perf_counter()
-        for _ in range(0, steps, FRAME):
-            self.state = self.engine(self.state, self.physics, TIME_STEP, self.walls)
+        self.state = self._run(steps).final
         return time.perf_counter() - started
 
     @property
@@ -202,8 +202,6 @@ def main(lammps_python: str, rounds: int, steps: int, output: Path | None) -> No
     from dem_page import keep
 
     from gran_bench.config import SceneConfig
-    from gran_bench.dem import engine_numpy
-    from gran_bench.dem.fast import engine as engine_numba
     from gran_bench.dem.simulate import settle, simulate
     from gran_bench.processes import MissingProgramError, kill_group, require_program
     from gran_bench.scene import build_scene
@@ -219,8 +217,8 @@ def main(lammps_python: str, rounds: int, steps: int, output: Path | None) -> No
         folder = Path(name)
         arrays = ("position", "velocity", "angular_velocity")
         np.savez(folder / "bed.npz", **{array: getattr(turning, array) for array in arrays})
-        ours = {threads: OurRun(scene, turning, engine_numba.advance, threads, True) for threads in (1, 2)}
-        reference = OurRun(scene, turning, engine_numpy.advance, 1, False)
+        ours = {threads: OurRun(scene, turning, "numba", threads, WARM_UP_FRAMES) for threads in (1, 2)}
+        reference = OurRun(scene, turning, "numpy", 1, 0)
         theirs: dict[tuple[int, float], Lammps] = {}
         cores = {f"gran-bench numba, {t} thread{'s' * (t > 1)}": t for t in ours}
         runs: dict[str, Callable[[], float]] = {
@@ -272,7 +270,7 @@ def table(times: dict, cores: dict, ours: dict, angles: list[float], rounds: int
         f"LAMMPS at its best skin: {best[1] / fastest[1]:.2f} times the time on one rank against one thread, "
         f"{best[2] / fastest[2]:.2f} times on two against two, {best[2] / fastest[1]:.2f} times on two against one",
         f"drum at {RPM:g} rpm from 3.5 s on, 3000 spheres, dt {TIME_STEP:g} s, float64; {rounds} turns of {steps}",
-        "skin of gran-bench: " + ", ".join(f"{1e3 * run.physics.skin:.3g} mm on {t}" for t, run in ours.items())
+        "skin of gran-bench: " + ", ".join(f"{1e3 * run.skin:.3g} mm on {t}" for t, run in ours.items())
         + f" (found by the clock in {WARM_UP_FRAMES} frames); LAMMPS: processors 1 2 1 on two ranks, delay 0 every 1",
         "centre-of-mass angle at the end: " + ", ".join(f"{angle:.1f}°" for angle in angles),
     ]  # fmt: skip
