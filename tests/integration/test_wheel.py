@@ -85,7 +85,8 @@ def test_the_wheel_runs_from_its_own_files(python, tmp_path):
 def test_the_wheel_refuses_like_the_clone(python, tmp_path):
     done = run(python, tmp_path, "gran_bench.train", "model=cnn")
     assert done.returncode == 2
-    said = "error: model=cnn: no such choice; did you mean ccnn? (ccnn, contact, emulator, gns, radial); "
+    models = ", ".join(sorted(path.stem for path in (ROOT / "conf" / "model").glob("*.yaml")))
+    said = f"error: model=cnn: no such choice; did you mean ccnn? ({models}); "
     assert done.stderr == f"{said}own files are found with --config-dir=FOLDER\n"
     assert list(tmp_path.iterdir()) == []
 
