@@ -33,7 +33,7 @@ class JobLauncher(Launcher):
     elsewhere: ClassVar[bool] = False  # whether a job may run on another machine
 
     def __init__(self, **keys: Any) -> None:
-        self.config = read_config(self.schema, keys)
+        self.config = read_config(self.schema, OmegaConf.to_container(OmegaConf.create(keys)))  # Hydra's lists, too
         self.task: Task | None = None
         self.sweep_dir = Path()
 
@@ -108,8 +108,8 @@ def chosen(config: DictConfig | None) -> JobLauncher | None:
         ConfigError: a key that is impossible.
     """
     keys = OmegaConf.to_container(config, resolve=True) if config else {}
-    maker = Plugins.instance().class_name_to_class.get(keys.pop("_target_", ""))
-    return maker(**keys) if maker is not None and issubclass(maker, JobLauncher) else None
+    maker = Plugins.instance().class_name_to_class.get(keys.pop("_target_", ""), object)
+    return maker(**keys) if issubclass(maker, JobLauncher) else None
 
 
 def require_package(name: str) -> None:

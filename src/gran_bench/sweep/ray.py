@@ -91,7 +91,7 @@ class RayLauncher(JobLauncher):
         try:
             if host:  # Ray itself would try for a minute
                 socket.create_connection((host, int(port)), ANSWER_SECONDS).close()
-            ray.init(address, include_dashboard=None if address else False, log_to_driver=False,
+            ray.init(address or "local", include_dashboard=None if address else False, log_to_driver=False,
                      configure_logging=True, logging_level=logging.ERROR)  # fmt: skip
         except (OSError, ValueError, RuntimeError) as error:  # a ConnectionError of Ray's is an OSError
             why = str(error).strip().splitlines()[:1] or [type(error).__name__]

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # A Slurm of one node on this machine, for the tests and for whoever wants to try hydra/launcher=slurm. As root:
-#   tests/cluster/slurm.sh start FOLDER   everything it writes is in FOLDER; then: export SLURM_CONF=FOLDER/slurm.conf
-#   tests/cluster/slurm.sh node FOLDER    starts the node's daemon again
-#   tests/cluster/slurm.sh stop FOLDER
+#   tests/faults/slurm.sh start FOLDER   everything it writes is in FOLDER; then: export SLURM_CONF=FOLDER/slurm.conf
+#   tests/faults/slurm.sh node FOLDER    starts the node's daemon again
+#   tests/faults/slurm.sh stop FOLDER
 # It installs, where they are missing and apt-get is there, Debian's packages slurm-wlm and munge. Their own services are
 # not started, and nothing in /etc is changed. The node has the processors of this machine, and at least two.
 set -euo pipefail
@@ -18,11 +18,11 @@ start() {
   export PATH=$PATH:/usr/sbin:/sbin
   if ! installed; then
     command -v apt-get > /dev/null || { echo "Slurm is not installed, and there is no apt-get" >&2; exit 3; }
-    printf '#!/bin/sh\nexit 101\n' > /tmp/policy-rc.d.$$ # services stay down while packages are installed
-    test -e /usr/sbin/policy-rc.d || install -m 755 /tmp/policy-rc.d.$$ /usr/sbin/policy-rc.d && made=1
+    policy=/usr/sbin/policy-rc.d # which keeps services down while packages are installed
+    test -e $policy && policy=/dev/null || { printf '#!/bin/sh\nexit 101\n' > $policy; chmod +x $policy; }
     { apt-get update && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends slurm-wlm munge; } \
-      > /dev/null 2>&1 || true
-    rm -f /tmp/policy-rc.d.$$
+      > "$folder.apt" 2>&1 || true
+    test $policy = /dev/null || rm $policy
     installed || { echo "apt-get did not install slurm-wlm and munge" >&2; exit 3; }
   fi
   mkdir -p "$folder"/{state,spool,munge}
@@ -79,8 +79,14 @@ CONF
 
 stop() {
   scancel --me --quiet 2> /dev/null || true
-  for file in slurmd.pid slurmctld.pid munge/pid; do
-    test -s "$folder/$file" && kill "$(cat "$folder/$file")" 2> /dev/null || true
+  for _ in $(seq 40); do
+    test -z "$(squeue --noheader 2> /dev/null)" && break
+    sleep 0.5
+  done
+  for name in slurmd slurmctld munged slurmstepd; do
+    for pid in $(pgrep -x "$name"); do # those of this folder alone
+      if tr '\0' '\n' < "/proc/$pid/environ" | grep -qx "SLURM_CONF=$SLURM_CONF"; then kill -9 "$pid"; fi
+    done
   done
 }
 
