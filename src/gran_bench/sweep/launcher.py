@@ -59,6 +59,11 @@ class JobLauncher(Launcher):
         """Ask jobs to stop at a checkpoint, then make them."""
         raise NotImplementedError
 
+    def tell(self, number: int, words: str) -> None:
+        """Say something of a job of another machine, and where its log is."""
+        sweep = self.task.sweep
+        tell(f"{self.task.title(number)}{words}{'' if sweep is None else f'; log: {sweep.log(number)}'}")
+
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         self.task, self.sweep_dir = task_function, Path(str(config.hydra.sweep.dir)).resolve()
 
@@ -89,7 +94,7 @@ class JobLauncher(Launcher):
         if isinstance(end, str):
             self.task.died(number, end)
         elif self.elsewhere:  # or its own process said so here
-            tell(f"{self.task.title(number)}{'failed; its log says why' if end else 'done'}")
+            self.tell(number, "failed" if end else "done")
         return end == 0 and self.task.recorded(number)
 
 

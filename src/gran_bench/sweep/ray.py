@@ -53,6 +53,7 @@ class RayLauncher(JobLauncher):
         import ray
 
         memory = self.config.memory_gb
+        self.tell(number, "given to Ray")
         task = ray.remote(_do).options(
             name=self.task.name(number),
             num_cpus=self.config.cpus,

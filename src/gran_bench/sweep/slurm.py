@@ -14,7 +14,7 @@ from typing import Any
 
 from gran_bench.config.launchers import SlurmConfig
 from gran_bench.config.rules import ConfigError
-from gran_bench.processes import require_program, tell
+from gran_bench.processes import require_program
 from gran_bench.sweep.launcher import JobLauncher, last_words, require_package
 from gran_bench.sweep.remote import RemoteJob
 from gran_bench.sweep.task import GRACE_SECONDS, SAID
@@ -65,7 +65,7 @@ class SlurmLauncher(JobLauncher):
         for path in known[-1:]:  # of a command that was killed
             before = path.name.removesuffix("_submitted.pkl")
             if before in states and states[before] not in ENDED:
-                tell(f"{self.task.title(number)}still Slurm's job {before}")
+                self.tell(number, f"still Slurm's job {before}")
                 return submitit.SlurmJob(folder, before)
         executor = submitit.SlurmExecutor(folder, max_num_timeout=self.config.retries)
         executor.update_parameters(
@@ -78,7 +78,7 @@ class SlurmLauncher(JobLauncher):
             additional_parameters=self._options(),
         )
         job = executor.submit(RemoteJob.of(self.task, overrides, number, forward=False))
-        tell(f"{self.task.title(number)}Slurm's job {job.job_id}")
+        self.tell(number, f"Slurm's job {job.job_id}")
         return job
 
     def ended(self, running: Mapping[int, Any]) -> dict[int, int | str]:
@@ -97,7 +97,9 @@ class SlurmLauncher(JobLauncher):
                 results[number] is not None
             ):
                 why = results[number] or f"Slurm's job {job.job_id} is {state}; what it said is in {job.paths.stderr}"
-                if not self._requeue(job, state, f"{self.task.title(number)}{why}"):
+                if self._requeue(job, state):
+                    self.tell(number, f"{why}; it is requeued")
+                else:
                     found[number] = why
         return found
 
@@ -128,7 +130,7 @@ class SlurmLauncher(JobLauncher):
         }
         return {name: value for name, value in given.items() if value is not None} | config.options
 
-    def _requeue(self, job: Any, state: str, why: str) -> bool:
+    def _requeue(self, job: Any, state: str) -> bool:
         if state in STOPPED or self._requeued[job.job_id] >= self.config.retries:
             return False
         job.paths.result_pickle.unlink(missing_ok=True)
@@ -136,7 +138,6 @@ class SlurmLauncher(JobLauncher):
             return False
         self._requeued[job.job_id] += 1
         del self._gone[job.job_id]
-        tell(f"{why}; it is requeued")
         return True
 
 
