@@ -20,6 +20,7 @@ from gran_bench.sweep.remote import RemoteJob
 from gran_bench.sweep.task import GRACE_SECONDS, SAID
 
 PROGRAMS = ("sbatch", "srun", "squeue", "scontrol", "scancel")
+SUBMITTED = "_submitted.pkl"  # of submitit's file, after the job's id
 LOOK_SECONDS = 1.0  # between two looks for results
 QUEUE_SECONDS = 10.0  # between two looks into the queue
 LATE_SECONDS = 20.0  # that a result may need to be seen through a shared file system, once its job has ended
@@ -59,12 +60,10 @@ class SlurmLauncher(JobLauncher):
         import submitit
 
         folder = self._folder(number)
-        known, states = sorted(folder.glob("*_submitted.pkl"), key=lambda path: path.stat().st_mtime), {}
-        if known:
-            states = _states() or {}
-        for path in known[-1:]:  # of a command that was killed
-            before = path.name.removesuffix("_submitted.pkl")
-            if before in states and states[before] not in ENDED:
+        known = [path.name.removesuffix(SUBMITTED) for path in folder.glob(f"*{SUBMITTED}")]
+        states = (_states() or {}) if known else {}
+        for before in known:  # of commands that were killed
+            if states.get(before, ENDED[0]) not in ENDED:
                 self.tell(number, f"still Slurm's job {before}")
                 return submitit.SlurmJob(folder, before)
         executor = submitit.SlurmExecutor(folder, max_num_timeout=self.config.retries)
@@ -84,23 +83,27 @@ class SlurmLauncher(JobLauncher):
     def ended(self, running: Mapping[int, Any]) -> dict[int, int | str]:
         time.sleep(LOOK_SECONDS)
         results = {number: _result(job) for number, job in running.items()}
-        found: dict[int, int | str] = {number: end for number, end in results.items() if end in (0, SAID)}
+        # Any other exit code is of a life that was ended, after which Slurm may have started another.
+        found = {number: end for number, end in results.items() if isinstance(end, str) or end in (0, SAID)}
         if found or time.monotonic() < self._next_look:
             return found
         self._next_look = time.monotonic() + QUEUE_SECONDS
         states = _states()
         for number, job in running.items() if states is not None else ():
-            state = states.get(job.job_id, "not in the queue any more")
+            state, code = states.get(job.job_id, "not in the queue any more"), results[number]
             if job.job_id in states and state not in ENDED:
                 self._gone.pop(job.job_id, None)
-            elif time.monotonic() - self._gone.setdefault(job.job_id, time.monotonic()) >= LATE_SECONDS or (
-                results[number] is not None
-            ):
-                why = results[number] or f"Slurm's job {job.job_id} is {state}; what it said is in {job.paths.stderr}"
-                if self._requeue(job, state):
-                    self.tell(number, f"{why}; it is requeued")
-                else:
-                    found[number] = why
+                continue
+            gone = time.monotonic() - self._gone.setdefault(job.job_id, time.monotonic())
+            if code is None and gone < LATE_SECONDS:
+                continue
+            why = f"Slurm's job {job.job_id} is {state}; what it said is in {job.paths.stderr}"
+            if code is not None:
+                why = last_words(code, "a larger hydra.launcher.memory_gb")
+            if self._requeue(job, state):
+                self.tell(number, f"{why}; it is requeued")
+            else:
+                found[number] = why
         return found
 
     def stop(self, running: Mapping[int, Any]) -> None:
@@ -142,12 +145,11 @@ class SlurmLauncher(JobLauncher):
 
 
 def _result(job: Any) -> int | str | None:
-    """A job's exit code, or why it has none; None while it is without a result."""
+    """The exit code of a job's latest life, or why submitit gave it up; None while it is without a result."""
     if not job.paths.result_pickle.exists():
         return None
     if (error := job.exception()) is None:
-        code = job.result()
-        return code if code in (0, SAID) else last_words(code, "a larger hydra.launcher.memory_gb")
+        return job.result()
     lines = re.findall(r"^[\w.]+(?:Error|Exception): (.+)$", str(error), re.MULTILINE)
     return " ".join(lines[-1:]) or f"it ended in an error; what it said is in {job.paths.stderr}"
 
