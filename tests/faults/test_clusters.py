@@ -33,6 +33,7 @@ from sweeps import (
 )
 
 from gran_bench.run.summary import SUMMARY
+from gran_bench.trainer import CHECKPOINT
 
 JOBS, KILLS = 12, 6
 SET_UP = Path(__file__).with_name("slurm.sh")
@@ -170,6 +171,25 @@ def test_a_job_that_fails_is_told_with_its_reason_and_stops_no_other(
     assert statuses(tmp_path / "results") == ["FAILED", "FINISHED"]
 
 
+@pytest.mark.parametrize("back_end", ["slurm", "ray"])
+def test_ctrl_c_stops_the_jobs_at_a_checkpoint_from_which_the_same_command_goes_on(
+    back_end: str, place: Path, tmp_path: Path, request: pytest.FixtureRequest
+):
+    cluster: Cluster = request.getfixturevalue(back_end)
+    command = [*sweep_command(place / "data", 2, back_end), *cluster.overrides, "trainer.steps=200"]
+    with group(command, tmp_path) as process:
+        _wait_for(lambda: list(tmp_path.glob(f"results/runs/*/{CHECKPOINT}")) or process.poll() is not None)
+        left = _at_work(tmp_path)
+        assert left
+        psutil.Process(process.pid).children()[0].send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 128 + signal.SIGINT
+    assert not _at_work(tmp_path)
+    assert "the same command goes on from here" in (tmp_path / "said.txt").read_text()
+    finish(command, tmp_path)
+    logs = [log.read_text("utf-8") for log in tmp_path.glob("results/sweeps/*/logs/*.log")]
+    assert any("training goes on from update" in log for log in logs)
+
+
 @contextmanager
 def _watched(command: list[str], folder: Path) -> Iterator[Callable[[], list[int]]]:
     """A command at work, killed at the end of the block; gives what waits for processes of its jobs to kill."""
@@ -177,20 +197,22 @@ def _watched(command: list[str], folder: Path) -> Iterator[Callable[[], list[int
 
         def working() -> list[int]:
             found: list[int] = []
-
-            def look() -> bool:
-                assert process.poll() is None, (folder / "said.txt").read_text()[-3000:]
-                for log in folder.glob("results/sweeps/*/logs/*.log"):
-                    for pid in re.findall(r"^---- \S+  process (\d+)  ", log.read_text("utf-8"), re.MULTILINE)[-1:]:
-                        with suppress(psutil.Error):
-                            if "gran_bench.sweep.remote" in psutil.Process(int(pid)).cmdline():
-                                found.append(int(pid))
-                return bool(found)
-
-            _wait_for(look)
+            _wait_for(lambda: found.extend(_at_work(folder)) or found or process.poll() is not None)
+            assert found, (folder / "said.txt").read_text()[-3000:]
             return found
 
         yield working
+
+
+def _at_work(folder: Path) -> list[int]:
+    """The processes of a sweep's jobs, by their logs."""
+    found = []
+    for log in folder.glob("results/sweeps/*/logs/*.log"):
+        for pid in re.findall(r"^---- \S+  process (\d+)  ", log.read_text("utf-8"), re.MULTILINE)[-1:]:
+            with suppress(psutil.Error):
+                if "gran_bench.sweep.remote" in psutil.Process(int(pid)).cmdline():
+                    found.append(int(pid))
+    return found
 
 
 def _wait_for(is_so: Callable[[], object]) -> None:

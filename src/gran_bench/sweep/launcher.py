@@ -59,6 +59,11 @@ class JobLauncher(Launcher):
         """Ask jobs to stop at a checkpoint, then make them."""
         raise NotImplementedError
 
+    @property
+    def folder(self) -> Path:
+        """For what a back end keeps."""
+        return self.sweep_dir if self.task.sweep is None else self.task.sweep.folder
+
     def tell(self, number: int, words: str) -> None:
         """Say something of a job of another machine, and where its log is."""
         sweep = self.task.sweep

@@ -4,7 +4,7 @@ import logging
 import os
 import socket
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stdout, suppress
 from typing import Any
 
 from gran_bench.config.launchers import RayConfig
@@ -15,6 +15,7 @@ from gran_bench.sweep.task import GRACE_SECONDS, SAID
 
 LOOK_SECONDS = 1.0  # that a signal may have to wait
 ANSWER_SECONDS = 5.0  # that a cluster's head has to answer
+SAYS = "ray.txt"  # in the sweep's folder: what Ray says
 
 
 class JobDiedError(RuntimeError):
@@ -43,11 +44,13 @@ class RayLauncher(JobLauncher):
     def opened(self) -> Iterator[None]:
         import ray
 
-        self._connect()
-        try:
-            yield
-        finally:
-            ray.shutdown()
+        # Ray says a page for each death, on stdout, which is for tables.
+        with open(self.folder / SAYS, "a", encoding="utf-8") as said, redirect_stdout(said):
+            self._connect()
+            try:
+                yield
+            finally:
+                ray.shutdown()
 
     def start(self, overrides: list[str], number: int) -> Any:
         import ray

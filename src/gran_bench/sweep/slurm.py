@@ -117,9 +117,8 @@ class SlurmLauncher(JobLauncher):
 
     def _folder(self, number: int) -> Path:
         """For what submitit keeps of a run, in which a later command finds its job."""
-        if (sweep := self.task.sweep) is None:
-            return self.sweep_dir / "slurm" / str(number)
-        return sweep.folder / "slurm" / Path(sweep.jobs[number].log_name).stem
+        sweep = self.task.sweep
+        return self.folder / "slurm" / (str(number) if sweep is None else Path(sweep.jobs[number].log_name).stem)
 
     def _options(self) -> dict[str, Any]:
         """Of sbatch, by their long names."""
