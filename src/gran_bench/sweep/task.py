@@ -188,8 +188,8 @@ def _refuse_another(job: SweepJob, config: TrainConfig) -> None:
 
     if job.key and (found := identify(config)) and (found.key, found.judged_by) != (job.key, job.judged_by):
         raise ConfigError(
-            f"{job.run}: source or data of this machine are not what the sweep began with (run {found.key[:8]}, not "
-            f"{job.key[:8]}); start the same command again, from one installation that all machines share"
+            f"{job.run}: source or data of this machine are not what the sweep began with; start the same command "
+            "again, from one installation that all machines share"
         )
 
 
