@@ -5,7 +5,6 @@ Slurm is set up by ``slurm.sh``, which says what it installs; root alone can. Ra
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import re
 import signal
@@ -50,8 +49,7 @@ class Cluster:
 
 @pytest.fixture(scope="module")
 def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    if importlib.util.find_spec("submitit") is None:
-        pytest.skip("needs the package submitit (pip install 'gran-bench[slurm]')")
+    pytest.importorskip("submitit", reason="needs the package submitit (pip install 'gran-bench[slurm]')")
     folder = tmp_path_factory.mktemp("slurm")
     done = subprocess.run([SET_UP, "start", folder], capture_output=True, text=True, timeout=PATIENCE, check=False)
     if done.returncode:
@@ -82,8 +80,7 @@ def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
 
 @pytest.fixture(scope="module")
 def ray() -> Iterator[Cluster]:
-    if importlib.util.find_spec("ray") is None:
-        pytest.skip("needs the package ray (pip install 'gran-bench[ray]')")
+    pytest.importorskip("ray", reason="needs the package ray (pip install 'gran-bench[ray]')")
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     from ray.cluster_utils import Cluster as Nodes
 
@@ -105,6 +102,13 @@ def ray() -> Iterator[Cluster]:
         yield Cluster([f"hydra.launcher.address={nodes.address}", "hydra.launcher.cpus=1"], lose_node, warn)
     finally:
         nodes.shutdown()
+
+
+@pytest.fixture(scope="module")
+def ray_here() -> Cluster:
+    """The Ray that the command starts for itself."""
+    pytest.importorskip("ray", reason="needs the package ray (pip install 'gran-bench[ray]')")
+    return Cluster(["hydra.launcher.cpus=1"], print, print)
 
 
 @pytest.fixture(scope="module")
@@ -171,18 +175,21 @@ def test_a_job_that_fails_is_told_with_its_reason_and_stops_no_other(
     assert statuses(tmp_path / "results") == ["FAILED", "FINISHED"]
 
 
-@pytest.mark.parametrize("back_end", ["slurm", "ray"])
-def test_ctrl_c_stops_the_jobs_at_a_checkpoint_from_which_the_same_command_goes_on(
-    back_end: str, place: Path, tmp_path: Path, request: pytest.FixtureRequest
+@pytest.mark.parametrize(
+    ("back_end", "number"), [("slurm", signal.SIGINT), ("ray", signal.SIGINT), ("ray_here", signal.SIGTERM)]
+)
+def test_a_command_that_is_stopped_stops_its_jobs_at_a_checkpoint_and_goes_on_from_there(
+    back_end: str, number: signal.Signals, place: Path, tmp_path: Path, request: pytest.FixtureRequest
 ):
     cluster: Cluster = request.getfixturevalue(back_end)
-    command = [*sweep_command(place / "data", 2, back_end), *cluster.overrides, "trainer.steps=200"]
+    launcher = back_end.partition("_")[0]
+    command = [*sweep_command(place / "data", 2, launcher), *cluster.overrides, "trainer.steps=200"]
     with group(command, tmp_path) as process:
         _wait_for(lambda: list(tmp_path.glob(f"results/runs/*/{CHECKPOINT}")) or process.poll() is not None)
         left = _at_work(tmp_path)
         assert left
-        psutil.Process(process.pid).children()[0].send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE) == 128 + signal.SIGINT
+        psutil.Process(process.pid).children()[0].send_signal(number)
+        assert process.wait(PATIENCE) == 128 + number
     assert not _at_work(tmp_path)
     assert "the same command goes on from here" in (tmp_path / "said.txt").read_text()
     finish(command, tmp_path)

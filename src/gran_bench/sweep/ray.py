@@ -2,6 +2,7 @@
 
 import logging
 import os
+import signal
 import socket
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
@@ -92,6 +93,7 @@ class RayLauncher(JobLauncher):
         address = self.config.address
         remedy = "start one by `ray start --head`, or leave the address out to start Ray on this machine"
         host, _, port = (address or "").removeprefix("ray://").rpartition(":")
+        handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
         try:
             if host:  # Ray itself would try for a minute
                 socket.create_connection((host, int(port)), ANSWER_SECONDS).close()
@@ -100,6 +102,8 @@ class RayLauncher(JobLauncher):
         except (OSError, ValueError, RuntimeError) as error:  # a ConnectionError of Ray's is an OSError
             why = str(error).strip().splitlines()[:1] or [type(error).__name__]
             raise ConfigError(f"hydra.launcher.address={address}: no Ray cluster there ({why[0]}); {remedy}") from error
+        for number, handler in handlers.items():  # a Ray that is started here would end this process on SIGTERM
+            signal.signal(number, handler)
 
 
 def _do(job: RemoteJob) -> int:
