@@ -59,9 +59,11 @@ def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
 
     def lose_node(pid: int) -> None:
         """All of Slurm's processes that the node has, and their jobs."""
-        lost = [process for process in psutil.process_iter(["name"]) if process.info["name"] == "slurmstepd"]
-        lost = [psutil.Process(int((folder / "slurmd.pid").read_text())), *lost]
-        for process in [*lost, *(child for one in lost[1:] for child in _below(one))]:
+        conf = os.environ["SLURM_CONF"]  # one of this test alone
+        steps = [one for one in psutil.process_iter(["name"]) if one.info["name"] == "slurmstepd"]
+        steps = [one for one in steps if one.environ().get("SLURM_CONF") == conf]
+        daemon = psutil.Process(int((folder / "slurmd.pid").read_text()))
+        for process in [daemon, *steps, *(child for one in steps for child in _below(one))]:
             with suppress(psutil.Error):
                 process.kill()
         _wait_for(lambda: "down" in _said("sinfo", "--noheader", "--format=%T"))
