@@ -83,7 +83,8 @@ def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
 @pytest.fixture(scope="module")
 def ray() -> Iterator[Cluster]:
     pytest.importorskip("ray", reason="needs the package ray (pip install 'gran-bench[ray]')")
-    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    # Ray's workers are nice to others, too nice for tests beside other work.
+    os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
     from ray.cluster_utils import Cluster as Nodes
 
     size = {"num_cpus": 1, "object_store_memory": 100 * 2**20}

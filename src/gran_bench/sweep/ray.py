@@ -46,7 +46,7 @@ class RayLauncher(JobLauncher):
         import ray
 
         # Ray says a page for each death, on stdout, which is for tables.
-        with open(self.folder / SAYS, "a", encoding="utf-8") as said, redirect_stdout(said):
+        with open(self.folder / SAYS, "a", buffering=1, encoding="utf-8") as said, redirect_stdout(said):
             self._connect()
             try:
                 yield
