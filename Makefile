@@ -7,6 +7,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 SELENIUM := $(BIN)/python -m pip install --quiet --disable-pip-version-check "selenium>=4.20"
 READERS := $(BIN)/python -m pip install --quiet --disable-pip-version-check "vtk>=9.5" "ovito>=3.12"
+CLUSTERS := $(BIN)/python -m pip install --quiet --disable-pip-version-check "submitit~=1.5" "ray~=2.60"
 PORT ?= 5000
 
 .PHONY: train data test test-slow lint ui browser-test verify bench bench-kernels stress clean
@@ -31,6 +32,7 @@ test-slow: $(READY)
 	@if command -v chromium chromedriver > /dev/null; then $(SELENIUM); \
 	else echo "no chromium and chromedriver on the PATH: the tests of the browser are skipped"; fi
 	@$(READERS) || echo "vtk and ovito were not installed: the tests that read exports back are skipped"
+	@$(CLUSTERS) || echo "submitit and ray were not installed: the tests of Slurm and Ray are skipped"
 	$(BIN)/python -m pytest tests/test_export.py
 	$(BIN)/python -m pytest -m "slow or browser" -n 2 --dist loadfile
 

@@ -13,7 +13,8 @@ import psutil
 import pytest
 from omegaconf import OmegaConf
 
-from gran_bench.sweep.task import JobError, ProcessLauncher
+from gran_bench.sweep.launcher import JobError
+from gran_bench.sweep.local import LocalLauncher
 
 
 @dataclass
@@ -30,7 +31,7 @@ class Stub:
     def nothing_to_do(self, number: int) -> bool:
         return number in self.finished
 
-    def apart(self, overrides: list[str], number: int) -> bool:
+    def exit_code(self, overrides: list[str], number: int) -> int:
         (word,) = overrides
         if word == "orphan":
             (self.folder / "orphan").write_text(str(os.getpid()))
@@ -39,6 +40,9 @@ class Stub:
         if word.isdigit():
             os._exit(int(word))
         (self.folder / word).touch()
+        return 0
+
+    def recorded(self, number: int) -> bool:
         return True
 
     def died(self, number: int, why: str) -> None:
@@ -47,7 +51,7 @@ class Stub:
 
 @pytest.fixture
 def launcher(tmp_path: Path):
-    made = ProcessLauncher(n_jobs=1)
+    made = LocalLauncher(n_jobs=1)
     config = OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}})
     made.setup(hydra_context=None, task_function=Stub(tmp_path), config=config)
     yield made
@@ -56,14 +60,14 @@ def launcher(tmp_path: Path):
 
 
 @pytest.mark.parametrize("finished", [(0, 1, 2), (1, 2), (0, 1)])
-def test_a_sweep_whose_last_jobs_or_all_have_nothing_to_do_ends(launcher: ProcessLauncher, tmp_path: Path, finished):
+def test_a_sweep_whose_last_jobs_or_all_have_nothing_to_do_ends(launcher: LocalLauncher, tmp_path: Path, finished):
     launcher.task.finished = finished
     assert len(launcher.launch([["one"], ["two"], ["three"]], 0)) == 3
     made = [path.name for path in tmp_path.iterdir()]
     assert sorted(made) == sorted({"one", "two", "three"} - {("one", "two", "three")[k] for k in finished})
 
 
-def test_a_status_that_no_signal_gives_is_told_and_the_next_job_starts(launcher: ProcessLauncher, tmp_path: Path):
+def test_a_status_that_no_signal_gives_is_told_and_the_next_job_starts(launcher: LocalLauncher, tmp_path: Path):
     with pytest.raises(JobError, match="3 of 4 jobs failed"):
         launcher.launch([["255"], ["200"], ["137"], ["done"]], 0)
     lost, odd, stopped = (launcher.task.ends[number] for number in range(3))
@@ -73,7 +77,7 @@ def test_a_status_that_no_signal_gives_is_told_and_the_next_job_starts(launcher:
     assert (tmp_path / "done").exists()
 
 
-def test_a_job_whose_fork_server_is_gone_is_ended_and_the_next_goes_on(launcher: ProcessLauncher, tmp_path: Path):
+def test_a_job_whose_fork_server_is_gone_is_ended_and_the_next_goes_on(launcher: LocalLauncher, tmp_path: Path):
     with pytest.raises(JobError, match="1 of 2 jobs failed"):
         launcher.launch([["orphan"], ["done"]], 4)
     assert list(launcher.task.ends) == [4]

@@ -11,7 +11,6 @@ from typing import TypeVar
 
 import hydra
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import ConfigCompositionException
@@ -26,25 +25,11 @@ from gran_bench.scene import build_scene
 
 CONFIG_MODULE = "gran_bench.conf"
 VERSION_BASE = "1.3"
-# The house's launcher (`sweep.task.ProcessLauncher`) by the name under which Hydra makes it: Hydra takes only launchers
-# whose names begin with this word.
-LAUNCHER = "hydra_plugins.gran_bench.ProcessLauncher"
 
 # Two commands that differ in these alone train the same weights, so they share a folder.
 UNNAMED = UNDECIDING | {"hydra"}
 
 Config = TypeVar("Config")
-
-
-@dataclass
-class ProcessLauncherConfig:
-    """Keys of the house's launcher, on which ``conf/hydra/launcher/local.yaml`` builds."""
-
-    _target_: str = LAUNCHER
-    n_jobs: int = 2  # jobs at a time
-
-
-ConfigStore.instance().store("processes", ProcessLauncherConfig, group="hydra/launcher", provider="gran_bench")
 
 
 @dataclass(frozen=True)
@@ -110,7 +95,7 @@ class Described:
 
     jobs: list[tuple[list[str], DictConfig]] = field(default_factory=list)  # overrides and config, in Hydra's order
     complete: bool = True  # false where a sweeper draws values as it goes: then one job stands for what is fixed
-    apart: bool = False  # whether the house's launcher gives each job a process of its own
+    launcher: DictConfig | None = None  # chosen for a multirun
 
 
 def described_jobs(source: Source, overrides: Sequence[str], multirun: bool) -> Described:
@@ -133,9 +118,8 @@ def described_jobs(source: Source, overrides: Sequence[str], multirun: bool) -> 
             if axes:
                 raise ConfigError(f"this recipe is a sweep over {', '.join(axes)}; add -m (--multirun) to run its jobs")
             return Described([(list(overrides), source.composed(overrides))])
-        apart = chosen.launcher._target_ == LAUNCHER
         if not chosen.sweeper._target_.endswith(f".{BasicSweeper.__name__}"):
-            return Described([(fixed, source.composed(fixed))], complete=False, apart=apart)
+            return Described([(fixed, source.composed(fixed))], complete=False, launcher=chosen.launcher)
         lines = [*(f"{key}={values}" for key, values in axes.items()), *overrides]
         parsed = parser.parse_overrides(lines)
         (jobs,) = BasicSweeper.split_arguments(parsed, None)
@@ -150,7 +134,7 @@ def described_jobs(source: Source, overrides: Sequence[str], multirun: bool) -> 
                     f"experiment={recipe} is itself a sweep over {', '.join(lost)}, which one among several recipes "
                     f"would lose; give each a command of its own: -m +experiment={recipe}"
                 )
-        return Described([(job, source.composed(job)) for job in jobs], apart=apart)
+        return Described([(job, source.composed(job)) for job in jobs], launcher=chosen.launcher)
 
 
 def _axes(sweeper: DictConfig) -> dict[str, str]:

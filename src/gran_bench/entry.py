@@ -17,8 +17,13 @@ from gran_bench.config.registry import load_plugins
 from gran_bench.config.rules import ConfigError
 from gran_bench.processes import quiet_without_reader
 from gran_bench.provenance import program
+from gran_bench.sweep import launcher as launchers
+from gran_bench.sweep.launcher import JobError
+from gran_bench.sweep.local import LocalLauncher
+from gran_bench.sweep.ray import RayLauncher
 from gran_bench.sweep.runs import SweepJob
-from gran_bench.sweep.task import FAILED, REFUSED, JobError, Task, complain, load_ahead, register_launcher
+from gran_bench.sweep.slurm import SlurmLauncher
+from gran_bench.sweep.task import FAILED, REFUSED, Task, complain
 
 
 @quiet_without_reader()
@@ -34,23 +39,25 @@ def run(
     Args:
         task: called with the checked config.
         config_name: of the primary config in ``conf/``, which must fit ``schema``.
-        sweep: ``package.module:name`` of what gets the jobs of a multirun and the name of its folder, and gives the
-            block that is around them.
+        sweep: ``package.module:name`` of what gets the jobs of a multirun, the name of its folder and whether they
+            may run on other machines, and gives the block that is around them.
         loads: modules that a job needs, loaded ahead where jobs get processes of their own.
     """
     # Makes Hydra raise its errors instead of printing them, also in the processes that a launcher starts.
     os.environ["HYDRA_FULL_ERROR"] = "1"
-    register_launcher()
+    launchers.register([LocalLauncher, SlurmLauncher, RayLauncher])
     arguments = get_args_parser().parse_args()
     multirun = arguments.multirun or "hydra.mode=MULTIRUN" in arguments.overrides
     source = compose.Source(arguments.config_name or config_name, arguments.config_dir, arguments.config_path)
     shows = (arguments.help, arguments.hydra_help, arguments.cfg, arguments.info is not None)
-    described, configs = compose.Described(), []
+    described, configs, launcher = compose.Described(), [], None
     try:
         if not any((*shows, arguments.shell_completion, arguments.experimental_rerun)):
             load_plugins()  # before Hydra: what it cannot compose is explained by what is registered
             described = compose.described_jobs(source, arguments.overrides, multirun)
             configs = [compose.checked_config(composed, schema) for _, composed in described.jobs]
+            if (launcher := launchers.chosen(described.launcher)) is not None:
+                launcher.check()
             if not multirun and (name := getattr(getattr(configs[0], "tracking", None), "sweep", None)) is not None:
                 raise ConfigError(f"tracking.sweep={name} names the folder of a sweep; add -m (--multirun)")
     except Exception as error:
@@ -67,8 +74,8 @@ def run(
                 task(config)
             sys.exit(0)
         if multirun and configs:
-            if described.apart:
-                load_ahead(loads)
+            if launcher is not None:
+                launcher.prepare(loads)
             if sweep is not None and described.complete:
                 lines = [overrides for overrides, _ in described.jobs]
                 swept = compose.swept_keys(lines)
@@ -79,7 +86,9 @@ def run(
                     config.tracking.folder = name
                     planned.append(SweepJob(name, choices, config.seed, config=config))
                 around = resolve_name(sweep)(
-                    planned, compose.run_folder(configs[0].experiment, arguments.overrides, swept)
+                    planned,
+                    compose.run_folder(configs[0].experiment, arguments.overrides, swept),
+                    launcher is not None and launcher.elsewhere,
                 )
         with around as each.sweep:
             try:

@@ -34,12 +34,12 @@ TIMED_FIGURE = re.compile("wall_seconds/|.*ms_per_frame|.*ms per frame|.*minutes
 UNTIMED_FACTS = ("judged", "broken_rollouts", "data_digest", "made_with", "model", "budget")
 
 
-def sweep_command(data: Path, jobs: int) -> list[str]:
-    """The command line of a sweep of ``jobs`` quick jobs, two at a time."""
+def sweep_command(data: Path, jobs: int, launcher: str = "local") -> list[str]:
+    """The command line of a sweep of ``jobs`` quick jobs, two at a time where `local` starts them."""
     radii = RADII if jobs % len(RADII) == 0 else RADII[:1]
     seeds = ",".join(str(seed) for seed in range(jobs // len(radii)))
     return [
-        *(sys.executable, "-m", "gran_bench.train", "-m", "+experiment=smoke", "hydra/launcher=local"),
+        *(sys.executable, "-m", "gran_bench.train", "-m", "+experiment=smoke", f"hydra/launcher={launcher}"),
         *("scene.end_time=1.7", "trainer.steps=12", "trainer.checkpoint_steps=2", "threads=1"),
         *("judge.speeds_rpm=[]", "judge.short_horizon_starts=2", override("dataset.root", data.resolve())),
         *(f"model.radius_m={','.join(map(str, radii))}", f"seed={seeds}", f"tracking.sweep={SWEEP}"),

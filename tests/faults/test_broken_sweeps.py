@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -103,6 +104,27 @@ def test_a_run_is_finished_in_the_table_though_the_store_failed_at_its_end(place
     with open_sweep(planned(place, root), "kills") as sweep:
         assert list(sweep.done) == [0]
     assert statuses(root) == ["FINISHED", "SCHEDULED"]
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_job_of_another_machine_leaves_files_that_its_sweep_records_and_refuses_other_source(
+    place: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+):
+    root = tmp_path / "results"
+    (first, _), (second, _) = described(place, root)
+    with open_sweep(planned(place, root), "kills", elsewhere=True) as sweep:
+        task = Task(experiment.run_experiment, Source("train"), TrainConfig, ["python"], sweep)
+        assert task.apart(first, 0)
+        assert statuses(root) == ["SCHEDULED", "SCHEDULED"]
+        assert task.recorded(0)
+        assert statuses(root) == ["FINISHED", "SCHEDULED"]
+        edited = tuple(replace(job, key=f"{job.key}-edited") for job in sweep.jobs)
+        assert not replace(task, sweep=replace(sweep, jobs=edited)).apart(second, 1)
+        assert "source or data of this machine are not what the sweep began with" in capsys.readouterr().err
+        assert len(list(root.glob("runs/*"))) == 1
+    with sqlite3.connect(root / "mlflow.db") as store:
+        keys = {row[0] for row in store.execute("select distinct key from metrics")}
+    assert {"training/loss", "shared/error/speed_w1"} <= keys
 
 
 @pytest.mark.usefixtures("quick")

@@ -42,8 +42,11 @@ class Found(NamedTuple):
 
 
 @contextmanager
-def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
+def open_sweep(planned: Sequence[SweepJob], name: str, elsewhere: bool = False) -> Iterator[Sweep]:
     """Prepare a sweep, named as its folder, let its jobs run in the block, and report.
+
+    Jobs ``elsewhere``, on machines that share its folder, write to a tracking server. A database is a file that such
+    machines cannot share safely: without a server they leave files alone, which this process records as each job ends.
 
     Raises:
         ConfigError, TrackingError, SweepFileError: two jobs are one run; the store fails; a file is damaged.
@@ -64,8 +67,10 @@ def open_sweep(planned: Sequence[SweepJob], name: str) -> Iterator[Sweep]:
         tags = {"command": command(), "commit": commit(), tracking.SWEEP_TAG: folder.name}
         with tracking.open_run(config, folder.name, key, _axes(planned), tags) as parent:
             _schedule(jobs, found, parent.run_id)
+            files_only = elsewhere and config.enabled and tracking.server_uri() is None
+            record = partial(_record_ended, jobs, parent.run_id) if files_only else None
             try:
-                yield Sweep(folder, jobs, parent.run_id, done, taken_hashes())
+                yield Sweep(folder, jobs, parent.run_id, done, taken_hashes(), elsewhere, files_only, record)
             finally:
                 found = _fill_table(folder, jobs)
                 report = report_sweep(folder)
@@ -242,5 +247,16 @@ def _schedule(jobs: Sequence[SweepJob], found: Mapping[int, Found], parent: str 
     missing = tracking.schedule_children(jobs[0].config.tracking, parent, children)
     for number, job in known.items():
         if number in found and job.key in missing:
-            job.config.tracking.parent = parent
-            found[number].record(RunRecord(job.identity, job.config, job.config.scene.name, Clock()))
+            found[number].record(_record_of(job, parent))
+
+
+def _record_ended(jobs: Sequence[SweepJob], parent: str | None, number: int) -> None:
+    """Put the run of a job that has finished into the store, from its files."""
+    job = jobs[number]
+    if job.identity is not None and (summary := finished_summary(job.identity)) is not None:
+        _record_of(job, parent).record_again(summary)
+
+
+def _record_of(job: SweepJob, parent: str | None) -> RunRecord:
+    job.config.tracking.parent = parent
+    return RunRecord(job.identity, job.config, job.config.scene.name, Clock())
