@@ -54,6 +54,14 @@ def worst_floors(run: SweepRun, ranked: Sequence[str]) -> float | None:
     return None if not floors or None in floors else max(floors)
 
 
+def worst_words(runs: Sequence[SweepRun], ranked: Sequence[str]) -> str:
+    """Mean and spread of `worst_floors`; where it is undefined, in how many runs and what the worst is at least."""
+    words = shown(pd.Series([worst_floors(run, ranked) for run in runs], dtype=float), 2)
+    known = [[found for name in ranked if (found := run.figures.get(f"shared/floors/{name}"))] for run in runs]
+    least = pd.Series([max(floors) for floors in known if floors], dtype=float)
+    return f"{words}, at least {shown(least, 2)}" if words.startswith("undefined") and len(least) else words
+
+
 def near_floors(run: SweepRun, horizon: str, beside: SideBySide | None) -> float | None:
     """The position error of a run some frames ahead, in errors of the DEM from the same states; None if undefined."""
     error, dem = run.figures.get(f"position_error/{horizon}"), beside and beside.dem_error.get(horizon)
@@ -96,19 +104,24 @@ def _lines(stands: Standing, beside: SideBySide | None, record: str) -> Iterator
         f"{', '.join(sorted(budgets))} of processor time in {', '.join(sorted(scenes))}; {judged_at(runs)}."
     )
     heads = ["model", "parameters", "a frame, ms", *(f"{words}, floors" for words in NEAR.values())]
-    rows = [[*heads, "all frames, floors", "updates", "seeds", "failures"]]
+    whole = f"{beside.frames} frames" if beside else "all frames"
+    rows = [[*heads, f"{whole}, floors", "updates", "seeds", "failures"]]
     if beside is not None:
         rows.append(["*DEM*", "", f"{beside.dem_ms:.2f}", "1", "1", "1", "", "", ""])
     groups = {name: [run for run in its if run.status == FINISHED] for name, its in by_model(runs).items()}
-    worst = {name: pd.Series([worst_floors(run, ranked) for run in done], dtype=float) for name, done in groups.items()}
-    for name in sorted(groups, key=lambda name: (worst[name].isna().any(), worst[name].mean())):
+
+    def order(name: str) -> tuple[bool, float]:  # by the mean; an undefined error makes a model the last
+        floors = [worst_floors(run, ranked) for run in groups[name]]
+        return (True, 0.0) if None in floors or not floors else (False, sum(floors) / len(floors))
+
+    for name in sorted(groups, key=order):
         done, its = groups[name], by_model(runs)[name]
         near = (pd.Series([near_floors(run, horizon, beside) for run in done], dtype=float) for horizon in NEAR)
         size = max((run.training.get("parameters", 0) for run in done), default=0)
         updates = pd.Series([run.training.get("steps") for run in done], dtype=float)
         ms = frame_ms(done, beside)
         rows.append([f"`{name}`", str(size), "-" if ms is None else f"{ms:.2f}", *(shown(one, 2) for one in near),
-                     shown(worst[name], 2), shown(updates, 0), str(len(its)), failures(its)])  # fmt: skip
+                     worst_words(done, ranked), shown(updates, 0), str(len(its)), failures(its)])  # fmt: skip
     yield from ("", *markdown(rows), "")
     if beside is not None:
         dem = (error and 1e3 * error for error in map(beside.dem_error.get, NEAR))
@@ -118,10 +131,10 @@ def _lines(stands: Standing, beside: SideBySide | None, record: str) -> Iterator
             f"{', '.join('undefined' if error is None else f'{error:.3g} mm' for error in dem)}."
         )
     yield (
-        f"- *All frames*: the largest of {', '.join(WORDS.get(name, name) for name in ranked)} over the whole run. One "
-        "floor is the distance of two runs of the DEM after a tiny nudge."
+        f"- *{whole.capitalize()}*: the largest error of {', '.join(WORDS.get(name, name) for name in ranked)} over "
+        "the whole run. One floor is the distance of two runs of the DEM after a tiny nudge."
     )
     yield "- *A frame*: wall time on one thread" + (", all models and the DEM in turns." if beside else ".")
     yield from (f"- failed: `{run.run}`: {run.reason}" for run in runs if run.status != FINISHED)
-    yield from ("", f"![{PICTURE.partition('.')[0]}]({PICTURE})", "", f"Record: [`runs.csv`]({record}).")
+    yield from ("", f"![{PICTURE.partition('.')[0]}]({PICTURE})", "", f"Record: [`runs.csv`]({record}).", "")
     yield made_by(stands)

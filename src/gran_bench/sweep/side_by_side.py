@@ -34,6 +34,7 @@ class SideBySide:
     dem_ms: float  # of the DEM, in the same turns
     dem_error: dict[str, float | None]  # m, mean position error of `dem_ahead` by horizon (``10_frames``)
     starts: int  # states that the DEM started from, and frames of each model
+    frames: int  # of a whole run
     ranked: list[str]  # errors that the DEM itself has in this scene, by which methods are ranked
 
 
@@ -105,5 +106,5 @@ def measure(folder: Path, jobs: Sequence[SweepJob]) -> None:
     errors = short_horizon_errors(lambda start, frames: ahead[start], case.trajectory, starts, period=case.scene.period)
     ms = {name: 1e3 * float(np.median(found)) for name, found in seconds.items()}
     dem_error = {f"{horizon}_frames": error.value for horizon, error in errors.items()}
-    measured = SideBySide(key, ms, ms.pop(""), dem_error, len(starts), ranked)
+    measured = SideBySide(key, ms, ms.pop(""), dem_error, len(starts), case.trajectory.frame_count - 1, ranked)
     write_text(folder / FILE, json.dumps(asdict(measured), indent=1) + "\n")
