@@ -79,7 +79,7 @@ def test_every_choice_of_every_group_composes(group):
         with_it += ["scene=hopper"] if path.stem == "packings" else []  # a drum has speeds instead
         # Contact and graph networks have walls of their own, and no pair accelerations.
         if group == "boundary":
-            with_it.append(f"model={path.stem if path.stem in MODELS else 'ccnn'}")
+            with_it.append(f"model={path.stem if (CONF / 'model' / path.name).exists() else 'ccnn'}")
         with_it += ["model=ccnn"] if path.stem == "with_momentum" else []
         train_config(f"{group}={path.stem}", *with_it)
 

@@ -31,6 +31,7 @@ class Contender:
     high: float | None = None
     fast: float | None = None
     slow: float | None = None
+    each: tuple[float, ...] = ()  # floors of each seed, where the error is their mean
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -46,18 +47,20 @@ def time_against_error(
     path: Path | str,
     accuracy: float | None = 1.0,
     untimed: Sequence[str] = (),
+    clock: str = "wall time of a simulated second, s",
 ) -> Path:
-    """Draw wall time of a simulated second against error in noise floors, with the front that nothing beats in both.
+    """Draw a time against error in noise floors, with the front that nothing beats in both.
 
     A failed run stands above all others as a cross, or under the axes by its name where it has no time; it is never
     left out.
 
+    ``clock`` says what the time is of: of a simulated second, unless all contenders have another.
     ``accuracy`` is the DEM's own in floors, if it is known; ``untimed`` are those that failed before their first frame,
     and have no place on the axis of time.
     """
     sound = [c for c in contenders if c.floors is not None]
-    highest = max([2.0, *(c.floors for c in sound)])
-    lowest = min([0.8, *(c.floors for c in sound)])
+    highest = max([2.0, *(floors for c in sound for floors in (c.floors, *c.each))])
+    lowest = min([0.8, *(floors for c in sound for floors in (c.floors, *c.each))])
 
     def height_of(contender: Contender) -> float:
         return 2.0 * highest if contender.floors is None else contender.floors
@@ -71,7 +74,7 @@ def time_against_error(
         plain_numbers(axes.yaxis)
         axes.xaxis.set_major_formatter("{x:g}")
         lost = f"failed before the first frame: {'; '.join(untimed)}" if untimed else ""
-        axes.set_xlabel("\n".join(["wall time of a simulated second, s", *textwrap.wrap(lost, 110)]))
+        axes.set_xlabel("\n".join([clock, *textwrap.wrap(lost, 110)]))
         axes.set_ylabel(f"{quantity}\nthe worse, noise floors" if " and " in quantity else f"{quantity}, noise floors")
         if accuracy is not None:
             axes.axhspan(0.0, accuracy, color="#f0f0f0", zorder=0)
@@ -83,6 +86,7 @@ def time_against_error(
         for kind, (label, colour, mark) in KINDS.items():
             for i, c in enumerate([c for c in contenders if c.kind == kind]):
                 y, thin = height_of(c), {"color": colour, "linewidth": 1.0, "alpha": 0.6}
+                axes.plot([c.seconds] * len(c.each), c.each, "_", markersize=9.0, **thin)
                 if c.low is not None and c.high is not None:
                     axes.plot([c.seconds] * 2, [c.low, c.high], **thin)
                 if c.fast is not None and c.slow is not None:

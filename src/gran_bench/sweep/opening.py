@@ -1,5 +1,6 @@
 """A sweep around its jobs: data made once, finished runs found, parent and children in the store, a report."""
 
+import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -26,6 +27,7 @@ from gran_bench.run.record import Clock, RunRecord
 from gran_bench.run.summary import SUMMARY, broken_rollouts, finished_summary, flat_metrics, judged_words
 from gran_bench.scene import build_scene
 from gran_bench.sweep import runs
+from gran_bench.sweep.models_page import compares_models
 from gran_bench.sweep.runs import SweepFile, SweepJob, SweepRun, read_runs
 from gran_bench.sweep.sweep_report import log_report, report_sweep
 from gran_bench.sweep.task import Sweep
@@ -73,6 +75,8 @@ def open_sweep(planned: Sequence[SweepJob], name: str, elsewhere: bool = False) 
                 yield Sweep(folder, jobs, parent.run_id, done, taken_hashes(), elsewhere, files_only, record)
             finally:
                 found = _fill_table(folder, jobs)
+                if compares_models(folder) and sys.exc_info()[1] is None:
+                    _measure(folder, jobs)
                 report = report_sweep(folder)
                 for run in report.failed:  # whose own process may not have closed it
                     try:
@@ -83,6 +87,15 @@ def open_sweep(planned: Sequence[SweepJob], name: str, elsewhere: bool = False) 
                 tell(f"table and figures of the sweep are in {folder}{tracking.how_to_compare(config)}")
                 log_report(parent, report)
             parent.finish("FINISHED" if len(found) == len(jobs) else "FAILED")
+
+
+def _measure(folder: Path, jobs: Sequence[SweepJob]) -> None:
+    from gran_bench.sweep.side_by_side import measure  # with the DEM's engine
+
+    try:
+        measure(folder, jobs)
+    except (RuntimeError, ValueError, OSError) as error:  # the report matters more
+        tell(f"not measured side by side: {error}")
 
 
 def sweep_cost(planned: Sequence[SweepJob], folder: Path) -> Cost:

@@ -3,7 +3,7 @@
 import functools
 import math
 import sys
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from gran_bench.config import TrackingConfig
 from gran_bench.files import markdown, write_part, write_text
 from gran_bench.plots.style import drawn_for
 from gran_bench.plots.training import sweep_axis
-from gran_bench.provenance import stamp
 from gran_bench.sweep import runs as files
 from gran_bench.sweep import table
+from gran_bench.sweep.models_page import compares_models, write_models
 from gran_bench.sweep.runs import FAILED, SweepFileError, SweepRun, read_sweep
 from gran_bench.sweep.table import axes_of, read_standing, runs_frame
 
@@ -53,7 +53,7 @@ def report_sweep(folder: Path) -> SweepReport:
         for axis, path in zip(axes or [table.SEED], figures, strict=False):
             others = [other for other in axes if other != axis]
             scenes = sorted({run.facts["scene"] for run in runs if "scene" in run.facts})
-            title = f"{name}: {', '.join([*scenes, _judged(runs)])}, shared packing"
+            title = f"{name}: {', '.join([*scenes, table.judged_at(runs)])}, shared packing"
             sweep_axis(frame.astype({axis: str}), axis, others, path, title)
     best, failed = table.best_choices(runs), [run for run in runs if run.status == FAILED]
     metrics = {f"best/{figure}": float(value) for figure, (_, value) in best.items()} | {
@@ -62,7 +62,8 @@ def report_sweep(folder: Path) -> SweepReport:
         "sweep/jobs waiting": float(len(stands.waiting)),
     }
     tags = {f"best.{figure}": choice for figure, (choice, _) in best.items()}
-    paths = [path for path in (folder / PAGE, folder / files.TABLE, *figures) if path.exists()]
+    pages = write_models(folder, stands) if compares_models(folder) and runs else []
+    paths = [path for path in (folder / PAGE, folder / files.TABLE, *figures, *pages) if path.exists()]
     return SweepReport(text, paths, metrics, tags, failed)
 
 
@@ -115,7 +116,8 @@ def body(stands: table.Standing, figures: Sequence[str]) -> str:
     failed = [run for run in runs if run.status == FAILED]
     cut = [run for run in runs if run.training.get("steps", 0) < (run.training.get("planned_steps") or 0)]
     broken = {run.run: run.facts["broken_rollouts"] for run in runs if "broken_rollouts" in run.facts}
-    counts = f"{len(runs) - len(failed)} runs finished, {len(failed)} failed, {len(waiting)} wait; {_judged(runs)}."
+    counts = f"{len(runs) - len(failed)} runs finished, {len(failed)} failed, {len(waiting)} wait"
+    counts += f"; {table.judged_at(runs)}."
     notes = [
         *(f"- failed: `{run.run}`: {run.reason} (log: `{run.facts.get('log', 'none')}`)" for run in failed),
         *(f"- cut by the clock, goes on with more trainer.minutes: `{run.run}`" for run in cut),
@@ -124,18 +126,9 @@ def body(stands: table.Standing, figures: Sequence[str]) -> str:
         *(f"- not counted, of other code, data or budget: `{run.run}-{run.key[:8]}`" for run in stands.others),
     ]
     shown = "\n".join(f"![{Path(figure).stem}]({figure})" for figure in figures)
-    machines = Counter(run.facts["hardware"] for run in runs if "hardware" in run.facts)
-    counted = (f"{machine} ({count} runs)" if len(machines) > 1 else machine for machine, count in machines.items())
-    made = {
-        "command": stands.sweep.command if stands.sweep else "",
-        "day": max((run.ended_at for run in runs), default="")[:10],
-        "commit": ", ".join(sorted({run.facts["commit"] for run in runs if "commit" in run.facts})),
-        "hardware": "; ".join(counted),
-    }
-    several = " Times, and what equal time bought, are of several machines: compare with care."
     notes = [*unequal_updates(runs), *notes]
     parts = [counts, table.shown_table(runs) if runs else "", "\n".join(notes), shown]
-    return "\n\n".join(filter(None, [*parts, stamp(made) + several * (len(machines) > 1)]))
+    return "\n\n".join(filter(None, [*parts, table.made_by(stands)]))
 
 
 def unequal_updates(runs: Sequence[SweepRun]) -> Iterator[str]:
@@ -148,15 +141,6 @@ def unequal_updates(runs: Sequence[SweepRun]) -> Iterator[str]:
         if max(found) > UNEQUAL * min(found):
             bought = f"{f'`{model}` ' if model else ''}{min(found)} to {max(found)} updates"
             yield f"- equal processor time bought {bought}: compare with care"
-
-
-def _judged(runs: Sequence[SweepRun]) -> str:
-    judged = sorted({run.facts["judged"] for run in runs if "judged" in run.facts})
-    words = [
-        f"{speed}, {'the validation speed, by which one may choose' if kind == 'validation' else 'held out'}"
-        for kind, speed in (one.split(", ") for one in judged)
-    ]
-    return f"judged at {' and '.join(words)}" if words else "nothing judged yet"
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ import pandas as pd
 
 from gran_bench.config.registry import METRICS
 from gran_bench.files import markdown
+from gran_bench.provenance import stamp
 from gran_bench.sweep.runs import FINISHED, SweepFile, SweepJob, SweepRun, read_runs, read_sweep
 from gran_bench.tracking import HEADLINE
 
@@ -130,8 +132,33 @@ def shown_table(runs: Sequence[SweepRun]) -> str:
     for values, group in grouped(runs_frame(runs), axes):
         done = group[group["status"] == FINISHED]
         counts = [str(len(done)), str(len(group) - len(done))]
-        rows.append([*values.values(), *counts, *(_shown(done[column.name], column.digits) for column in columns)])
+        rows.append([*values.values(), *counts, *(shown(done[column.name], column.digits) for column in columns)])
     return "\n".join(markdown(rows, aligned=True))
+
+
+def judged_at(runs: Sequence[SweepRun]) -> str:
+    """On which speed runs were judged, and what kind of speed it is."""
+    judged = sorted({run.facts["judged"] for run in runs if "judged" in run.facts})
+    words = [
+        f"{speed}, {'the validation speed, by which one may choose' if kind == 'validation' else 'held out'}"
+        for kind, speed in (one.split(", ") for one in judged)
+    ]
+    return f"judged at {' and '.join(words)}" if words else "nothing judged yet"
+
+
+def made_by(stands: Standing) -> str:
+    """Command, commit, day and machines of a sweep; a warning where there are several."""
+    runs = stands.counted
+    machines = Counter(run.facts["hardware"] for run in runs if "hardware" in run.facts)
+    counted = (f"{machine} ({count} runs)" if len(machines) > 1 else machine for machine, count in machines.items())
+    made = {
+        "command": stands.sweep.command if stands.sweep else "",
+        "day": max((run.ended_at for run in runs), default="")[:10],
+        "commit": ", ".join(sorted({run.facts["commit"] for run in runs if "commit" in run.facts})),
+        "hardware": "; ".join(counted),
+    }
+    several = " Times, and what equal time bought, are of several machines: compare with care."
+    return stamp(made) + several * (len(machines) > 1)
 
 
 def best_choices(runs: Sequence[SweepRun]) -> dict[str, tuple[str, float]]:
@@ -150,7 +177,8 @@ def best_choices(runs: Sequence[SweepRun]) -> dict[str, tuple[str, float]]:
     return found
 
 
-def _shown(figures: pd.Series, digits: int) -> str:
+def shown(figures: pd.Series, digits: int) -> str:
+    """Mean ± sample standard deviation over seeds, or in how many runs the figure is undefined."""
     if undefined := int(figures.isna().sum()):
         return f"undefined in {undefined}"
     if figures.empty:
