@@ -40,7 +40,7 @@ class EmulatorConfig(Section, place="model"):
     blocks: int = key(2, at_least(1))  # layers
     stride: int = key(4, at_least(1))  # frames between two steps of a recurrence; as many of them interleave
     committee: int = key(3, at_least(1))  # recurrences that learn from other series, whose mean is taken
-    batch: int = key(12, at_least(1))  # series whose gradients are computed together, shared out to the committee
+    batch: int = key(24, at_least(1))  # series whose gradients are computed together, shared out to the committee
     weight_decay: float = key(0.1, Range(0.0))  # times the rate: share by which an update shrinks matrices
     members: int = key(20, at_least(2))  # of the ensemble that is judged
     schedules: SchedulesConfig = field(default_factory=SchedulesConfig)
