@@ -267,6 +267,7 @@ def test_every_number_of_the_schema_has_bounds():
         ("model=emulator model.batch=2 model.committee=3", ["model.batch=2", "model.committee=3"]),
         ("model=emulator model.schedules.slowest_rpm=50", ["slowest_rpm=50", "below model.schedules.fastest_rpm=42"]),
         ("model=emulator model.schedules.twins=200", ["model.schedules.twins=200", "at most"]),
+        ("model=emulator model.schedules.stopping=900", ["together are 1040", "at most 1000"]),
         ("model=emulator trainer.start_from=x", ["trainer.start_from=x", "model=emulator", "null"]),
         ("seed=abc", ["seed=abc", "whole number"]),
         ("seed=1.5", ["seed=1.5", "whole number"]),

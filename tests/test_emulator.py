@@ -28,7 +28,7 @@ from gran_bench.config.reading import validate
 from gran_bench.config.rules import ConfigError
 from gran_bench.dataset import CaseSpec, DatasetError
 from gran_bench.emulator.judging import distance, judge_schedule, judgement
-from gran_bench.emulator.network import Emulator, load_emulator, settled_angles
+from gran_bench.emulator.network import INPUTS, Emulator, load_emulator, settled_angles
 from gran_bench.emulator.runs import FIGURES, RunStatistics, ensure_runs, measure, quantiles, read_run, run_path
 from gran_bench.emulator.scan import DrivenModes, driven_by_frames
 from gran_bench.emulator.schedules import Judged, judged_schedules, random_rotation, refuse_unfair, training_cases
@@ -61,7 +61,7 @@ def tiny(root: Path, **changes) -> TrainConfig:
         dataset=DatasetConfig(root=str(root / "data"), replicas=3, workers=1),
         model=EmulatorConfig(
             width=8, modes=4, blocks=1, stride=3, committee=2, batch=4, members=4,
-            schedules=SchedulesConfig(runs=7, twins=3, constants=2, filling_spread=0.1),
+            schedules=SchedulesConfig(runs=7, twins=3, stopping=2, constants=2, filling_spread=0.1),
         ),
         optim=OptimConfig(learning_rate=1e-2, final_learning_rate=1e-3, accumulate=2, weight_average=0.9),
         trainer=TrainerConfig(steps=6, log_every=2, checkpoint_steps=2),
@@ -84,7 +84,7 @@ def test_a_random_schedule_follows_from_its_seed_and_stays_in_its_range():
 
 
 def test_training_has_twins_other_beds_and_no_motion_that_is_judged():
-    dataset, schedules = DatasetConfig(), SchedulesConfig(runs=20, twins=4)
+    dataset, schedules = DatasetConfig(), SchedulesConfig(runs=20, twins=4, stopping=0)
     shipped = {"drum_stop": Rotation((1.5, 3.5, 3.5, 4.5, 4.5), (30.0, 30.0, 0.0, 0.0, 30.0))}
     cases = training_cases(SCENE, DemConfig(), dataset, schedules, shipped)
     plain, twins = [case for case in cases if not case.nudge], [case for case in cases if case.nudge]
@@ -97,6 +97,24 @@ def test_training_has_twins_other_beds_and_no_motion_that_is_judged():
     assert [one.label for one in judged[:4]] == ["30 rpm", "drum_stop", "random 1000", "random 1001"]
     motions = {one.replicas[0].scene.rotation for one in judged}
     assert motions.isdisjoint({case.scene.rotation for case in cases})
+
+
+def test_further_runs_stop_often_and_need_no_bed_of_their_own():
+    schedules = SchedulesConfig(runs=40, twins=4, stopping=40)
+    cases = training_cases(SCENE, DemConfig(), DatasetConfig(), schedules, {})
+    plain, stopping = cases[:40], cases[40:80]
+    times = SCENE.start_time + SCENE.frame_interval * np.arange(SCENE.frame_count)
+
+    def at_rest(some: list[CaseSpec]) -> float:
+        return float(np.mean([case.scene.rotation.angular_speed(times) == 0.0 for case in some]))
+
+    assert at_rest(stopping) > 1.5 * at_rest(plain) > 0.0
+    assert {case.settled_path("data") for case in stopping} < {case.settled_path("data") for case in plain}
+    assert sum(case.packing_seed == DatasetConfig().packing_seed for case in stopping) == 10
+    assert {(case.scene.filling, case.scene.material) for case in stopping} == {(SCENE.filling, SCENE.material)}
+    assert all(case.nudge for case in cases[80:])
+    fewer = training_cases(SCENE, DemConfig(), DatasetConfig(), replace(schedules, stopping=0), {})
+    assert fewer == [*plain, *cases[80:]], "the other runs stay as they are"
 
 
 @pytest.mark.parametrize("speeds", [(30.0, 30.0), (-30.0, -30.0)])
@@ -135,12 +153,12 @@ def test_the_compiled_recurrence_is_the_one_by_frames_and_so_is_its_gradient(fra
 
 def test_a_phase_begins_where_the_wall_starts_and_where_it_stops():
     speed = torch.tensor([0.0, 1.0, 1.0, 0.0, 0.0, 2.0, 2.0])
-    inputs = torch.zeros(1, 7, 7)
+    inputs = torch.zeros(1, 7, len(INPUTS))
     inputs[0, :, 0] = inputs[0, :, OVER] = speed
     inputs[0, :, 2] = speed != 0.0
     told = Told.of(inputs, unit_angle=0.1, unit_time=0.5)
     assert told.before[0].tolist() == [0, 0, 0, 2, 2, 4, 4]
-    turned = torch.atanh(told.signal[0, :, 7]) * 0.15
+    turned = torch.atanh(told.signal[0, :, len(INPUTS)]) * 0.15
     torch.testing.assert_close(turned, torch.tensor([0.0, 0.1, 0.2, 0.0, 0.0, 0.2, 0.4]))
     every = told.part(2, 1)
     assert every.before[0].tolist() == [0, 0, 1]
@@ -334,6 +352,19 @@ def test_a_finished_experiment_is_not_done_again_and_its_model_is_read(finished,
     assert np.isfinite(emulator.statistics(scene, np.zeros(2)).members).all()
     with pytest.raises(CheckpointError, match="steps no particles"):
         load_model(path)
+
+
+def test_the_bed_that_most_training_runs_share_is_known_again(finished):
+    config, _ = finished
+    emulator, plan = load_emulator(identify(config).folder / "model.pt"), emulator_plan(config)
+    shared, unseen = plan.judged[0], plan.judged[-1]
+    assert (shared.unseen, unseen.unseen) == (False, True)
+    known = INPUTS.index("known")
+    for judged, expected in ((shared, 1.0), (unseen, 0.0)):
+        for spec in judged.replicas:  # from nudged starts, too
+            settled = read_run(spec, config.dataset.root).columns[0, :2]
+            assert (emulator.inputs(spec.scene, settled)[:, known] == expected).all()
+    assert (emulator.inputs(spec.scene, emulator.known.numpy() + np.array([0.0, 0.01]))[:, known] == 0.0).all()
 
 
 def test_statistics_alone_are_kept_and_a_damaged_file_is_named(finished):

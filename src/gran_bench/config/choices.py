@@ -13,6 +13,7 @@ from gran_bench.config import (
     TrainConfig,
 )
 from gran_bench.config.convolution import ConvolutionConfig, Lu2021Config, XuShen2022Config
+from gran_bench.config.emulator import MOST_SCHEDULES
 from gran_bench.config.registry import MODELS
 from gran_bench.config.rules import Section, raising, shown
 
@@ -136,6 +137,9 @@ def check_choices(config: TrainConfig) -> Iterator[str]:
         if emulator.schedules.twins > emulator.schedules.runs:
             given = f"model.schedules.twins={emulator.schedules.twins}"
             yield f"{given} are more than model.schedules.runs={emulator.schedules.runs}; choose at most that"
+        if (count := emulator.schedules.runs + emulator.schedules.stopping) > MOST_SCHEDULES:
+            given = f"model.schedules.runs and model.schedules.stopping together are {count}"
+            yield f"{given}; choose at most {MOST_SCHEDULES}, because the schedules after these are judged"
     if not MODELS[model].particles and config.dataset.files:
         yield f"dataset.files={config.dataset.files}: model={model} learns from runs of this DEM; leave it empty"
     if trainer.startup_fraction > 0 and trainer.startup_seconds is None and not any(gravity):

@@ -7,13 +7,16 @@ from dataclasses import dataclass, field
 from gran_bench.config.registry import register_model
 from gran_bench.config.rules import Range, Section, at_least, key, one_of, positive
 
+MOST_SCHEDULES = 1000  # of training; judging has the seeds from this one on
+
 
 @dataclass
 class SchedulesConfig(Section, place="model.schedules"):
     """The runs of the DEM that the emulator learns from: random schedules of the drum's speed, several beds."""
 
-    runs: int = key(140, Range(2, 1000))  # of different schedules; judging has the seeds from 1000 on
+    runs: int = key(140, Range(2, MOST_SCHEDULES))  # of different schedules
     twins: int = key(20, at_least(2))  # of these, run again from a nudged start: how far runs scatter
+    stopping: int = key(20, Range(0, MOST_SCHEDULES))  # further runs, whose drum stops often
     constants: int = key(6, at_least(2))  # of the runs at constant speeds, spread over the range
     slowest_rpm: float = key(15.0, positive("rpm"))
     fastest_rpm: float = key(42.0, positive("rpm"))

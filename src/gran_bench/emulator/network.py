@@ -23,8 +23,11 @@ from gran_bench.surrogate.checkpoint import CheckpointError, ModelCard, load_car
 # Of the first modes, in √(d/g): decay times from the shortest to the longest, and the highest frequency.
 DECAYS, FREQUENCY = (0.4, 60.0), 0.14
 LOG_PACE = (-4.0, 2.0)  # least and largest ln γ
-INPUTS = ("speed", "speed over the frame", "turns", "settled surface angle", "settled centre", "filling", "friction")
+INPUTS = (
+    "speed", "speed over the frame", "turns", "settled surface angle", "settled centre", "filling", "friction", "known",
+)  # fmt: skip
 SETTLED_UNIT = 3.0  # deg, of the settled angles
+KNOWN_WITHIN = 1e-3  # deg that the settled angles of the bed of most training runs may be off; a nudge is far below
 LEAST_SPREAD = 1e-3  # of the scatter of runs
 
 
@@ -127,12 +130,14 @@ class Emulator(nn.Module):
         # Of the training data: middle and width of each column, and how far runs scatter there.
         for name, value in {"middle": 0.0, "extent": 1.0, "scatter": 1.0}.items():
             self.register_buffer(name, torch.full((count,), value))
+        # Settled angles of the bed that most training runs start from, deg.
+        self.register_buffer("known", torch.full((2,), math.nan))
         # How deviations from the mean go together between columns, and from frame to frame.
         self.register_buffer("together", torch.eye(count))
         self.register_buffer("persistence", torch.zeros(()))
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
-        """Of ``(B, F, 7)`` inputs, mean and standard deviation ``(B, F, C)`` in the figures' units."""
+        """Of ``(B, F, 8)`` inputs, mean and standard deviation ``(B, F, C)`` in the figures' units."""
         runs, frames = inputs.shape[:2]
         missing = -frames % self.stride  # of a whole number of strides; what is added has no part in what comes before
         whole = self.told(torch.cat([inputs, inputs[:, -1:].expand(-1, missing, -1)], dim=1))
@@ -144,7 +149,7 @@ class Emulator(nn.Module):
         return mean, spread
 
     def told(self, inputs: Tensor) -> Told:
-        """What the recurrences are told, of inputs ``(B, F, 7)``."""
+        """What the recurrences are told, of inputs ``(B, F, 8)``."""
         scene = self.scene
         speed = scene.critical_speed_rpm * RADIANS_PER_SECOND_PER_RPM
         return Told.of(inputs, speed * scene.frame_interval, scene.frame_interval / scene.fall_time)
@@ -155,7 +160,11 @@ class Emulator(nn.Module):
         return self.middle + self.extent * level, self.scatter * spread
 
     def inputs(self, scene: Scene, settled: FloatArray) -> FloatArray:
-        """What the emulator is told of a run, ``(F, 7)``; ``settled`` are the two angles of the bed at rest, deg."""
+        """What the emulator is told of a run, ``(F, 8)``; ``settled`` are the two angles of the bed at rest, deg.
+
+        A bed with the settled angles of the one that most training runs share is that one. Without a word of it the
+        emulator would say of every bed how that one begins to flow.
+        """
         time = scene.start_time + scene.frame_interval * np.arange(scene.frame_count)
         backward = min(scene.rotation.speeds_rpm) < 0.0  # the mirror image
         unit = (-1.0 if backward else 1.0) / (self.scene.critical_speed_rpm * RADIANS_PER_SECOND_PER_RPM)
@@ -164,6 +173,7 @@ class Emulator(nn.Module):
         over[0] = 0.0
         rest = [*(np.asarray(settled) / SETTLED_UNIT), scene.filling.count / self.scene.filling.count - 1.0]
         rest.append(scene.material.friction / max(self.scene.material.friction, 1e-9) - 1.0)
+        rest.append(np.allclose(settled, self.known.numpy(), rtol=0.0, atol=KNOWN_WITHIN))
         found = [now, over, now != 0.0, *(np.full(len(time), value) for value in rest)]
         return np.stack(found, axis=1).astype(np.float32)
 

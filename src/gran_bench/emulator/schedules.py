@@ -6,16 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gran_bench.config import DatasetConfig, DemConfig, JudgeConfig, SchedulesConfig
+from gran_bench.config.emulator import MOST_SCHEDULES
 from gran_bench.dataset import CaseSpec, DatasetError, replicas
 from gran_bench.scene import Scene
 from gran_bench.scene.motion import Rotation
 
-JUDGED_SEED = 1000  # of the first random schedule that judging takes; training has those below
+JUDGED_SEED = MOST_SCHEDULES  # of the first random schedule that judging takes; training has those below
 OWN_PACKING = 10  # seed of the first packing that belongs to one training run alone
 # Of the time that a scene moves: from one change of speed to the next, a ramp, a ramp from rest, the end without one.
 HOLD, RAMP, FIRST_RAMP, LAST = (0.1, 0.45), (0.025, 0.2), (0.05, 0.25), 0.05
 # Chances of a start by a ramp, of a stop at a change while the drum turns, and of a jump instead of a ramp.
 SLOW_START, STOP, JUMP = 0.15, 0.35, 0.5
+OFTEN = 0.7  # chance of a stop in runs that are there for the sake of stops and of what follows them
+SHARED = 4  # of these, every so many starts from the bed of the first run
 
 
 @dataclass(frozen=True)
@@ -32,10 +35,10 @@ class Judged:
         return self.name + ", unseen packing" * self.unseen
 
 
-def random_rotation(scene: Scene, seed: int, slowest: float, fastest: float) -> Rotation:
+def random_rotation(scene: Scene, seed: int, slowest: float, fastest: float, stop: float = STOP) -> Rotation:
     """A random schedule over the time that a scene moves: speeds within a range (rpm), jumps, ramps, stops, restarts.
 
-    It is a pure function of its arguments.
+    It is a pure function of its arguments; ``stop`` is the chance of a stop at a change of speed.
     """
     rng, length, axis = np.random.default_rng(seed), scene.end_time - scene.start_time, scene.rotation.axis
     time, speed = scene.start_time, _speed(rng, slowest, fastest)
@@ -45,7 +48,7 @@ def random_rotation(scene: Scene, seed: int, slowest: float, fastest: float) -> 
         times, speeds = [scene.start_time, time], [0.0, speed]
     while (time := time + length * rng.uniform(*HOLD)) < scene.end_time - LAST * length:
         before = speeds[-1]
-        after = 0.0 if before and rng.random() < STOP else _speed(rng, slowest, fastest)
+        after = 0.0 if before and rng.random() < stop else _speed(rng, slowest, fastest)
         ramp = 0.0 if rng.random() < JUMP else length * rng.uniform(*RAMP)
         times, speeds = [*times, time, time + ramp], [*speeds, before, after]
         time += ramp
@@ -63,6 +66,7 @@ def training_cases(
 
     Two of five start from the shared packing, two from a packing of their own, one from a packing of its own with
     another filling and friction. A twin is a run again from a nudged start, so the two say how far runs scatter.
+    Further runs stop often, because most of the others flow all the time; they start from beds that are there.
 
     Raises:
         DatasetError: a schedule among them that is judged, or a held-out speed.
@@ -83,9 +87,27 @@ def training_cases(
         if kind == 4:
             case = _another(case, np.random.default_rng((k, 4)), schedules)
         cases.append(CaseSpec(case, dem, packing))
-    refuse_unfair(cases, [replace(scene.rotation, times=(scene.start_time,), speeds_rpm=(v,)) for v in held], shipped)
+    stopping = _stopping(cases, schedules)
+    forbidden = [replace(scene.rotation, times=(scene.start_time,), speeds_rpm=(v,)) for v in held]
+    refuse_unfair([*cases, *stopping], forbidden, shipped)
     every = max(1, len(cases) // schedules.twins)
-    return cases + [replicas(case, 1)[0] for case in cases[::every][: schedules.twins]]
+    return [*cases, *stopping, *(replicas(case, 1)[0] for case in cases[::every][: schedules.twins])]
+
+
+def _stopping(cases: Sequence[CaseSpec], schedules: SchedulesConfig) -> list[CaseSpec]:
+    """Further runs, whose drum stops often: every fourth from the first run's bed, the others from a bed of another."""
+    first, found = cases[0], []
+    known = {case.packing_seed: case for case in cases if _filled(case) == _filled(first)}
+    others = [case for seed, case in known.items() if seed != first.packing_seed]
+    for k in range(schedules.stopping):
+        bed = others[k % len(others)] if others and k % SHARED else first
+        turn = random_rotation(bed.scene, schedules.runs + k, schedules.slowest_rpm, schedules.fastest_rpm, OFTEN)
+        found.append(replace(bed, scene=replace(bed.scene, rotation=turn)))
+    return found
+
+
+def _filled(case: CaseSpec) -> tuple[object, object]:
+    return case.scene.filling, case.scene.material
 
 
 def _another(scene: Scene, rng: np.random.Generator, schedules: SchedulesConfig) -> Scene:

@@ -22,12 +22,12 @@ FEATURES = len(ANGLES) + len(TIMES)
 class Told:
     """Series of frames, all or every so many."""
 
-    signal: Tensor  # (B, F, 7 + FEATURES)
+    signal: Tensor  # (B, F, 8 + FEATURES)
     before: Tensor  # (B, F), the frame before the present phase, by its place in the series; 0 in the first phase
 
     @classmethod
     def of(cls, inputs: Tensor, unit_angle: float, unit_time: float) -> Told:
-        """From inputs ``(B, F, 7)``; the angle of a frame at a speed of 1, rad, and a frame's length in √(d/g)."""
+        """From inputs ``(B, F, 8)``; the angle of a frame at a speed of 1, rad, and a frame's length in √(d/g)."""
         turns = inputs[..., TURNS] > 0.0
         frames = torch.arange(turns.shape[1]).expand(turns.shape)
         begins = torch.ones_like(turns)

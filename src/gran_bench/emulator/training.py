@@ -5,6 +5,7 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from statistics import mode
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,8 @@ class TrainingRuns:
         plain = {case.key_without_nudge: k for k, case in enumerate(map(_Known, cases)) if not case.nudged}
         twins = [(plain[case.key_without_nudge], k) for k, case in enumerate(map(_Known, cases)) if case.nudged]
         self.twins = np.array(twins)
+        most = mode(case.packing_seed for case in cases)
+        self.known = self._settled(next(k for k, case in enumerate(cases) if case.packing_seed == most))
         self.values = np.stack([one.columns for one in series]).astype(np.float32)
 
     def apart(self) -> np.ndarray:
@@ -55,11 +58,12 @@ class TrainingRuns:
 
     def inputs(self, model: Emulator) -> Tensor:
         """What the emulator is told of each run, ``(N, F, I)``."""
-        told = []
-        for one in self.series:
-            settled = np.array([one.figures[name][0, 0] for name in ("surface_angle", "com_angle")])
-            told.append(model.inputs(one.scene, np.where(np.isfinite(settled), settled, 0.0)))
+        told = [model.inputs(one.scene, self._settled(k)) for k, one in enumerate(self.series)]
         return torch.as_tensor(np.stack(told))
+
+    def _settled(self, number: int) -> np.ndarray:
+        """The two angles of a run's settled bed, ``(2,)`` deg; 0 without a straight surface."""
+        return np.nan_to_num([self.series[number].figures[name][0, 0] for name in ("surface_angle", "com_angle")])
 
 
 class _Known:
@@ -84,6 +88,7 @@ class EmulatorTrainer(Trainer):
         model.middle.copy_(torch.as_tensor([_mean(column) for column in values.T]))
         model.extent.copy_(torch.as_tensor([_scale(column, deviation=True) for column in values.T]))
         model.scatter.copy_(torch.as_tensor([_scale(column) for column in apart.T]))
+        model.known.copy_(torch.as_tensor(windows.known))
         self.inputs, self.valid = windows.inputs(model), torch.as_tensor(np.isfinite(values))
         self.jitter, told = torch.tensor(JITTER) / SETTLED_UNIT, model.told(self.inputs)
         self.parts = [told.part(model.stride, first) for first in range(min(model.stride, values.shape[1]))]

@@ -116,11 +116,12 @@ def emulator_pace(config: TrainConfig, scene: Scene) -> float:
     """Measured wall time of an update of an emulator, s."""
     import torch
 
+    from gran_bench.emulator.network import INPUTS
     from gran_bench.emulator.runs import FIGURES
     from gran_bench.emulator.training import make_emulator
 
     emulator = make_emulator(config, scene, list(FIGURES))
-    inputs = torch.zeros(config.model.batch, scene.frame_count, 7)
+    inputs = torch.zeros(config.model.batch, scene.frame_count, len(INPUTS))
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     for _ in range(2):  # the first warms up
