@@ -142,11 +142,13 @@ def test_twelve_jobs_killed_at_random_end_as_local_does_and_none_is_done_twice(
                     (process if deed == "child" else process.parent()).kill()
                 deeds.append(deed)
         cluster.lose_node(working()[0])
+        done = _finished(tmp_path)
+        _wait_for(lambda: _finished(tmp_path) > done)
         working()
     # The command itself is killed; what Slurm has of its jobs goes on, and the same command finds it.
     finish(command, tmp_path)
     seen = finished_work(tmp_path)
-    assert len(list(tmp_path.glob(f"results/runs/*/{SUMMARY}"))) == JOBS
+    assert _finished(tmp_path) == JOBS
     assert results_of(tmp_path) == results_of(calm)
     assert records_of(tmp_path) == records_of(calm)
     logs = [log.read_text("utf-8") for log in tmp_path.glob("results/sweeps/*/logs/*.log")]
@@ -212,6 +214,10 @@ def _watched(command: list[str], folder: Path) -> Iterator[Callable[[], list[int
             return found
 
         yield working
+
+
+def _finished(folder: Path) -> int:
+    return len(list(folder.glob(f"results/runs/*/{SUMMARY}")))
 
 
 def _at_work(folder: Path) -> list[int]:

@@ -4,6 +4,7 @@ import logging
 import os
 import signal
 import socket
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
 from typing import Any
@@ -14,7 +15,7 @@ from gran_bench.sweep.launcher import JobLauncher, last_words, require_package
 from gran_bench.sweep.remote import RemoteJob
 from gran_bench.sweep.task import GRACE_SECONDS, SAID
 
-LOOK_SECONDS = 1.0  # that a signal may have to wait
+LOOK_SECONDS = 1.0  # between two looks for results
 ANSWER_SECONDS = 5.0  # that a cluster's head has to answer
 SAYS = "ray.txt"  # in the sweep's folder: what Ray says
 
@@ -71,7 +72,8 @@ class RayLauncher(JobLauncher):
     def ended(self, running: Mapping[int, Any]) -> dict[int, int | str]:
         import ray
 
-        ready, _ = ray.wait(list(running.values()), num_returns=1, timeout=LOOK_SECONDS)
+        time.sleep(LOOK_SECONDS)  # in which a signal says which it is, as it does not within Ray
+        ready, _ = ray.wait(list(running.values()), num_returns=len(running), timeout=0)
         return {number: _end_of(job) for number, job in running.items() if job in ready}
 
     def stop(self, running: Mapping[int, Any]) -> None:
@@ -107,6 +109,8 @@ class RayLauncher(JobLauncher):
 
 
 def _do(job: RemoteJob) -> int:
+    # Ray cancels by SIGINT, which workers ignore where a shell started their cluster in the background.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     code = job()
     if code not in (0, SAID):
         raise JobDiedError(last_words(code, "hydra.launcher.memory_gb, to have fewer jobs on a node"))
