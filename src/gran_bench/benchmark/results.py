@@ -137,8 +137,8 @@ def entries(found: dict[str, Any]) -> list[Entry]:
         wall = row["wall"] or dict.fromkeys(SPREAD, row["failed_seconds"])
         if wall["median"] is not None and (row["floors"] is not None or row["failed"]):
             errors = [None] * 3 if row["failed"] else [row[key] for key in ("floors", "floors_low", "floors_high")]
-            spent = row["data_seconds"], row["training_seconds"]
-            timed.append(Entry(row["name"], row["kind"], wall["median"], *errors, wall["low"], wall["high"], *spent))
+            spent = {key: row[key] for key in ("data_seconds", "training_seconds")}
+            timed.append(Entry(row["name"], row["kind"], wall["median"], *errors, wall["low"], wall["high"], **spent))
     return timed
 
 
