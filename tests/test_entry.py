@@ -99,7 +99,7 @@ def refuse(monkeypatch, capsys, tmp_path):
         ("scene.container.kind=none", ["no container"]),
         ("scene.container.lifters=4", ["the keys of scene.container are kind, diameter, length, periodic_axis\n"]),
         ("model=cnn", ["model=cnn", "did you mean ccnn?", "radial"]),
-        ("optim=adam", ["optim=adam", "ccnn or contact or", "or paper or radial or", "--config-dir=FOLDER"]),
+        ("optim=adam", ["optim=adam", "contact or emulator or", "or paper or radial or", "--config-dir=FOLDER"]),
         ("+experiment=holdout3", ["experiment=holdout3", "did you mean holdout30rpm?", "smoke"]),
         ("experiment=smoke", ["experiment", "+experiment=smoke"]),
         ("modle=ccnn", ["modle=ccnn", "did you mean model?"]),
@@ -178,7 +178,7 @@ def test_in_a_multirun_a_failed_job_is_seen_and_stops_no_other(probe, launcher):
 def test_the_commands_explain_themselves(probe):
     code, out, said, left = probe("--help")
     assert (code, said, left) == (0, "", [])
-    models = "model: ccnn, contact, emulator, gns, lu2021, radial, xu_shen2022"
+    models = "model: ccnn, ccnn_antisymmetric, contact, emulator, gns, gns_large, lu2021, radial, xu_shen2022"
     for word in ("+experiment=holdout30rpm", models, "scene: drum, drum_high,", "Exit code"):
         assert word in out
     code, out, said, left = probe("--cfg", "job", "+experiment=paper")
