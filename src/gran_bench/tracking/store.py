@@ -6,6 +6,7 @@ MLflow is imported when a store is opened: a run without tracking never waits fo
 
 from __future__ import annotations
 
+import importlib
 import json
 import logging
 import os
@@ -16,6 +17,7 @@ import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import quote, urlsplit
 
@@ -76,18 +78,22 @@ def legal_name(name: str) -> str:
     return re.sub(r"[^\w\-.: /]", "_", name, flags=re.ASCII)
 
 
+def _hush() -> ModuleType:
+    """MLflow, which reads the environment when it is loaded, and says warnings alone."""
+    os.environ.update(QUIET | {name: os.environ.get(name, value) for name, value in _PATIENCE.items()})
+    mlflow = importlib.import_module("mlflow")  # which sets levels of its own
+    for name in ("mlflow", "alembic"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    return mlflow
+
+
 class Client:
     """MLflow's `MlflowClient`, each of whose calls is made under a guard that turns what it raises into one error."""
 
     def __init__(self, uri: str, guard: Callable[[], AbstractContextManager[None]]) -> None:
-        os.environ.update(QUIET | {name: os.environ.get(name, value) for name, value in _PATIENCE.items()})
-        from mlflow import MlflowClient
-
-        for name in ("mlflow", "alembic"):
-            logging.getLogger(name).setLevel(logging.WARNING)
-        self._guard = guard
+        self._guard, mlflow = guard, _hush()
         with guard():
-            self._client = MlflowClient(tracking_uri=uri)
+            self._client = mlflow.MlflowClient(tracking_uri=uri)
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         call = getattr(self._client, name)
@@ -115,9 +121,10 @@ class Store:
         self._identity: tuple[int, int] | None = None
         # Several first starts at once crash each other while they make the tables.
         with self.alone():
+            if self.server is None and not self.database.exists():
+                self._make_database()
             self.client = Client(self.server or database_uri(self._spelling()), self._answers)
             if self.server is None:
-                self.client.search_experiments(max_results=1)  # makes the tables
                 with self._answers():
                     follow_folder(self.database, self.artifacts_uri)
             self.experiment_id = self._experiment(config.experiment)
@@ -142,6 +149,15 @@ class Store:
                 yield
         except OSError as error:
             raise TrackingError(self._complaint(error.strerror or str(error))) from error
+
+    def _make_database(self) -> None:
+        """Make a new database, whole or not there: MLflow opens none that a kill left with a part of its tables."""
+        _hush()
+        from mlflow.store.db.utils import _initialize_tables, create_sqlalchemy_engine
+
+        with self._answers(), whole_file(self.database) as temporary:
+            _initialize_tables(engine := create_sqlalchemy_engine(database_uri(str(temporary))))
+            engine.dispose()
 
     def _find(self, condition: str, most: int) -> list[MlflowRun]:
         return self.client.search_runs([self.experiment_id], condition, max_results=most)
