@@ -40,7 +40,7 @@ def turning_bed(count: int, grow: str) -> tuple[Scene, ParticleState]:
     length = scale if grow == "size" else count / 3000 + 0.05  # m: the caps keep a sphere away
     scene = build_scene(
         SceneConfig(
-            name=f"drum of {count}",
+            name=f"drum_{count}",
             container=ContainerConfig(diameter=scale, length=length),
             filling=FillingConfig(count=count),
             start_time=round(0.3 + 0.25 * float(np.sqrt(scale)), 2),  # when it turns: not at rest, only fallen
