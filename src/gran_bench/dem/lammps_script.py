@@ -1,9 +1,10 @@
 """What LAMMPS `granular` is told of a scene: law, walls, gravity, and what of a scene it has not.
 
 The law is hertz, ``mindlin_rescale/force`` and ``coeff_restitution`` with ``limit_damping``. That is the law of
-contact.py with ``dem.slip=full_radius``: the forces of a state agree to rounding. In a step two points remain that
-LAMMPS has no setting for. Damping takes half-step velocities, which costs restitution a term of first order in the
-step. What a sliding contact remembers is the limit less the damping, not a share of both.
+contact.py with ``dem.slip=full_radius``: the forces of a state agree to rounding. Three points remain that LAMMPS has
+no setting for. Damping takes half-step velocities, which costs restitution a term of first order in the step. What a
+sliding contact remembers is the limit less the damping, not a share of both. Between unequal spheres the arms of the
+torque are R − δ/2; ours end on the plane in which the spheres intersect.
 """
 
 from __future__ import annotations
