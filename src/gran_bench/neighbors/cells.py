@@ -213,27 +213,32 @@ def _any_between(order, run_begin, run_end, begin, end):
     return False
 
 
+@kernel
+def beside(x, y, z, row, start, cells, period):
+    """Ranks, from and to, in one of nine rows of three cells around a cell; none where the row is outside."""
+    nx, ny, nz = cells[0], cells[1], cells[2]
+    line, layer = y + row % 3 - 1, z + row // 3 - 1
+    if layer < 0 or layer >= nz:
+        return 0, 0
+    if line < 0 or line >= ny:
+        if period == 0.0 or ny == 1:
+            return 0, 0
+        line = (line + ny) % ny
+    base = (layer * ny + line) * nx
+    return start[base + max(0, x - 1)], start[base + min(nx - 1, x + 1) + 1]
+
+
 @entry
 def find_neighbors(point, place, query_count, reach, period, order, start, cell_of, cells, query, source):
     """Fills in query and source index of each hit; returns how many there are, or −1 where they do not fit.
 
     Of the points, as given and by rank as ``place``, the first ask for their neighbours.
     """
-    nx, ny, nz = cells[0], cells[1], cells[2]
-    found = 0
+    found, nx, ny = 0, cells[0], cells[1]
     for i in range(query_count):
         x, y, z = cell_of[i] % nx, (cell_of[i] // nx) % ny, cell_of[i] // (nx * ny)
-        left, right = max(0, x - 1), min(nx - 1, x + 1)
         for row in range(9):
-            layer, line = z + row // 3 - 1, y + row % 3 - 1
-            if layer < 0 or layer >= nz:
-                continue
-            if line < 0 or line >= ny:
-                if period == 0.0 or ny == 1:
-                    continue
-                line = (line + ny) % ny
-            base = (layer * ny + line) * nx
-            begin, end = start[base + left], start[base + right + 1]
+            begin, end = beside(x, y, z, row, start, cells, period)
             if found + end - begin > len(query):
                 return -1
             for other in range(begin, end):

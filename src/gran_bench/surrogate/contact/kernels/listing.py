@@ -6,6 +6,7 @@ import numpy as np
 
 from gran_bench import dem, neighbors
 from gran_bench.dem.fast.wall_list import shape_of, toward_wall
+from gran_bench.neighbors.cells import beside
 from gran_bench.neighbors.kernel import LANES, cached, clear_lowest, kernel, lowest_lane, near_lanes
 
 jitted = cached(*(Path(room).parent for room in (__file__, dem.__file__, neighbors.__file__)), nogil=True)
@@ -64,7 +65,7 @@ def pairs_in_order(sphere, reach, period, order, start, cell_of, cells, pairs): 
 
     ``order`` to ``cells`` are of :func:`gran_bench.neighbors.bin_cells`.
     """
-    count, found, nx, ny, nz = len(sphere), 0, cells[0], cells[1], cells[2]
+    count, found, nx, ny = len(sphere), 0, cells[0], cells[1]
     place = np.zeros((4, count + LANES))  # by rank, side by side, for SIMD; of radius 0
     x, y, z, r = place[0], place[1], place[2], place[3]
     for rank in range(count):
@@ -72,18 +73,10 @@ def pairs_in_order(sphere, reach, period, order, start, cell_of, cells, pairs): 
     inverse = 1.0 / period if period > 0.0 else 0.0
     for i in range(count):
         column, line, layer = cell_of[i] % nx, (cell_of[i] // nx) % ny, cell_of[i] // (nx * ny)
-        left, right, first = max(0, column - 1), min(nx - 1, column + 1), found
+        first = found
         xi, yi, zi = sphere[i, 0], sphere[i, 1], sphere[i, 2]
         for row in range(9):
-            to_layer, to_line = layer + row // 3 - 1, line + row % 3 - 1
-            if to_layer < 0 or to_layer >= nz:
-                continue
-            if to_line < 0 or to_line >= ny:
-                if period == 0.0 or ny == 1:
-                    continue
-                to_line = (to_line + ny) % ny
-            base = (to_layer * ny + to_line) * nx
-            begin, end = start[base + left], start[base + right + 1]
+            begin, end = beside(column, line, layer, row, start, cells, period)
             if found + end - begin > len(pairs):
                 return -1
             for rank in range(begin, end, LANES):
